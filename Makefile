@@ -1,7 +1,9 @@
-# l3cli: every target installs what it needs into .venv (Python ≥ 3.11; no compiler).
+# l3cli: every target installs what it needs, and no more, into .venv (Python ≥ 3.11; no compiler).
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --disable-pip-version-check
+EXTRAS := test lint docs snakemake peers fuzz
 PYTHON312 ?= python3.12
 NEWER := build/vapoursynth
 DEMO := build/demo
@@ -9,6 +11,8 @@ CURVE := build/curve
 DOCS := build/docs
 NOTEBOOKS := build/notebooks
 RELEASE := build/release
+KERNELS := $(CURDIR)/build/kernels
+OCLGRIND ?= /usr/lib/oclgrind/liboclgrind-rt-icd.so
 JOBS ?= 2
 INPUTS ?= 20000
 PORT ?= 8000
@@ -16,21 +20,26 @@ PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps docs docs-build gallery peers notebooks wheels test vapoursynth study soak video fuzz curve lint format bench clean
+.PHONY: help install demo demo-steps snakemake docs docs-build gallery peers notebooks wheels test vapoursynth study soak video fuzz kernels curve lint format bench clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
-$(VENV)/installed: pyproject.toml
+$(VENV)/runtime: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev,docs]"
+	$(PIP) -e .
 	touch $@
 
-install: $(VENV)/installed ## a .venv with l3, PoCL and the development tools
+# An extra of pyproject.toml each.
+$(EXTRAS:%=$(VENV)/%): $(VENV)/%: $(VENV)/runtime
+	$(PIP) -e ".[$*]"
+	touch $@
 
-demo: $(VENV)/installed ## a five-band camera from virtual lab to rendered picture
+install: $(VENV)/test $(VENV)/lint $(VENV)/docs ## a .venv with l3, PoCL and the development tools
+
+demo: $(VENV)/runtime ## a five-band camera from virtual lab to rendered picture
 	$(MAKE) --no-print-directory demo-steps
 
 demo-steps:
@@ -44,28 +53,31 @@ demo-steps:
 	$(TIMED) $(L3) render $(DEMO)/table.h5 $(DEMO)/unseen/*_raw.tif -o $(DEMO)/rendered.png
 	$(TIMED) $(L3) evaluate $(DEMO)/table.h5 $(DEMO)/unseen.h5
 	$(TIMED) $(L3) report $(DEMO)/camera.h5 $(DEMO)/training.h5 $(DEMO)/table.h5 $(DEMO)/unseen.h5 -o $(DEMO)/report.html
-	@ls $(CURDIR)/$(DEMO)/report.html $(CURDIR)/$(DEMO)/rendered.png $(CURDIR)/$(DEMO)/unseen/*_ideal.png
+	@ls "$$PWD"/$(DEMO)/report.html "$$PWD"/$(DEMO)/rendered.png "$$PWD"/$(DEMO)/unseen/*_ideal.png
 
 # One process more than there are cores: many tests wait for processes that they start. These start sooner if Python may keep
 # what it has compiled. Files go in their order, small ones last: none is begun late that takes long.
-test: $(VENV)/installed ## the test suite
+test: $(VENV)/test ## the test suite
 	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n $$(( $(JOBS) + 1 )) --dist loadfile --no-loadscope-reorder
 
+snakemake: $(VENV)/test $(VENV)/snakemake ## the tests of the Snakefile that l3 init lays beside recipes (one minute)
+	$(BIN)/python -m pytest tests/commands/test_pipelines.py -k snakemake
+
 docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until Ctrl-C (PORT=…)
-	$(BIN)/python -m http.server --directory $(DOCS)/html --bind 127.0.0.1 $(PORT)
+	$(BIN)/python -m http.server --directory "$(DOCS)/html" --bind 127.0.0.1 $(PORT)
 
-docs-build: notebooks ## the same without serving; fails on any warning and any link that leads nowhere
-	$(BIN)/python docs/site/build.py $(DOCS)
+docs-build: notebooks ## the same without serving (DOCS=folder); fails on any warning and any link that leads nowhere
+	$(BIN)/python docs/site/build.py "$(DOCS)"
 
-gallery: $(VENV)/installed ## docs/gallery.md and its pictures, two arrays at a time (eight minutes of two quiet cores); ARRAYS="bayer xtrans" for some
-	PYTHONPATH=$(CURDIR) $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
+gallery: $(VENV)/runtime ## docs/gallery.md and its pictures, two arrays at a time (eight minutes of two quiet cores); ARRAYS="bayer xtrans" for some
+	PYTHONPATH="$$PWD" $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
 
-peers: $(VENV)/installed ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some, PARTS="noise --seconds" for times alone
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[peers]"
-	PYTHONPATH=$(CURDIR) $(BIN)/python docs/peers/peers.py $(PARTS) --jobs $(JOBS)
+peers: $(VENV)/peers ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some, PARTS="noise --seconds" for times alone
+	PYTHONPATH="$$PWD" $(BIN)/python docs/peers/peers.py $(PARTS) --jobs $(JOBS)
 
-notebooks: $(VENV)/installed ## the notebooks of docs/ are run, and written as pages of code and outputs (half a minute)
+notebooks: $(VENV)/docs $(VENV)/test ## the notebooks of docs/ are run, and written as pages of code and outputs (half a minute)
 	rm -rf $(NOTEBOOKS)
+	$(BIN)/python -m pytest tests/unit/test_notebooks.py
 	$(BIN)/python docs/site/execute_notebooks.py $(NOTEBOOKS)
 
 wheels: ## dist/: source distribution, the wheel built from it, both checked, and the wheel tried alone
@@ -87,22 +99,36 @@ $(NEWER)/installed: pyproject.toml
 vapoursynth: $(NEWER)/installed ## the tests of the VapourSynth filter, under PYTHON312=python3.12 or newer
 	$(NEWER)/bin/python -m pytest tests/commands/test_vapoursynth.py
 
-study: $(VENV)/installed ## calibration over 21 seeds, quality, time and memory of large inputs (ten minutes)
+study: $(VENV)/test ## calibration over 21 seeds, quality, time and memory of large inputs (ten minutes)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/studies/test_video_rate.py
 
-soak: $(VENV)/installed ## every stage killed forty times, full disks, endurance (half an hour)
+soak: $(VENV)/test ## every stage killed forty times, full disks, endurance (half an hour)
 	$(BIN)/python -m pytest -m soak -s
 
-video: $(VENV)/installed ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
+video: $(VENV)/test ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
 	$(BIN)/python -m pytest -m slow -s tests/studies/test_video_rate.py
 
-fuzz: $(VENV)/installed ## 20 000 corrupted inputs, 2 000 guided by coverage, 500 environments (a quarter of an hour); failures are kept in build/fuzz
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[fuzz]"
-	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.helpers.fuzz --inputs $(INPUTS) --jobs $(JOBS)
-	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.helpers.fuzz --inputs 2000 --guided
-	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.helpers.fuzz --environments $(PLACES) --jobs $(JOBS)
+fuzz: $(VENV)/fuzz $(VENV)/test ## 20 000 corrupted inputs, 2 000 guided by coverage, 500 environments (a quarter of an hour); failures are kept in build/fuzz
+	PYTHONPATH="$$PWD" nice $(BIN)/python -m tests.helpers.fuzz --inputs $(INPUTS) --jobs $(JOBS)
+	PYTHONPATH="$$PWD" nice $(BIN)/python -m tests.helpers.fuzz --inputs 2000 --guided
+	PYTHONPATH="$$PWD" nice $(BIN)/python -m tests.helpers.fuzz --environments $(PLACES) --jobs $(JOBS)
 
-curve: $(VENV)/installed ## Bayer and RGBW over luminance: which is better where (ten minutes)
+# Oclgrind 21.10 knows no intrinsic of prefetching, and none that inlining leaves: kernels are compiled as they are written.
+kernels: $(VENV)/test ## kernels under Oclgrind, for accesses out of bounds and races, and on Intel's OpenCL (a quarter of an hour)
+	@test -e $(OCLGRIND) || { echo "Oclgrind is missing: apt-get install oclgrind, or name its liboclgrind-rt-icd.so by OCLGRIND=" >&2; exit 1; }
+	rm -rf $(KERNELS) && mkdir -p $(KERNELS)/oclgrind $(KERNELS)/intel
+	echo $(OCLGRIND) > $(KERNELS)/oclgrind/oclgrind.icd
+	OCL_ICD_VENDORS=$(KERNELS)/oclgrind L3_DEVICE=Oclgrind OCLGRIND_DATA_RACES=1 OCLGRIND_LOG=$(KERNELS)/oclgrind.log \
+	  OCLGRIND_BUILD_OPTIONS="-cl-opt-disable -Dalways_inline=unused -Drestrict= -D__builtin_prefetch(p)=(void)0" \
+	  $(BIN)/python -m pytest -m slow tests/studies/test_kernels.py
+	$(PYTHON) -m venv $(KERNELS)/packages
+	$(KERNELS)/packages/bin/python -m pip install --quiet --disable-pip-version-check intel-opencl-rt intel-cmplr-lib-rt
+	echo $(KERNELS)/packages/lib/libintelocl.so > $(KERNELS)/intel/intel.icd
+	OCL_ICD_VENDORS=$(KERNELS)/intel $(BIN)/l3 info --version | grep "0: .*Intel(R) OpenCL"
+	OCL_ICD_VENDORS=$(KERNELS)/intel L3_DEVICE=0 $(BIN)/python -m pytest tests/unit/test_render.py tests/unit/test_encoder.py \
+	  tests/unit/test_smoothing.py tests/unit/test_temporal.py tests/science/test_corrections.py tests/science/test_trees.py
+
+curve: $(VENV)/runtime ## Bayer and RGBW over luminance: which is better where (ten minutes)
 	rm -rf $(CURVE) && mkdir -p $(CURVE)
 	for camera in bayer rgbw; do \
 	  $(L3) simulate configs/scenes/default.toml --camera configs/cameras/$$camera.toml -o $(CURVE)/$$camera.training.h5 \
@@ -114,7 +140,7 @@ curve: $(VENV)/installed ## Bayer and RGBW over luminance: which is better where
 	done
 	$(L3) compare $(CURVE)/bayer.json $(CURVE)/rgbw.json --figure mean_delta_e --figure scielab --figure psnr -o $(CURVE)/curve.html
 
-lint: $(VENV)/installed ## ruff format and check, mypy
+lint: $(VENV)/lint $(VENV)/test $(VENV)/docs ## ruff format and check, mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -122,12 +148,13 @@ lint: $(VENV)/installed ## ruff format and check, mypy
 	$(BIN)/mypy docs/gallery
 	$(BIN)/mypy docs/peers
 
-format: $(VENV)/installed ## format the sources, fix what ruff can
+format: $(VENV)/lint ## format the sources, fix what ruff can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: $(VENV)/installed ## frame times by stage, beside the bare multiply-adds and other methods
+bench: $(VENV)/test ## frame times by stage; beside the bare multiply-adds, a naive kernel, Menon; simulation and training
 	$(L3) bench
+	$(BIN)/python -m pytest -m slow -s tests/studies/test_speed_study.py
 
 clean: ## remove what the other targets made
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -6,10 +6,30 @@ What is named here comes from `l3cli.api` and is imported when it is used.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from l3cli.api import Renderer, calibrate, evaluate, load, read_raw, render, save, simulate, train
+    from l3cli.api import (
+        Renderer,
+        calibrate,
+        delta_e_2000,
+        evaluate,
+        load,
+        load_camera,
+        load_table,
+        load_training_set,
+        psnr,
+        read_raw,
+        render,
+        save,
+        scielab,
+        simulate,
+        ssim,
+        train,
+    )
 
 __version__ = "0.1.0"
-__all__ = ["Renderer", "calibrate", "evaluate", "load", "read_raw", "render", "save", "simulate", "train"]
+__all__ = [
+    "Renderer", "calibrate", "delta_e_2000", "evaluate", "load", "load_camera", "load_table", "load_training_set", "psnr",
+    "read_raw", "render", "save", "scielab", "simulate", "ssim", "train",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -17,10 +17,7 @@ def main() -> None:
     for each in words:
         if signal.getsignal(each) is not signal.SIG_IGN:  # as a job in the background ignores Ctrl-C
             signal.signal(each, end)
-    from l3cli.importing import without_collecting
-
-    with without_collecting():
-        from l3cli import cli
+    from l3cli import cli
 
     cli.main()
 

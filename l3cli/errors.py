@@ -1,4 +1,4 @@
-"""What can go wrong, and the exit code each kind of failure gives (docs/robustness.md#exit-codes).
+"""Errors, and the exit code of each kind of failure (docs/robustness.md#exit-codes).
 
 A message that names a parameter marks it ‹force›, by its name in Python; the command line writes its option there, --force.
 """
@@ -35,7 +35,7 @@ MOST_SHOWN = 40  # characters of what somebody wrote
 
 
 def shortened(text: str) -> str:
-    """What somebody wrote, for a message: its beginning, where it is long."""
+    """Return a user's text for a message: its beginning, where it is long."""
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
 
 

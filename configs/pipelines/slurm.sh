@@ -46,7 +46,7 @@ learn() { # PASS: the partial sums of this task's share
 }
 
 case $step in
-  camera) make "$camera" unseen.h5 JOBS="$jobs" ;;
+  camera) make inputs JOBS="$jobs" ;;
   # Every task draws different scenes: its number is the seed.
   simulate)
     make_of "$folder/training_$shard.h5" l3 simulate scenes.toml --camera "$camera" --seed "$SLURM_ARRAY_TASK_ID" \
@@ -63,6 +63,7 @@ case $step in
     l3 evaluate "$folder/table.h5" unseen.h5
     ;;
   "$tasks")
+    make -n inputs >/dev/null # refuses what make cannot do, before anything waits in a queue
     mkdir -p "$folder/log"
     submit camera
     submit simulate --array="1-$tasks"

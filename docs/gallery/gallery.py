@@ -25,15 +25,14 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures
-from l3cli.files import write_whole
-from l3cli.io.embedded import jpeg
-from l3cli.io.images import encoded
+from l3cli.io.images import encoded, jpeg
 from l3cli.parallel import ordered_map
-from l3cli.recipes import known_recipes
+from l3cli.recipes.builtin import known_recipes
 from l3cli.stages.console import Silent
 from l3cli.stages.evaluation import evaluate_frame
 from l3cli.stages.frame_renderers import FrameRenderers
 from l3cli.stages.starting import classes_of, summary
+from l3cli.system.files import write_whole
 
 FOLDER = Path(__file__).parent
 FIGURES = FOLDER / "figures.json"

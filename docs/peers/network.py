@@ -8,7 +8,7 @@ import numpy as np
 from rivals import CFA, PLAIN, Array, NotInstalled, Rival, installed
 
 from l3cli.evaluation.demosaic import tiled
-from l3cli.frame import pad_mosaic
+from l3cli.frames.frame import pad_mosaic
 from l3cli.physics.display import srgb_curve, srgb_decoded
 
 MARGIN = 48  # pixels, of whole periods, a period beyond what the networks take off on each side

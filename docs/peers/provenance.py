@@ -6,7 +6,7 @@ import json
 import os
 from pathlib import Path
 
-from l3cli.files import write_whole
+from l3cli.system.files import write_whole
 
 Origin = dict[str, str]  # date, source, machine
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.evaluation.quality import cropped
-from l3cli.frame import pad_mosaic
+from l3cli.frames.frame import pad_mosaic
 from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
 from l3cli.physics.display import srgb_from_xyz_matrix
 

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from built import faults
-from gather import gather
+from gather import BUILT, gather
 from sphinx.cmd.build import main as sphinx
 
 
@@ -14,9 +14,10 @@ def main(folder: Path) -> int:
     pages, site = folder / "pages", folder / "html"
     for each in (pages, site):
         shutil.rmtree(each, ignore_errors=True)
+    (folder / BUILT).mkdir(parents=True, exist_ok=True)
     gather(pages)
     config = Path(__file__).parent
-    arguments = ["-q", "-W", "--keep-going", "-c", str(config), "-d", str(folder / "doctrees"), "-b", "html"]
+    arguments = ["-q", "-W", "--keep-going", "-c", str(config), "-d", str(folder / BUILT), "-b", "html"]
     if code := sphinx([*arguments, str(pages), str(site)]):
         return int(code)
     wrong = faults(site)

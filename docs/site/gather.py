@@ -12,20 +12,22 @@ from recipe_pages import recipe_pages
 
 ROOT = Path(__file__).parents[2]
 EXECUTED = ROOT / "build/notebooks"  # by make notebooks
+BUILT = "doctrees"  # what Sphinx leaves beside a site
+NOTEBOOKS = "python.md"  # whose table lists them
 FRONT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "SECURITY.md": "security.md"}
 AS_THEY_ARE = ("LICENSE", "CITATION.cff")
 CONTENTS = {
-    "Start": ["install", "tutorial", "chart-photo", "own-lab", "own-array", "arrays"],
-    "Use": ["raw-files", "video", "temporal", "jobs", "video-hosts", "clusters", "python", "notebooks", "export"],
-    "Reference": ["commands", "reference/commands", "recipes", "reference/recipes", "artifacts", "reference/artifacts"],
-    "What to expect": ["gallery", "benchmarks", "peers", "flicker", "limits", "robustness", "method"],
+    "Start": ["tutorial", "own-lab", "arrays"],
+    "Use": ["raw-files", "video", "jobs", "python"],
+    "Reference": ["commands", "reference/commands", "reference/recipes", "artifacts", "reference/artifacts"],
+    "What to expect": ["gallery", "benchmarks", "peers", "limits", "robustness", "method", "notebook"],
     "Project": ["architecture", "contributing", "changelog", "security", "reference/licences"],
 }
 
 
 def gather(folder: Path) -> None:
     """Write the pages of the site into a new `folder`."""
-    shutil.copytree(ROOT / "docs", folder, ignore=shutil.ignore_patterns("site", "Dockerfile*", "meta.yaml", "__pycache__"))
+    shutil.copytree(ROOT / "docs", folder, ignore=_left_out)
     for path in folder.rglob("*.md"):
         path.write_text(relinked(path.read_text(encoding="utf-8")), encoding="utf-8")
     for name, page in FRONT.items():
@@ -38,12 +40,18 @@ def gather(folder: Path) -> None:
     if not EXECUTED.is_dir():
         raise SystemExit(f"{EXECUTED} is missing; make notebooks makes it")
     shutil.copytree(EXECUTED, folder / "notebooks", dirs_exist_ok=True)
-    listed = (folder / "notebooks.md").read_text(encoding="utf-8")
+    listed = (folder / NOTEBOOKS).read_text(encoding="utf-8")
     names = re.findall(r"\]\((notebooks/[\w-]+)\.md\)", listed)
-    (folder / "notebooks.md").write_text(f"{listed}\n{tree(names)}\n", encoding="utf-8")
+    (folder / NOTEBOOKS).write_text(f"{listed}\n{tree(names)}\n", encoding="utf-8")
     pages = {path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.md")}
     readme = relinked((ROOT / "README.md").read_text(encoding="utf-8"))
     (folder / "index.md").write_text(f"{readme}\n{contents(pages)}", encoding="utf-8")
+
+
+def _left_out(folder: str, names: list[str]) -> set[str]:
+    """What no page is made of, sites that were built inside docs/ among it."""
+    built = {name for name in names if Path(folder, name, BUILT).is_dir()}
+    return built | shutil.ignore_patterns("site", "Dockerfile*", "meta.yaml", "__pycache__")(folder, names)
 
 
 def relinked(text: str) -> str:

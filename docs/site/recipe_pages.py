@@ -10,8 +10,8 @@ from l3cli.stages.checking.kinds import KINDS
 from l3cli.stages.checking.schema import schema
 
 INTRO = (
-    "The keys of every recipe, made of the types that recipes are checked with. [Recipes](../recipes.md) says what they "
-    "mean together, `l3 schema` prints the same for editors."
+    "The keys of every recipe, made of the types that recipes are checked with. [Recipes](../commands.md#recipes) says what "
+    "they mean together, `l3 schema` prints the same for editors."
 )
 
 

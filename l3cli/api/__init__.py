@@ -1,4 +1,4 @@
-"""The Python interface: the four stages, evaluation, artifacts, raw frames and a renderer, as `l3cli.NAME`.
+"""The Python interface as `l3cli.NAME`: the four stages, evaluation, artifacts, raw frames, a renderer, figures of pictures.
 
     import l3cli as l3
 
@@ -12,8 +12,12 @@ They raise the errors of `l3cli.errors`: RecipeError (a wrong call or recipe), I
 nothing unless they are given a `console` (`l3cli.stages.console.Console`).
 """
 
-from l3cli.api.artifacts import load, save
+from l3cli.api.artifacts import load, load_camera, load_table, load_training_set, save
+from l3cli.api.figures import delta_e_2000, psnr, scielab, ssim
 from l3cli.api.frames import Renderer, read_raw
 from l3cli.api.stages import calibrate, evaluate, render, simulate, train
 
-__all__ = ["Renderer", "calibrate", "evaluate", "load", "read_raw", "render", "save", "simulate", "train"]
+__all__ = [
+    "Renderer", "calibrate", "delta_e_2000", "evaluate", "load", "load_camera", "load_table", "load_training_set", "psnr",
+    "read_raw", "render", "save", "scielab", "simulate", "ssim", "train",
+]  # fmt: skip

@@ -1,6 +1,6 @@
 """Raw frames in memory, and what renders them."""
 
-import threading
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -13,19 +13,21 @@ from l3cli.api.artifacts import Name
 from l3cli.artifacts import store
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
-from l3cli.correction import correction_of
 from l3cli.errors import InputFileError
-from l3cli.frame import RawFrame
+from l3cli.frames.correction import correction_of
+from l3cli.frames.frame import RawFrame
 from l3cli.io.raw import files as raw_files
-from l3cli.io.raw.files import KnownBetter
-from l3cli.rendering.balance import WhiteBalance
-from l3cli.rendering.lights import Mix, mixed, nearest_for
+from l3cli.io.raw.files import RawOverrides
 from l3cli.rendering.quiet import QuietRenderer, quiet_renderer
+from l3cli.rendering.raw_values import beyond_converter
 from l3cli.rendering.temporal.chunks import Chunks
 from l3cli.rendering.temporal.filters import filters
-from l3cli.rendering.white_source import WhiteSource, given_white
+from l3cli.rendering.white.balance import WhiteBalance
+from l3cli.rendering.white.lights import Mix, mixed, nearest_for
+from l3cli.rendering.white.source import WhiteSource, given_white
 from l3cli.stages.rendering.following import Following, shown_as
 from l3cli.stages.rendering.rendition import OUTPUTS, Rendition, rendered
+from l3cli.system.locks import ThreadLock
 
 
 def read_raw(
@@ -33,14 +35,14 @@ def read_raw(
     phase: tuple[int, int] | None = None, size: tuple[int, int] | None = None, packing: str | None = None,
     stride: int | None = None, exposure: float | None = None, camera: CameraModel | None = None,
 ) -> RawFrame:  # fmt: skip
-    """The raw frame in a file of any format that `l3 render` reads, `values` (row, col) in DN.
+    """Return the raw frame in a file of any format that `l3 render` reads, `values` (row, col) in DN.
 
     `black_level`, `white_level` (DN), `phase` (CFA row and column of the first pixel), `exposure` (s): known better than
     the file says; `size` (rows, columns), `packing`, `stride` (bytes): of headerless files. `camera`: model whose defects
     and flat field are corrected. InputFileError if it cannot be read, or has another CFA than the `sensor`.
     """
     correction = None if camera is None else correction_of(camera)
-    known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure, correction=correction)
+    known = RawOverrides(black_level, white_level, phase, size, packing, stride, exposure, correction=correction)
     return raw_files.read_raw(Path(path), sensor, known)
 
 
@@ -56,16 +58,16 @@ class Renderer:
     ) -> None:
         self.table = table if isinstance(table, TransformTable) else store.load(TransformTable, Path(table))
         chosen = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
-        self._renderer, self._backend, self._chosen = quiet_renderer(backend, self.table, None, **chosen), backend, chosen
-        self._of_mix: dict[Mix | None, QuietRenderer] = {None: self._renderer}  # of its lights
-        self._alone = threading.Lock()
+        self._renderer, self._backend, self._chosen = quiet_renderer(backend, self.table, **chosen), backend, chosen
+        self._renderers: dict[Mix | None, QuietRenderer] = {None: self._renderer}  # of its lights
+        self._alone = ThreadLock()
 
     def picture(
         self, frame: RawFrame | NDArray[np.uint16], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> NDArray[Any]:  # fmt: skip
-        """The picture, upright, (row, col, 3): what `l3 render` writes of the frame. uint8 or uint16 by `bits`; with 32
-        float32, linear and not clipped.
+        """Return the picture, upright, (row, col, 3): what `l3 render` writes of the frame. uint8 or uint16 by `bits`; with
+        32 float32, linear and not clipped.
 
         `exposure`: factor of Y, None: the frame's 99th percentile is shown white. `white`: name ("D50", "3200K") or "x,y" of
         the scene's white, "camera" as the file states it, "auto" estimated on the frame, "chart" of a ColorChecker in it,
@@ -79,8 +81,8 @@ class Renderer:
         self, frames: Iterable[RawFrame | NDArray[np.uint16]], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> Iterator[NDArray[Any]]:  # fmt: skip
-        """`picture` of each frame, in order, as they are asked for; each has its automatic exposure. Of a table of several
-        lights they have the transforms of that nearest to the white of the first."""
+        """Yield `picture` of each frame, in order, as they are asked for; each has its automatic exposure. Of a table of
+        several lights they have the transforms of that nearest to the white of the first."""
         renderer, shown = self._renderer, shown_as(self.table, exposure, white, space, bits)
         for place, each in enumerate(frames):
             frame = self._frame(each)
@@ -95,12 +97,13 @@ class Renderer:
         self, rate: Fraction | None, *, exposure: float | None = None, white: str | None = None, space: str = "srgb",
         bits: int = 8, temporal: bool = False,
     ) -> Callable[[RawFrame | NDArray[np.uint16]], NDArray[Any]]:  # fmt: skip
-        """What makes the `picture` of each frame of a sequence, called with one after the other. Exposure and white that are
-        measured follow at `rate` (frames/s), as in `l3 render` of a sequence; None: they stay those of the first frame that
-        it is called with, and the others may come in any order, from any thread. `temporal`: frames come in their order, and
-        share what is not noise, as in `l3 render --temporal`; RecipeError if the table does not know its camera's noise."""
+        """Return a function that makes the `picture` of each frame of a sequence, called with one after the other.
+        Exposure and white that are measured follow at `rate` (frames/s), as in `l3 render` of a sequence; None: they stay
+        those of the first frame that it is called with, and the others may come in any order, from any thread.
+        `temporal`: frames come in their order, and share what is not noise, as in `l3 render --temporal`; RecipeError if
+        the table does not know its camera's noise."""
         how = (exposure, white, space, bits)
-        shown, starting = shown_as(self.table, *how), threading.Lock()
+        shown, starting = shown_as(self.table, *how), ThreadLock()
         quiet = Chunks(filters(self._backend, self.table, **self._chosen)) if temporal else None
 
         def begin(renderer: QuietRenderer) -> tuple[QuietRenderer, Rendition, Following]:
@@ -121,23 +124,23 @@ class Renderer:
         return picture
 
     def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
-        """The table's outputs, upright, (row, col, output); 1 is `table.output_unit` cd s/m²."""
+        """Return the table's outputs, upright, (row, col, output); 1 is `table.output_unit` cd s/m²."""
         return self._pixels(self._renderer, self._frame(frame), OUTPUTS, 0.0, None)
 
     def labels(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.integer]:
-        """The class (row, col) of every pixel, as the sensor lies."""
+        """Return the class (row, col) of every pixel, as the sensor lies."""
         with self._alone:
             return self._renderer.labels(self._frame(frame))
 
     def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> QuietRenderer:
-        """What renders frames by the table's transforms for the light nearest to a given white, or to that of a frame."""
+        """Return the renderer by the table's transforms for the light nearest to a given white, or to that of a frame."""
         found = source.white(frame) if source else given_white(white, self.table)
         mix = None if found is None else nearest_for(self.table, found.light.xyz)
         with self._alone:
-            if mix not in self._of_mix:
-                made = quiet_renderer(self._backend, mixed(self.table, mix), None, **self._chosen)
-                self._of_mix = {None: self._renderer, mix: made}
-            return self._of_mix[mix]
+            if mix not in self._renderers:
+                made = quiet_renderer(self._backend, mixed(self.table, mix), **self._chosen)
+                self._renderers = {None: self._renderer, mix: made}
+            return self._renderers[mix]
 
     def _pixels(
         self, renderer: QuietRenderer, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None
@@ -149,6 +152,12 @@ class Renderer:
     def _frame(self, given: RawFrame | NDArray[np.uint16]) -> RawFrame:
         if isinstance(given, RawFrame):
             return given
-        if given.dtype not in (np.uint8, np.uint16):
-            raise InputFileError(f"an array of {given.dtype} is no raw frame; give DN as uint16")
-        return raw_files.frame_of("the array", {"values": given}, self.table, KnownBetter())
+        array = np.asarray(given)
+        if array.dtype not in (np.uint8, np.uint16) or array.ndim != 2 or not array.size:
+            raise InputFileError(
+                f"an array of shape {array.shape} and dtype {array.dtype} is no raw frame; give DN (row, col) as uint16"
+            )
+        frame = raw_files.frame_of("the array", {"values": array}, self.table, RawOverrides())
+        if text := beyond_converter(frame, self.table):
+            warnings.warn(f"{frame.name}: {text}", stacklevel=3)
+        return frame

@@ -13,7 +13,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import RecipeError
-from l3cli.recipes import find_recipe
+from l3cli.recipes.builtin import find_recipe
 from l3cli.stages.console import Console, Silent
 
 P = ParamSpec("P")
@@ -39,7 +39,8 @@ def calibrate(
     measurements: Name | None, output: Name, *, photos: Sequence[Name] = (), light: str | None = None,
     export: Name | None = None, accept: bool = False, jobs: int = 1, force: bool = False, console: Console | None = None,
 ) -> CameraModel:  # fmt: skip
-    """The camera model of a measurement file, or (None) of raw photos of a chart, also written to `output` (`l3 calibrate`).
+    """Return the camera model of a measurement file, or (None) of raw photos of a chart, also written to `output` (`l3
+    calibrate`).
 
     `photos`, `light`: instead of a measurement file, with a name such as "D65" or "3200K"; None: it is guessed.
     `export`: folder for what `l3 export` writes, and the offsets of photos. `accept`: take a model that
@@ -88,7 +89,7 @@ def train(
     training: Name | Sequence[Name], output: Name, *, classes: Name | None = None, shares: Sequence[float] | None = None,
     seed: int = 0, jobs: int = 1, force: bool = False, console: Console | None = None,
 ) -> TransformTable:  # fmt: skip
-    """The transform table learned from one or more training sets, also written to `output` (`l3 train`).
+    """Return the transform table learned from one or more training sets, also written to `output` (`l3 train`).
 
     `classes`: class recipe, a file or the name of one that comes with l3. `shares`: patches of each set in this proportion.
     """
@@ -122,12 +123,14 @@ def render(
 @_in_one_blas_thread
 def evaluate(
     table: Name | TransformTable, frames: Name, *, viewing: float = 50.0, border: int | None = None,
-    pictures: Name | None = None, backend: str = "opencl", force: bool = False, console: Console | None = None,
+    pictures: Name | None = None, rivals: Sequence[Name] = (), backend: str = "opencl", force: bool = False,
+    console: Console | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """The document of `l3 evaluate --json`: figures of a table on the frames of a training set that it has not seen.
+    """Return the document of `l3 evaluate --json`: figures of a table on the frames of a training set that it has not seen.
 
     `viewing`: samples a degree of S-CIELAB. `border`: pixels left out at each edge of a frame; None: those whose patch is
-    not inside it. `pictures`: folder for ours, ideal, basic and error pictures.
+    not inside it. `pictures`: folder for ours, ideal, basic and error pictures. `rivals`: folders of sRGB pictures of the
+    frames by other pipelines, in their order.
     """
     from l3cli.stages import evaluation
 
@@ -140,6 +143,7 @@ def evaluate(
             viewing=viewing,
             border=border,
             pictures=_optional(pictures),
+            rivals=tuple(map(Path, rivals)),
             force=force,
         )
 

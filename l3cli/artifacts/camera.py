@@ -12,8 +12,8 @@ from l3cli.artifacts.fit import Fit
 from l3cli.artifacts.readout import Readout
 from l3cli.artifacts.schema import MOST, Artifact, data, group
 from l3cli.errors import InputFileError
-from l3cli.limits import most_pixels
 from l3cli.physics import lens, spectra
+from l3cli.system.limits import most_pixels
 
 MAX_CHANNELS = 16  # a saturation code is 16 bits wide
 MAX_CFA = 8
@@ -66,15 +66,16 @@ class Optics:
 
 
 def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_level: float) -> None:
-    """ValueError if there is no such sensor."""
+    """Raise ValueError if there is no such sensor."""
     if not (rows > 0 and cols > 0 and rows * cols <= most_pixels() and 1 <= bits <= MAX_BITS):
-        raise ValueError(f"rows {rows}, cols {cols}, bits {bits}: no sensor has these, or not up to {MAX_BITS} bits")
+        limits = f"above zero, and at most {most_pixels()} pixels and {MAX_BITS} bits"
+        raise ValueError(f"rows {rows}, cols {cols} and bits {bits} must be {limits}")
     if not 0 <= black_level < white_level <= 2**bits - 1:
         raise ValueError(f"black level {black_level:g} and white level {white_level:g} do not lie in 0…{2**bits - 1}")
 
 
 def check_cfa(cfa: NDArray[np.uint8], channels: tuple[str, ...]) -> None:
-    """ValueError if a super-pixel is empty, too large, or names channels that do not exist."""
+    """Raise ValueError if a super-pixel is empty, too large, or names channels that do not exist."""
     if not (cfa.size > 0 and max(cfa.shape) <= MAX_CFA and 0 < len(channels) <= MAX_CHANNELS):
         raise ValueError(f"cfa must be at most {MAX_CFA}×{MAX_CFA} of at most {MAX_CHANNELS} channels")
     if cfa.max() >= len(channels):
@@ -82,7 +83,7 @@ def check_cfa(cfa: NDArray[np.uint8], channels: tuple[str, ...]) -> None:
 
 
 def check_wavelengths(wavelength: NDArray[np.float64]) -> None:
-    """ValueError unless wavelengths increase and are light's."""
+    """Raise ValueError unless wavelengths increase and are light's."""
     if not (1 < wavelength.size <= MOST_WAVELENGTHS and (np.diff(wavelength) > 0).all()):
         raise ValueError(f"wavelength must increase and be 2 to {MOST_WAVELENGTHS} values")
     if not (wavelength[0] > 0 and wavelength[-1] <= LONGEST):
@@ -140,7 +141,7 @@ class CameraModel(Artifact):
         if not (self.pixel_pitch > 0 and self.gain > 0 and self.responsivity.max() > 0 and self.fixed_pattern_seed >= 0):
             raise ValueError("pixel_pitch, gain and the peak of the responsivity must be above zero, the seed not below")
         if self.absolute and not self.responsivity.max() <= 1.0 + ROUNDING:
-            raise ValueError(f"its peak quantum efficiency is {self.responsivity.max():.4g}, and 1 at most can be")
+            raise ValueError(f"its peak quantum efficiency is {self.responsivity.max():.4g}, which cannot exceed 1")
         if (
             self.defects
             and self.defects.position.size
@@ -156,7 +157,7 @@ class CameraModel(Artifact):
         return (self.white_level - self.black_level) / self.gain
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Channel (row, col) of the pixels of a frame of that shape, CFA phase (0, 0)."""
+        """Return the channel (row, col) of the pixels of a frame of that shape, CFA phase (0, 0)."""
         rows, cols = self.cfa.shape
         return self.cfa[np.ix_(np.arange(shape[0]) % rows, np.arange(shape[1]) % cols)]
 
@@ -210,14 +211,15 @@ class CameraModel(Artifact):
         return self.saturation_exposure * max(1.0, 0.25 / float(self.sensitivity.min()))
 
     def dark_signal(self, exposure: float | None) -> float:
-        """DN above black that dark current makes, on average, in `exposure` s; None: 0 (docs/method.md#dark-current)."""
+        """Return DN above black that dark current makes, on average, in `exposure` s; None: 0
+        (docs/method.md#dark-current)."""
         return 0.0 if exposure is None else self.gain * self.noise.dark_current * exposure
 
     def noise_variance(
         self, signal: NDArray[np.floating], dark: float = 0.0, channel: NDArray[np.integer] | None = None
     ) -> NDArray[np.floating]:
-        """Variance in DN² of a pixel of mean `signal` DN above black (docs/method.md#noise, with rounding), of a frame
-        that is `RawFrame.at_levels` after `dark` DN of dark current. `channel` as of `noise_terms`."""
+        """Return the variance in DN² of a pixel of mean `signal` DN above black (docs/method.md#noise, with rounding), of a
+        frame that is `RawFrame.at_levels` after `dark` DN of dark current. `channel` as of `noise_terms`."""
         constant, linear, quadratic = self.noise_terms(dark, channel)
         signal = np.maximum(signal, 0.0)
         return constant + (linear + quadratic * signal) * signal
@@ -225,7 +227,7 @@ class CameraModel(Artifact):
     def noise_terms(
         self, dark: float = 0.0, channel: NDArray[np.integer] | None = None, left: float = 1.0
     ) -> tuple[Any, Any, float]:
-        """The noise variance's constant (DN²), linear (DN) and quadratic term over the signal above black.
+        """Return the noise variance's constant (DN²), linear (DN) and quadratic term over the signal above black.
 
         Of `dark` DN the mean has been taken off, and the light that is left stretched to full scale; the shot noise of the
         dark electrons, and what pixels differ in them, stays. ValueError if dark current alone fills a pixel. `dark` is that
@@ -239,11 +241,11 @@ class CameraModel(Artifact):
         stretch, prnu = span / (span - dark), noise.prnu**2
         gain: Any = self.gain
         read_noise: Any = noise.read_noise
-        own_dark: Any = dark
+        channel_dark: Any = dark
         if self.readout is not None and channel is not None:
             gain = self.gain * self.readout.channel_gain[channel]
             read_noise = self.readout.channel_read_noise[channel]
-            own_dark = dark * (self.readout.channel_exposure * self.readout.channel_gain)[channel]
+            channel_dark = dark * (self.readout.channel_exposure * self.readout.channel_gain)[channel]
         constant = gain**2 * (left * read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
-        constant += (left * gain + prnu * own_dark) * own_dark
-        return stretch**2 * constant, stretch * (left * gain + 2 * prnu * own_dark), prnu
+        constant += (left * gain + prnu * channel_dark) * channel_dark
+        return stretch**2 * constant, stretch * (left * gain + 2 * prnu * channel_dark), prnu

@@ -1,18 +1,19 @@
 """Responsivities of a camera recipe: sums of Gaussians, or a CSV file of curves, relative or quantum efficiencies."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, ROUNDING
-from l3cli.config import Recipe
-from l3cli.curve_file import read_table
-from l3cli.curve_table import CurveTable
 from l3cli.errors import InputFileError, suggestion
-from l3cli.faults import Fault, fault
 from l3cli.physics import spectra
+from l3cli.recipes.faults import Fault, fault
+from l3cli.recipes.toml import Recipe
+from l3cli.spectra.file import read_table
+from l3cli.spectra.table import CurveTable
 
 WIDEST_GAP = 20.0  # nm between samples of measured curves
 CUT_OFF = 0.05  # of a channel's peak: a curve that ends higher within the visible was cut off
@@ -41,11 +42,12 @@ class ResponsivityRecipe(Recipe):
     peak_efficiency: float | None = None
     gaussians: dict[str, list[Gaussian]] | None = None  # channel → sum of Gaussians
     file: str | None = None  # CSV: wavelength in nm, one column a channel, by name or in the order of cfa.channels
+    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → its column, where that has another name
     per_energy: bool = False  # the curves are per watt, not per photon
 
 
 def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Iterator[Fault]:
-    """What cannot be of [responsivity], beside numbers out of their range and what a file holds."""
+    """Yield the faults of [responsivity], beside numbers out of their range and the content of files."""
     if (declared.gaussians is None) == (declared.file is None):
         yield fault(
             "give either responsivity.gaussians or responsivity.file",
@@ -59,8 +61,11 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
             yield fault(f"{key} must be first < last with a positive step", key)
         elif (last - first) / step >= MOST_WAVELENGTHS or last > LONGEST:
             yield fault(f"{key} has {MOST_WAVELENGTHS} values at most, up to {LONGEST} nm", key)
+    yield from column_faults(declared.columns, channels, "responsivity.columns")
     if declared.gaussians is None:
         return
+    if declared.columns:
+        yield fault("responsivity.columns are those of a file; leave them out", "responsivity.columns")
     for key in ("wavelength_nm", "peak_efficiency"):
         if getattr(declared, key) is None:
             yield fault(f"missing key `{key}` in [responsivity], which gaussians need", f"responsivity.{key}")
@@ -70,8 +75,14 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
         yield fault(message, "responsivity.gaussians", "cfa.channels")
 
 
+def column_faults(columns: Mapping[str, str], channels: Sequence[str], key: str) -> Iterator[Fault]:
+    """Yield the faults of `columns` (channel → name), which stand at `key`."""
+    if odd := sorted(set(columns) - set(channels)):
+        yield fault(f'{key}: "{odd[0]}" is no channel; {suggestion(odd[0], channels)}', key)
+
+
 def differences(names: Iterable[str], channels: Sequence[str]) -> str:
-    """What is wrong with `names`, which ought to be the channels."""
+    """Return how `names` differ from the channels, in words."""
     odd = sorted(set(names) - set(channels))
     if odd:
         return f'"{odd[0]}" is no channel; {suggestion(odd[0], channels)}'
@@ -79,16 +90,15 @@ def differences(names: Iterable[str], channels: Sequence[str]) -> str:
 
 
 def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: Path) -> tuple[Array, Array]:
-    """(wavelength) nm and quantum efficiency (channel, wavelength) e-/photon of a recipe without `curve_faults`, whose file
-    lies relative to `folder`. InputFileError if that holds no curves of a camera."""
+    """Return wavelengths (wavelength) in nm and quantum efficiency (channel, wavelength) e-/photon of a recipe without
+    `curve_faults`, whose file lies relative to `folder`. InputFileError if that holds no curves of a camera."""
     if declared.gaussians is not None:
         wavelength = _grid(declared)
         assert wavelength is not None
         curves = np.array([_sum_of_gaussians(wavelength, declared.gaussians[channel]) for channel in channels])
         relative = curves / wavelength if declared.per_energy else curves
     else:
-        assert declared.file is not None
-        table = read_table(folder / declared.file).ordered(channels)
+        table = curve_table(declared, channels, folder)
         wavelength = _grid(declared)
         _check_grid(table, wavelength, channels)
         if wavelength is None:
@@ -100,8 +110,14 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
     return wavelength, (declared.peak_efficiency or 0.0) * relative / relative.max()
 
 
+def curve_table(declared: ResponsivityRecipe, channels: Sequence[str], folder: Path) -> CurveTable:
+    """Return the curves of the channels as the file of a recipe holds them; InputFileError if it does not."""
+    assert declared.file is not None
+    return read_table(folder / declared.file).channel_columns(channels, declared.columns)
+
+
 def _grid(declared: ResponsivityRecipe) -> Array | None:
-    """The wavelengths that a recipe asks for, in nm."""
+    """Return the wavelengths that a recipe asks for, in nm."""
     if declared.wavelength_nm is None:
         return None
     first, last, step = declared.wavelength_nm
@@ -109,7 +125,7 @@ def _grid(declared: ResponsivityRecipe) -> Array | None:
 
 
 def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[str]) -> None:
-    """InputFileError unless the curves of a file are those of a camera over the wavelengths it sees."""
+    """Raise InputFileError unless the curves of a file are those of a camera over the wavelengths it sees."""
     grid, curves = table.wavelength, table.values
     gaps = np.diff(grid)
     at = int(gaps.argmax()) if gaps.size else 0
@@ -134,13 +150,13 @@ def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[
 
 
 def _efficiencies(table: CurveTable, wavelength: Array, per_energy: bool) -> Array:
-    """The curves of a file as the quantum efficiencies that it says they are, averaged over the steps of a grid."""
+    """Return the curves of a file as the quantum efficiencies that it says they are, averaged over the steps of a grid."""
     efficiency = table.efficiencies(per_energy)
     peak = float(efficiency.max())
     if peak > 1 + ROUNDING and 1 < peak <= 100 and not any(table.units):
         raise InputFileError(
-            f'{table.path}: its peak quantum efficiency is {peak:.4g}, and 1 at most can be; write "(%)" after the names of '
-            "the columns if it is percent, or give responsivity.peak_efficiency"
+            f'{table.path}: its peak quantum efficiency is {peak:.4g}, which cannot exceed 1; write "(%)" after the names '
+            "of the columns if it is percent, or give responsivity.peak_efficiency"
         )
     if abs(peak - 1) < RELATIVE_PEAK and not any(table.units):
         raise InputFileError(
@@ -162,3 +178,15 @@ def _sum_of_gaussians(wavelength: Array, terms: list[Gaussian]) -> Array:
         sigma = np.where(wavelength < term.centre_nm, term.sigma_nm, above)
         total += term.peak * np.exp(-0.5 * ((wavelength - term.centre_nm) / sigma) ** 2)
     return total
+
+
+def full_width(wavelength: Array, curve: Array) -> float | None:
+    """Return the nm between the half maxima about the peak of a curve; None where it does not fall so far on both sides."""
+    peak, half = int(curve.argmax()), curve.max() / 2
+    below, above = np.flatnonzero(curve[:peak] < half), np.flatnonzero(curve[peak:] < half)
+    if not (below.size and above.size):
+        return None
+    low, high = int(below[-1]), peak + int(above[0])
+    left = np.interp(half, curve[low : low + 2], wavelength[low : low + 2])
+    right = np.interp(-half, -curve[high - 1 : high + 1], wavelength[high - 1 : high + 1])
+    return float(right - left)

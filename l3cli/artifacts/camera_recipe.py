@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, MAX_CHANNELS, CameraModel, Noise, Optics, check_sensor
-from l3cli.artifacts.camera_curves import ResponsivityRecipe, curve_faults, differences, responsivity
+from l3cli.artifacts.camera_curves import ResponsivityRecipe, curve_faults, curve_table, differences, responsivity
 from l3cli.artifacts.channel_recipe import ChannelRecipe, channel_faults, filters_of, readout_of
 from l3cli.artifacts.store import load
-from l3cli.config import CountOrNone, Recipe, Seed, load_recipe, parse_recipe, parse_toml, read_text
 from l3cli.errors import RecipeError
-from l3cli.faults import Fault, fault, refuse_first
+from l3cli.recipes.faults import Fault, fault, refuse_first
+from l3cli.recipes.toml import CountOrNone, Recipe, Seed, load_recipe, parse_recipe, parse_toml, read_text
 
 PITCHES_UM, LEAST_F_NUMBER, LEAST_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # beyond, a length was given in another unit
 MOST_PRNU = 0.2  # of any sensor that can be corrected
@@ -76,14 +76,14 @@ class PhaseRecipe(Recipe):
 
 
 def load_camera(path: Path) -> CameraModel:
-    """A camera from a camera.h5 or from a camera recipe (.toml)."""
+    """Return a camera from a camera.h5 or from a camera recipe (.toml)."""
     if path.suffix == ".toml":
         return camera_from_recipe(*read_recipe(path))
     return load(CameraModel, path)
 
 
 def camera_files(path: Path) -> list[Path]:
-    """What `load_camera` reads: the file, the base of a recipe, and the curves that a recipe names."""
+    """Return the files that `load_camera` reads: the file, the base of a recipe, and the curves that a recipe names."""
     if path.suffix != ".toml":
         return [path]
     recipe, whole = read_recipe(path)
@@ -91,8 +91,23 @@ def camera_files(path: Path) -> list[Path]:
     return list(dict.fromkeys([path, whole, *([] if named is None else [whole.parent / named])]))
 
 
+def columns_left_out(path: Path) -> str | None:
+    """Return a line on the columns of a recipe's file of curves that are of none of its channels, if there are any."""
+    if path.suffix != ".toml":
+        return None
+    recipe, whole = read_recipe(path)
+    if recipe.responsivity.file is None:
+        return None
+    return curve_table(recipe.responsivity, _filters(recipe), whole.parent).note
+
+
+def _filters(recipe: CameraRecipe) -> list[str]:
+    """Return the channels that have responsivities of their own."""
+    return list(dict.fromkeys(filters_of(recipe.channel, recipe.cfa.channels)))
+
+
 def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
-    """A camera recipe and the file that holds its figures: `path`, or the base that it names."""
+    """Return a camera recipe and the file that holds its figures: `path`, or the base that it names."""
     text, name = read_text(path, CameraRecipe.title), str(path)
     if "base" not in parse_toml(text, name):
         return parse_recipe(text, CameraRecipe, name), path
@@ -101,7 +116,7 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
     base = load_recipe(whole, CameraRecipe)
     period, (row, col) = parse_cfa(base.cfa, str(whole)).shape, variant.phase
     if row >= period[0] or col >= period[1]:
-        raise RecipeError(f"{path}: phase is [{row}, {col}], and the array of {whole} is {period[0]}×{period[1]}, from 0")
+        raise RecipeError(f"{path}: phase is [{row}, {col}], beyond the {period[0]}×{period[1]} array of {whole}")
     lines = [line.split() for line in base.cfa.pattern]
     pattern = [" ".join(line[col:] + line[:col]) for line in lines[row:] + lines[:row]]
     cfa = CfaRecipe(base.cfa.channels, pattern)
@@ -109,12 +124,12 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
 
 
 def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
-    """The model a recipe describes; `path` places relative file names and names the culprit in errors."""
+    """Return the model a recipe describes; `path` places relative file names and names the culprit in errors."""
     refuse_first(camera_faults(recipe), path)
     sensor, noise = recipe.sensor, recipe.noise
-    filters = filters_of(recipe.channel, recipe.cfa.channels)
-    wavelength, curves = responsivity(recipe.responsivity, list(dict.fromkeys(filters)), path.parent)
-    curves = curves[[list(dict.fromkeys(filters)).index(each) for each in filters]]
+    filters = _filters(recipe)
+    wavelength, curves = responsivity(recipe.responsivity, filters, path.parent)
+    curves = curves[[filters.index(each) for each in filters_of(recipe.channel, recipe.cfa.channels)]]
     try:
         return CameraModel(
             name=recipe.name,
@@ -148,7 +163,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
 
 
 def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
-    """All that cannot be of a recipe's numbers and names."""
+    """Yield all that cannot be of a recipe's numbers and names."""
     sensor, noise, optics = recipe.sensor, recipe.noise, recipe.optics
     if not 1 <= sensor.bits <= MAX_BITS:
         yield fault(f"sensor.bits is {sensor.bits}; a raw value has 1 to {MAX_BITS} bits", "sensor.bits")
@@ -180,12 +195,12 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
     yield from length_faults(sensor.pixel_pitch_um, optics)
     yield from cfa_faults(recipe.cfa)
     yield from channel_faults(recipe.channel, recipe.cfa.channels)
-    yield from curve_faults(recipe.responsivity, list(dict.fromkeys(filters_of(recipe.channel, recipe.cfa.channels))))
+    yield from curve_faults(recipe.responsivity, _filters(recipe))
     yield from _model_faults(recipe)
 
 
 def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
-    """Of a sensor or lens whose numbers are right one by one, but not together."""
+    """Yield the faults of a sensor or lens whose numbers are right one by one, but not together."""
     sensor, optics = recipe.sensor, recipe.optics
     black, white = sensor.black_level_dn, white_level(recipe) if 1 <= sensor.bits <= MAX_BITS else 0.0
     try:
@@ -199,7 +214,7 @@ def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 
 
 def white_level(recipe: CameraRecipe) -> float:
-    """DN of a saturated pixel: as declared, or the lower of well and converter."""
+    """Return DN of a saturated pixel: as declared, or the lower of well and converter."""
     sensor = recipe.sensor
     if sensor.white_level_dn is not None:
         return sensor.white_level_dn
@@ -208,19 +223,19 @@ def white_level(recipe: CameraRecipe) -> float:
 
 
 def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:
-    """Of a share that cannot be more than `most`."""
+    """Yield a fault if a share is more than `most`."""
     if value > most:
         percent = f"; {value:g} % is {value / 100:g}" if value <= 100 * most else ""
-        yield fault(f"{key} is {value:g}, and a share of {most:g} at most{percent}", key)
+        yield fault(f"{key} is {value:g}; it is a share, at most {most:g}{percent}", key)
 
 
 def check_share(value: float, key: str, most: float, path: Path) -> None:
-    """RecipeError if a share that cannot be more than `most` is."""
+    """Raise RecipeError if a share that cannot be more than `most` is."""
     refuse_first(share_faults(value, key, most), path)
 
 
 def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
-    """Of a pixel pitch, focal length or f-number that is none by its size: given in another unit."""
+    """Yield the faults of a pixel pitch, focal length or f-number whose size shows that it is in another unit."""
     least, most = PITCHES_UM
     if pitch_um > 0 and not least <= pitch_um <= most:
         meant = next(
@@ -237,12 +252,12 @@ def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
 
 
 def check_lengths(pitch_um: float, optics: OpticsRecipe, path: Path) -> None:
-    """RecipeError if pixel pitch, focal length or f-number are none by their size: given in another unit."""
+    """Raise RecipeError if pixel pitch, focal length or f-number are none by their size: given in another unit."""
     refuse_first(length_faults(pitch_um, optics), path)
 
 
 def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:
-    """Of an array whose rows differ in length, that is too large, or that names other channels than there are."""
+    """Yield the faults of an array whose rows differ in length, that is too large, or that names unknown channels."""
     rows = [row.split() for row in cfa.pattern]
     even = bool(rows and rows[0]) and all(len(row) == len(rows[0]) for row in rows)
     if not even:
@@ -259,14 +274,15 @@ def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:
 
 
 def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
-    """Channel indices (cfa_row, cfa_col) of the super-pixel; RecipeError if a name is unknown or rows differ in length."""
+    """Return the channel indices (cfa_row, cfa_col) of the super-pixel; RecipeError if a name is unknown or rows differ in
+    length."""
     refuse_first(cfa_faults(cfa), name)
     rows = [row.split() for row in cfa.pattern]
     return np.array([[cfa.channels.index(channel) for channel in row] for row in rows], dtype=np.uint8)
 
 
 def recipe_text(path: Path) -> str:
-    """The text of a recipe, and of its base below it, for the history; nothing for an artifact."""
+    """Return the text of a recipe, and of its base below it, for the history; nothing for an artifact."""
     if path.suffix != ".toml":
         return ""
     return "\n".join(read_text(file) for file in dict.fromkeys([path, read_recipe(path)[1]]))

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.artifacts.readout import MOST_GAIN, SHORTEST, Readout
-from l3cli.config import Recipe
 from l3cli.errors import suggestion
-from l3cli.faults import Fault, fault, refuse_first
+from l3cli.recipes.faults import Fault, fault, refuse_first
+from l3cli.recipes.toml import Recipe
 
 MOST_NOISE = 1e4  # e-
 
 
 class ChannelRecipe(Recipe):
-    """How a channel is read, where it differs from the others."""
+    """Readout of a channel where it differs from that of the others."""
 
     like: str | None = None  # the channel with the same filter, whose responsivity it has
     exposure: float = 1.0  # its exposure time over that of the frame, which is the longest
@@ -23,7 +23,7 @@ class ChannelRecipe(Recipe):
 
 
 def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> Iterator[Fault]:
-    """Of a channel that there is not, or that cannot be read so."""
+    """Yield the faults of a channel that does not exist or cannot be read in this way."""
     for name, one in channel.items():
         if name not in channels:
             yield fault(f'"{name}" is no channel of cfa.channels; {suggestion(name, channels)}', ("channel", name))
@@ -52,12 +52,12 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
 
 
 def filters_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> list[str]:
-    """Of each channel the one whose responsivity it has."""
+    """Return, for each channel, the one whose responsivity it has."""
     return [(channel[name].like if name in channel else None) or name for name in channels]
 
 
 def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, ChannelRecipe]:
-    """The recipe of a readout without its read noise, of channels that differ from the others."""
+    """Return the recipe of a readout without its read noise, of channels that differ from the others."""
     if readout is None:
         return {}
     rows = zip(channels, readout.same_filter, readout.channel_exposure, readout.channel_gain, strict=True)
@@ -69,14 +69,15 @@ def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, C
 
 
 def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], path: Path) -> Readout | None:
-    """The readout of a measurement file, of which the read noise is not yet known; RecipeError if there is no such."""
+    """Return the readout of a measurement file, of which the read noise is not yet known; RecipeError if there is no
+    such."""
     refuse_first(channel_faults(channel, channels), path)
     return readout_of(channel, channels, 0.0)
 
 
 def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], read_noise: float) -> Readout | None:
-    """The readout of channels without `channel_faults`, `read_noise` (e-) being that of those that name none; None if all
-    are read alike."""
+    """Return the readout of channels without `channel_faults`, `read_noise` (e-) being that of those that name none; None if
+    all are read alike."""
     if not channel:
         return None
     each = [channel.get(name, ChannelRecipe()) for name in channels]

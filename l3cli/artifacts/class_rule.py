@@ -20,12 +20,12 @@ MAX_PATCH = 15
 
 
 class ClassPlace(NamedTuple):
-    """Where classes lie along the axes of their rule: integers, or integer arrays of equal shape."""
+    """Places of classes along the axes of their rule: integers, or integer arrays of equal shape."""
 
     site: Any  # CFA row · CFA columns + CFA column
     level: Any
     contrast: Any
-    further: Any  # values of the further features together; 0 where a rule has none
+    further: Any  # values of the further features combined; 0 where a rule has none
     kind: Any  # chroma of an unsaturated pixel, or chromas − 1 + case of one near saturation
 
 
@@ -86,12 +86,12 @@ class ClassRule:
         if self.contrast_edges.shape[1] != self.levels:
             raise ValueError(f"contrast_edges has {self.contrast_edges.shape[1]} levels, level_edges make {self.levels}")
         if not 0 <= self.spared_cases < max(self.cases, 1):
-            raise ValueError(f"spared_cases is {self.spared_cases}, of {self.cases - 1} saturation cases")
+            raise ValueError(f"spared_cases is {self.spared_cases}, beyond the {self.cases - 1} saturation cases")
         if self.features:
             self.features.check(self.patch)
 
     def check_fits(self, channels: int, bits: int) -> None:
-        """ValueError if the rule is not for a camera of so many channels and bits."""
+        """Raise ValueError if the rule is not for a camera of so many channels and bits."""
         if not 0 <= self.shift <= bits <= self.shift + CLASS_BITS:
             raise ValueError(f"{bits} bits shifted by {self.shift} leave more than {CLASS_BITS}")
         if self.channels != channels:
@@ -139,7 +139,7 @@ class ClassRule:
 
     @property
     def further(self) -> int:
-        """Values of the further features together."""
+        """Values of the further features combined."""
         return math.prod(axis.size for axis in self.axes)
 
     @property
@@ -152,12 +152,13 @@ class ClassRule:
         return math.prod(self.shape)
 
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, further: Any = 0) -> Any:
-        """Indices of classes from their places, integers or arrays that broadcast; without `site` those within it."""
+        """Return the indices of classes from their places, integers or arrays that broadcast; without `site` those within
+        it."""
         stem = (site * self.levels + level) * self.contrasts + contrast
         return (stem * self.further + further) * self.kinds + kind
 
     def split(self, index: Any) -> ClassPlace:
-        """Places of the classes `index`, an integer or an array."""
+        """Return the places of the classes `index`, an integer or an array."""
         rest, kind = divmod(index, self.kinds)
         rest, further = divmod(rest, self.further)
         rest, contrast = divmod(rest, self.contrasts)
@@ -165,52 +166,54 @@ class ClassRule:
         return ClassPlace(site, level, contrast, further, kind)
 
     def join_further(self, values: Any) -> Any:
-        """The further features together, from the value of each in order, integers or arrays."""
-        together: Any = 0
+        """Return the further features combined, from the value of each in order, integers or arrays."""
+        combined: Any = 0
         for axis, value in zip(self.axes, values, strict=True):
-            together = together * axis.size + value
-        return together
+            combined = combined * axis.size + value
+        return combined
 
-    def split_further(self, together: Any) -> tuple[Any, ...]:
-        """The value of each further feature, in order, of all together, an integer or an array."""
+    def split_further(self, combined: Any) -> tuple[Any, ...]:
+        """Return the value of each further feature, in order, of all combined, an integer or an array."""
         values = []
         for axis in reversed(self.axes):
-            together, value = divmod(together, axis.size)
+            combined, value = divmod(combined, axis.size)
             values.append(value)
         return tuple(reversed(values))
 
     def on_site(self, index: Any, site: Any) -> Any:
-        """Indices among the classes of all sites of the classes `index` within `site`."""
+        """Return the indices among the classes of all sites of the classes `index` within `site`."""
         return site * self.classes_per_site + index
 
     def within_site(self, index: Any) -> Any:
-        """Indices among the classes of their site of the classes `index` of all sites."""
+        """Return the indices among the classes of their site of the classes `index` of all sites."""
         return index % self.classes_per_site
 
     def of_site(self, site: int) -> slice:
-        """Where the classes of a site lie among those of all sites."""
+        """Return the slice of the classes of a site among those of all sites."""
         return slice(site * self.classes_per_site, (site + 1) * self.classes_per_site)
 
     def by_axis(self, values: NDArray[Any]) -> NDArray[Any]:
-        """`values` (class, …) of one site or all as (site, level, contrast, further, kind, …)."""
+        """Return `values` (class, …) of one site or all as (site, level, contrast, further, kind, …)."""
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 
     def kind(self, chroma: Any, case: Any) -> Any:
-        """Kinds of pixels of a chroma, an integer or an array, and a saturation case, which decides where it is not 0."""
+        """Return the kinds of pixels of a chroma, an integer or an array, and a saturation case, which decides where it is
+        not 0."""
         return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
 
     def case(self, kind: Any) -> Any:
-        """Saturation cases of kinds, an integer or an array: 0 where nothing is saturated and the kind is a chroma."""
+        """Return the saturation cases of kinds, an integer or an array: 0 where nothing is saturated and the kind is a
+        chroma."""
         return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # labels may be unsigned
 
     def lost(self, kind: Any) -> Any:
-        """Saturation cases of kinds, less those that are spared: 0 where no filter is lost."""
+        """Return the saturation cases of kinds, less those that are spared: 0 where no filter is lost."""
         return np.maximum(self.case(kind) - self.spared_cases, 0)
 
     def kinds_of(self, case: int) -> slice | int:
-        """The kinds of a saturation case: all chromas if nothing is saturated, else one."""
+        """Return the kinds of a saturation case: all chromas if nothing is saturated, else one."""
         return self.chromas - 1 + case if case else slice(0, self.chromas)
 
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
-        """Indices within a site of the coarser classes that distinguish saturation cases but not chromas."""
+        """Return the indices within a site of the coarser classes that distinguish saturation cases but not chromas."""
         return (level * self.contrasts + contrast) * self.cases + case

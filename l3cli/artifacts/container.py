@@ -15,8 +15,8 @@ from typing import Any
 import h5py
 
 from l3cli.errors import InputFileError
-from l3cli.files import atomic_output, open_regular
-from l3cli.interrupts import uninterrupted
+from l3cli.system.files import atomic_output, open_regular
+from l3cli.system.signals import uninterrupted
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"  # of HDF5
 BLOCK = 512  # bytes before it
@@ -74,7 +74,8 @@ class _Sink(io.RawIOBase):
 
 @contextlib.contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """An HDF5 file open for writing that gets its digest, and appears at `path`, when the block ends without an error."""
+    """Yield an HDF5 file open for writing that gets its digest, and appears at `path`, when the block ends without an
+    error."""
     with atomic_output(path) as temporary, open(temporary, "r+b", buffering=0) as raw:
         sink = _Sink(raw.fileno())
         with h5py.File(sink, "w", libver=("earliest", "v110"), track_order=False, userblock_size=BLOCK) as root:
@@ -116,7 +117,7 @@ def open_file(path: Path) -> h5py.File:
 
 
 def _block(raw: io.BufferedReader | io.FileIO) -> bytes:
-    """The first 512 bytes that belong to what follows them."""
+    """Return the first 512 bytes that belong to what follows them."""
     raw.seek(BLOCK)
     digest = hashlib.file_digest(raw, "sha256").hexdigest().encode()
     return (TITLE + digest).ljust(BLOCK - 1) + b"\n"

@@ -1,5 +1,5 @@
-"""What a camera's pixels do that no table learns: the map of defective ones, and the light that the lens loses towards the
-corners (docs/method.md#corrections)."""
+"""Corrections of a camera's frames that no table learns: the map of defective pixels, and the light that the lens loses
+towards the corners (docs/method.md#corrections)."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from l3cli.artifacts.schema import data
 
 KINDS = ("hot", "dead", "row", "column")  # of a defective pixel; the last two: all of its line is defective
 MOST_GAIN = 16.0  # of a pixel that gets a sixteenth of the light in the middle
-MOST_TINT = 0.5  # by which a channel's gain may differ from the mean of all, relative
+MOST_COLOUR_SHADING = 0.5  # by which a channel's gain may differ from the mean of all, relative
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class DefectMap:
 
 @dataclass(frozen=True)
 class FlatField:
-    """What brings an even white back to what it is in the middle of the frame, channel by channel; linear between the lines
-    of a grid that reaches over the whole sensor."""
+    """Gain that makes an even white even, relative to the middle of the frame, channel by channel; linear between the
+    lines of a grid that covers the whole sensor."""
 
     grid_row: NDArray[np.float64] = data("float64", "grid_row", unit="pixel", doc="row of each line", coordinate=True)
     grid_col: NDArray[np.float64] = data("float64", "grid_col", unit="pixel", doc="column of each line", coordinate=True)
@@ -47,12 +47,12 @@ class FlatField:
         gain = self.shading_gain
         if not (gain.size and gain.min() >= 1 / MOST_GAIN and gain.max() <= MOST_GAIN):
             raise ValueError(f"flat field: gains must lie in {1 / MOST_GAIN:g}…{MOST_GAIN:g}; are the whites even?")
-        if np.abs(gain / gain.mean(axis=0) - 1.0).max() > MOST_TINT:
+        if np.abs(gain / gain.mean(axis=0) - 1.0).max() > MOST_COLOUR_SHADING:
             raise ValueError(
-                f"flat field: a channel differs by more than {MOST_TINT:.0%} from the others; are the whites even?"
+                f"flat field: a channel differs by more than {MOST_COLOUR_SHADING:.0%} from the others; are the whites even?"
             )
 
     def covers(self, rows: int, cols: int) -> bool:
-        """Whether the grid goes from the first to the last pixel of a sensor."""
+        """Return whether the grid goes from the first to the last pixel of a sensor."""
         ends = (*self.grid_row[[0, -1]], *self.grid_col[[0, -1]])
         return bool(np.allclose(ends, (0, rows - 1, 0, cols - 1), rtol=0, atol=0.5))

@@ -1,4 +1,4 @@
-"""What calibration measured of a camera, how well its model explains it (docs/method.md#calibration): group `fit`."""
+"""Measurements of a camera and how well its model explains them (docs/method.md#calibration): group `fit`."""
 
 from dataclasses import dataclass
 
@@ -159,5 +159,5 @@ class Fit:
 
     @property
     def validation(self) -> ChartFit | SeriesFit | None:
-        """What was predicted and measured, with R² and relative RMSE of each channel."""
+        """Return predictions and measurements, with R² and relative RMSE of each channel."""
         return self.chart or self.series

@@ -57,7 +57,7 @@ class FurtherFeatures:
 
     @classmethod
     def of(cls, axes: tuple[Axis, ...]) -> "FurtherFeatures":
-        """How `axes` are stored."""
+        """Return `axes` as they are stored."""
         windows = np.array([window for axis in axes for window in axis.windows], np.int64)
         return cls(
             tuple(axis.name for axis in axes),
@@ -83,7 +83,7 @@ class FurtherFeatures:
         )
 
     def check(self, patch: int) -> None:
-        """ValueError if these cannot be features of patches of side `patch`."""
+        """Raise ValueError if these cannot be features of patches of side `patch`."""
         if not self.names or len(set(self.names)) != len(self.names):
             raise ValueError("names of further features must be there, each once")
         if (self.sizes < 1).any() or math.prod(self.sizes.tolist()) > MAX_FURTHER:

@@ -51,11 +51,11 @@ class PartialLayerSums(Artifact):
     sites: NDArray[np.int64] = data(
         "int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column", coordinate=True
     )
-    structure: StructureRule | None = group(default=None)  # the layer's rule …
-    tree: TreeRule | None = group(default=None)  # … is either
+    structure: StructureRule | None = group(default=None)  # the layer's rule, if by structure
+    tree: TreeRule | None = group(default=None)  # the layer's rule, if by a tree
     ratio_taps: int = data("int64", doc="taps behind those of the windows, of colour ratios", default=0)
-    quiet_structure: StructureRule | None = group(default=None)  # the rule of the layer's quiet set, if the table has one, …
-    quiet_tree: TreeRule | None = group(default=None)  # … is either, too
+    quiet_structure: StructureRule | None = group(default=None)  # the same of the quiet set, if the table has one
+    quiet_tree: TreeRule | None = group(default=None)  # the same of the quiet set
 
     @property
     def rule(self) -> PlaneRule:
@@ -68,7 +68,7 @@ class PartialLayerSums(Artifact):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 1 <= self.shard <= self.shards:
-            raise ValueError(f"shard {self.shard} of {self.shards} cannot be")
+            raise ValueError(f"there is no shard {self.shard} of {self.shards}")
         if self.table.camera is None:
             raise ValueError("table must hold its camera")
         if self.ratio_taps not in (0, RATIO_TAPS):
@@ -85,7 +85,7 @@ class PartialLayerSums(Artifact):
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
-        """Of moments, noise and count of every site."""
+        """Return the shapes of moments, noise and count of every site."""
         classes, outputs = self.rule.classes_per_site, len(self.table.outputs)
         taps = outputs * self.side**2 + self.ratio_taps
         width = taps + 1 + outputs

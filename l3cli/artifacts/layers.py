@@ -36,7 +36,7 @@ class MosaicLayer:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
 
     def pictured(self) -> "MosaicLayer":
-        """The layer of the first three outputs alone."""
+        """Return the layer of the first three outputs alone."""
         return replace(self, weights=self.weights[:, :3], intercept=self.intercept[:, :3])
 
 
@@ -54,8 +54,8 @@ class PlaneLayer:
     )
     intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
     samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
-    structure: StructureRule | None = group(default=None)  # its classes …
-    tree: TreeRule | None = group(default=None)  # … either by structure or by a tree
+    structure: StructureRule | None = group(default=None)  # its classes, if by structure
+    tree: TreeRule | None = group(default=None)  # its classes, if by a tree
 
     def __post_init__(self) -> None:
         check(self)
@@ -80,22 +80,22 @@ class PlaneLayer:
         return self.weights.shape[2] - self.window_taps
 
     def scaled_as(self, other: PlaneRule) -> "PlaneLayer":
-        """The layer with gradients scaled as by another rule."""
+        """Return the layer with gradients scaled as by another rule."""
         return replace(self, **rule_fields(scaled_rule(self.rule, other)))
 
 
 def scaled_rule(rule: PlaneRule, other: PlaneRule) -> PlaneRule:
-    """The rule with gradients scaled as by another one."""
+    """Return the rule with gradients scaled as by another one."""
     return replace(rule, gradient_factor=other.gradient_factor, gradient_shift=other.gradient_shift)
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:
-    """The rule as the field that holds it."""
+    """Return the rule as the field that holds it."""
     return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
 
 
 def one_rule(structure: StructureRule | None, tree: TreeRule | None) -> PlaneRule:
-    """The rule that is there; ValueError unless it is one of the two."""
+    """Return the rule that is there; ValueError unless it is one of the two."""
     if structure is None and tree is not None:
         return tree
     if structure is not None and tree is None:

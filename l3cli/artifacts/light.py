@@ -10,7 +10,7 @@ from l3cli.artifacts.schema import check, data
 
 @dataclass(frozen=True)
 class LightSpectrum:
-    """What falls on a scene: the radiance of a perfect white of 1 cd/m²."""
+    """Light on a scene: the radiance of a perfect white of 1 cd/m²."""
 
     wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="where the light is tabulated")
     radiance: NDArray[np.float32] = data(
@@ -23,4 +23,4 @@ class LightSpectrum:
         if not (self.wavelength.size > 1 and self.wavelength[0] > 0 and (np.diff(self.wavelength) > 0).all()):
             raise ValueError("light_wavelength must increase, above zero")
         if not self.radiance.min() >= 0 < self.radiance.max():
-            raise ValueError("radiance is no light")
+            raise ValueError("radiance is not that of a light")

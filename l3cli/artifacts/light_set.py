@@ -37,7 +37,7 @@ class PlaneTransforms:
 
 @dataclass(frozen=True)
 class LightSet:
-    """What a table has learned from the frames under one light alone, but for its classes."""
+    """Transforms that a table has learned from the frames under one light alone; its classes are those of the table."""
 
     name: str = data("str", doc="the light")
     white_point: NDArray[np.float64] = data("float64", "output", doc="output of a perfect white under it, Y = 1")
@@ -55,12 +55,13 @@ class LightSet:
         cls, name: str, white_point: NDArray[np.float64], light: LightSpectrum | None, first: MosaicLayer,
         later: Sequence[PlaneLayer],
     ) -> "LightSet":  # fmt: skip
-        """The transforms of layers that were learned under the light."""
+        """Return the transforms of layers that were learned under the light."""
         planes = tuple(PlaneTransforms(layer.weights, layer.intercept, layer.samples) for layer in later)
         return cls(name, white_point, MosaicTransforms(first.weights, first.intercept, first.samples), planes, light)
 
     def check_fits(self, place: str, first: MosaicLayer, later: Sequence[PlaneLayer]) -> None:
-        """ValueError, which names the set's `place`, if its transforms are not for the classes and taps of a table's."""
+        """Raise ValueError, which names the set's `place`, if its transforms are not for the classes and taps of a
+        table's."""
         if len(self.later) != len(later):
             raise ValueError(f"{place} holds {1 + len(self.later)} layers, the table {1 + len(later)}")
         ours = [each.shape for each in (self.first.weights, *(layer.weights for layer in self.later))]
@@ -71,6 +72,6 @@ class LightSet:
                 raise ValueError(f"{place}/{name} has transforms of other shapes than {name}")
 
     def pictured(self) -> "LightSet":
-        """The set of the first three outputs alone."""
+        """Return the set of the first three outputs alone."""
         first = replace(self.first, weights=self.first.weights[:, :3], intercept=self.first.intercept[:, :3])
         return replace(self, white_point=self.white_point[:3], first=first)

@@ -65,7 +65,7 @@ class PartialSums(Artifact):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 1 <= self.shard <= self.shards or self.pass_number not in (1, 2):
-            raise ValueError(f"shard {self.shard} of {self.shards}, pass {self.pass_number} cannot be")
+            raise ValueError(f"there is no shard {self.shard} of {self.shards}, pass {self.pass_number}")
         self.rule.check_fits(len(self.training.camera.channels), self.training.camera.bits)
         if len(self.white_point) != len(self.training.outputs):
             raise ValueError(f"white_point has {len(self.white_point)} values for {len(self.training.outputs)} outputs")
@@ -74,7 +74,7 @@ class PartialSums(Artifact):
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
-        """Of moments, noise and count of every site."""
+        """Return the shapes of moments, noise and count of every site."""
         classes, taps = self.rule.classes_per_site, self.rule.patch**2
         width = taps + 1 + len(self.training.outputs)
         return (classes, width * (width + 1) // 2), (classes, taps), (classes,)
@@ -99,7 +99,7 @@ class PartialSumsReader:
             raise InputFileError(f"{path} lacks sums of some sites; make it again with {kind.made_by}")
 
     def site(self, index: int, of_set: str = USUAL) -> Any:
-        """ClassSums, or LayerSums if the pass is one of a later layer; QUIET: those of the quiet set."""
+        """Return ClassSums, or LayerSums if the pass is one of a later layer; QUIET: those of the quiet set."""
         name = f"{index:05d}"
         sums: Any = read_fields(hard_group(self._sums[of_set], name, self._path), SUMS[type(self.head)], self._path)
         if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
@@ -109,8 +109,8 @@ class PartialSumsReader:
 
 @contextlib.contextmanager
 def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
-    """A reader of the partial sums at `path`, of a first or a later layer; InputFileError if it holds something else or is
-    damaged."""
+    """Yield a reader of the partial sums at `path`, of a first or a later layer; InputFileError if it holds something else
+    or is damaged."""
     with open_artifact(path, *SUMS) as root:
         yield PartialSumsReader(root, path)
 

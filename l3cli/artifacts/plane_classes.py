@@ -1,4 +1,4 @@
-"""How the classes of a layer that reads planes are numbered, whatever tells them apart."""
+"""Numbers of the classes of a layer that reads planes, whatever distinguishes them."""
 
 from typing import Any, NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 class PlanePlace(NamedTuple):
-    """Where classes lie along the axes of their rule: integers, or integer arrays of equal shape."""
+    """Places of classes along the axes of their rule: integers, or integer arrays of equal shape."""
 
     site: Any  # CFA row · CFA columns + CFA column
     level: Any
@@ -36,28 +36,28 @@ class PlaneClasses:
         return self.levels * self.kinds
 
     def level_of(self, first: Any) -> Any:
-        """Levels of this rule for levels of the first layer."""
+        """Return the levels of this rule for levels of the first layer."""
         raise NotImplementedError
 
     def join(self, level: Any, kind: Any, site: Any = 0) -> Any:
-        """Indices of classes from their places; `level` is one of this rule."""
+        """Return the indices of classes from their places; `level` is one of this rule."""
         return (site * self.levels + level) * self.kinds + kind
 
     def split(self, index: Any) -> PlanePlace:
-        """Places of the classes `index`, an integer or an array."""
+        """Return the places of the classes `index`, an integer or an array."""
         rest, kind = divmod(index, self.kinds)
         site, level = divmod(rest, self.levels)
         return PlanePlace(site, level, kind)
 
     def within_site(self, index: Any) -> tuple[Any, Any]:
-        """Sites of the classes `index` of all sites, and their indices within them."""
+        """Return the sites of the classes `index` of all sites, and their indices within them."""
         site, within = divmod(index, self.classes_per_site)
         return site, within
 
     def kind(self, structure: Any, case: Any) -> Any:
-        """Kinds of pixels of a structure and a saturation case, which decides where it is not 0."""
+        """Return the kinds of pixels of a structure and a saturation case, which decides where it is not 0."""
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
 
     def case(self, kind: Any) -> Any:
-        """Saturation cases of kinds: 0 where nothing is saturated and the kind is a structure."""
+        """Return the saturation cases of kinds: 0 where nothing is saturated and the kind is a structure."""
         return np.maximum(kind - self.structures + 1, 0)

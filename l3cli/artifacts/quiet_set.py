@@ -28,7 +28,7 @@ class QuietSet:
         return self.noise_left**0.75
 
     def check_fits(self, first: MosaicLayer, later: tuple[PlaneLayer, ...]) -> None:
-        """ValueError if classes are not numbered as those of the table's own layers."""
+        """Raise ValueError if classes are not numbered as those of the table's own layers."""
         if not same_classes(self.first.rule, first.rule):
             raise ValueError("quiet/first has other classes than first")
         if self.first.weights.shape != first.weights.shape:
@@ -43,11 +43,11 @@ class QuietSet:
 
 
 def same_classes(rule: ClassRule, usual: ClassRule) -> bool:
-    """Whether a rule of first layers is the usual one but for edges that noise tells."""
+    """Return whether a rule of first layers is the usual one but for edges that follow the noise."""
     features = rule.features and usual.features and replace(rule.features, constants=usual.features.constants)
     return equal(replace(rule, contrast_edges=usual.contrast_edges, features=features), usual)
 
 
 def same_plane_classes(rule: PlaneRule, usual: PlaneRule) -> bool:
-    """Whether a rule of later layers is the usual one but for the scale of gradients."""
+    """Return whether a rule of later layers is the usual one but for the scale of gradients."""
     return type(rule) is type(usual) and equal(scaled_rule(usual, rule), rule)

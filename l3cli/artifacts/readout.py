@@ -12,7 +12,7 @@ SHORTEST, MOST_GAIN = 1e-4, 1e3  # of a channel's exposure and gain, relative to
 
 @dataclass(frozen=True)
 class Readout:
-    """How each channel is read: two channels behind one filter may differ in exposure time and gain."""
+    """Readout of each channel: two channels behind one filter may differ in exposure time and gain."""
 
     channel_exposure: NDArray[np.float64] = data(
         "float64", "channel", doc="exposure time over that of the frame, the longest"

@@ -21,7 +21,7 @@ REFERENCES = np.dtype([("dataset", h5py.ref_dtype), ("dimension", "<i4")])
 
 
 def coordinates_of(content: Any) -> Coordinates:
-    """What stands along the axes of an instance of a dataclass, where its fields say it."""
+    """Return the coordinates along the axes of an instance of a dataclass, where its fields give them."""
     kind: type = type(content)
     fields = {name: spec for name, spec in _layout(kind)[0].items() if spec.coordinate}
     return {spec.axes[0]: (getattr(content, name), spec) for name, spec in fields.items()}
@@ -46,7 +46,7 @@ def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = 
 
 @functools.cache
 def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
-    """The datasets with axes and the groups that a dataclass declares."""
+    """Return the datasets with axes and the groups that a dataclass declares."""
     members = [(name, member) for name, member, _ in declared(kind)]
     return (
         {name: member for name, member in members if isinstance(member, Spec) and member.axes},
@@ -55,7 +55,7 @@ def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
 
 
 def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
-    """One scale for each axis in a group, and the references between scales and datasets.
+    """Write one scale for each axis in a group, and the references between scales and datasets.
 
     The lists of references are written whole, which attach_scale of h5py would write anew for every dataset.
     """
@@ -81,7 +81,7 @@ def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
 
 
 def _new_scale(group: h5py.Group, axis: str, length: int, known: tuple[Any, Spec] | None) -> h5py.Dataset:
-    """A scale that is no declared dataset: with values if they are known, else a length alone."""
+    """Return a scale that is no declared dataset: with values if they are known, else a length alone."""
     if known is None or len(known[0]) != length or not length:
         scale = group.create_dataset(axis, (length,), ">f4", track_times=False)
         scale.make_scale(LENGTH_ALONE % length)

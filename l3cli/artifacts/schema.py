@@ -1,4 +1,4 @@
-"""What an artifact is: a frozen dataclass whose field declarations are the HDF5 schema.
+"""Artifacts: frozen dataclasses whose field declarations are the HDF5 schema.
 
 A field declared with `data(dtype, axes, unit, doc)` is one dataset; a field declared with `group()`,
 whose type is another such dataclass, is a group; `tuple[X, ...]` is a list of groups called 0, 1… Saving, loading, checking
@@ -49,7 +49,7 @@ def data(
 
 @dataclass(frozen=True)
 class Group:
-    """What a group holds: one instance of a dataclass, or a list of them."""
+    """Content of a group: one instance of a dataclass, or a list of them."""
 
     kind: type
     several: bool
@@ -93,7 +93,7 @@ _DECLARED: dict[type, tuple[tuple[str, Spec | Group, bool], ...]] = {}  # of eac
 
 
 def declared(cls: type) -> tuple[tuple[str, Spec | Group, bool], ...]:
-    """(name, dataset or group, optional) of each stored field of a dataclass."""
+    """Return (name, dataset or group, optional) of each stored field of a dataclass."""
     if cls not in _DECLARED:
         _DECLARED[cls] = tuple(_declared(cls))
     return _DECLARED[cls]
@@ -116,14 +116,14 @@ def _declared(cls: type) -> Iterator[tuple[str, Spec | Group, bool]]:
 
 
 def instances(name: str, value: Any) -> dict[str, Any]:
-    """The dataclasses that a field holds, by the name of the group of each: one, none or several."""
+    """Return the dataclasses that a field holds, by the name of the group of each: one, none or several."""
     if isinstance(value, tuple):
         return {f"{name}/{index}": each for index, each in enumerate(value)}
     return {} if value is None else {name: value}
 
 
 def check(instance: Any) -> None:
-    """Dtypes, number of axes, equal length of equally named axes, finite numbers; ValueError names the field.
+    """Check dtypes, number of axes, equal length of equally named axes, finite numbers; ValueError names the field.
 
     An axis whose values a group gives, in a dataset of its name, is an axis of that group and those below it alone; axes
     that only the members of a list have may differ in length between them.
@@ -159,7 +159,7 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str,
 
 
 def equal(one: Any, other: Any) -> bool:
-    """Whether every declared field of two instances of a dataclass holds the same values."""
+    """Return whether every declared field of two instances of a dataclass holds the same values."""
     for name, spec, _ in declared(type(one)):
         a, b = getattr(one, name), getattr(other, name)
         if isinstance(spec, Spec):

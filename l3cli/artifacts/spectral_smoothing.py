@@ -1,4 +1,4 @@
-"""How a table's spectra are smoothed after its last layer (docs/method.md#smoothed-spectra)."""
+"""Smoothing of a table's spectra after its last layer (docs/method.md#smoothed-spectra)."""
 
 from dataclasses import dataclass
 

@@ -20,7 +20,7 @@ from l3cli.artifacts.scales import name_axes
 from l3cli.artifacts.schema import Artifact, Group, Spec, Stage, check, declared, instances
 from l3cli.artifacts.stored import ENCODING, KNOWN_FILTERS, datasets, encoded, filters_of, is_scale, require_readable
 from l3cli.errors import InputFileError
-from l3cli.files import require_regular
+from l3cli.system.files import require_regular
 
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
@@ -59,7 +59,7 @@ def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, filters
 
 
 def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
-    """Whole trailing axes, as many leading ones as make about a mebibyte."""
+    """Return the shape of a chunk: whole trailing axes, as many leading ones as make about a mebibyte."""
     chunk = list(shape)
     for axis in range(len(shape)):
         others = itemsize * int(np.prod(chunk)) // chunk[axis]
@@ -69,7 +69,8 @@ def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
 
 @contextlib.contextmanager
 def new_artifact(path: Path, kind: str, version: int, history: tuple[Stage, ...]) -> Iterator[h5py.File]:
-    """An HDF5 file open for writing with kind, version and history on the root; renamed to `path` when all went well."""
+    """Yield an HDF5 file open for writing with kind, version and history on the root; renamed to `path` when all went
+    well."""
     stages = json.dumps([dataclasses.asdict(stage) for stage in history], sort_keys=True, ensure_ascii=False)
     with container.new_file(path) as root:
         root.attrs["kind"] = kind
@@ -90,8 +91,8 @@ def save(artifact: Artifact, path: Path) -> None:
 
 @contextlib.contextmanager
 def open_artifact(path: Path, *expected: type[Artifact], unchanged: bool = False) -> Iterator[h5py.File]:
-    """The file's root, after checking that not a byte has changed since it was written, that it is an artifact, of one of
-    the kinds `expected`, and of a version this l3 reads. `unchanged`: this run has compared the bytes before."""
+    """Yield the file's root, after checking that not a byte has changed since it was written, that it is an artifact, of one
+    of the kinds `expected`, and of a version this l3 reads. `unchanged`: this run has compared the bytes before."""
     made_by = expected[0].made_by if expected else "an l3 command"
     if not path.exists() and not path.is_symlink():
         raise InputFileError(f"{path} does not exist; make it with {made_by}")
@@ -134,7 +135,7 @@ def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
 
 
 def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
-    """An instance of dataclass `cls` from the datasets below `group`."""
+    """Return an instance of dataclass `cls` from the datasets below `group`."""
     values = dict(extra)
     held = members(group, path)
     for name, spec, optional in declared(cls):
@@ -156,7 +157,7 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
 
 
 def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
-    """The instance, or the tuple of instances, of a declared group."""
+    """Return the instance, or the tuple of instances, of a declared group."""
     if spec.since and group.name == "/" and int(group.file.attrs["version"]) < spec.since:
         return read_fields(group, spec.kind, path)
     if name not in members(group, path):
@@ -176,7 +177,7 @@ def _inside(group: h5py.Group, name: str) -> str:
 
 @contextlib.contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """What HDF5 stumbles over becomes an InputFileError."""
+    """Raise InputFileError for errors of HDF5."""
     try:
         yield
     except (*HDF5_ERRORS, UnicodeDecodeError) as error:
@@ -184,19 +185,19 @@ def reading(path: Path, what: str) -> Iterator[None]:
 
 
 def members(group: h5py.Group, path: Path) -> list[str]:
-    """Names of what a group holds, in order."""
+    """Return the names of what a group holds, in order."""
     with reading(path, f"the group {group.name}"):
         return sorted(group)
 
 
 def hard_group(group: h5py.Group, name: str, path: Path) -> h5py.Group:
-    """A group below `group` that lies in this file; InputFileError if there is none."""
+    """Return a group below `group` that lies in this file; InputFileError if there is none."""
     with reading(path, f"the group {_inside(group, name)}"):
         return _hard(group, name, h5py.Group, path)
 
 
 def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
-    """A member that really lies in this file: no soft or external link is followed."""
+    """Return a member that really lies in this file: no soft or external link is followed."""
     where = _inside(group, name)
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         missing = name not in group
@@ -208,7 +209,7 @@ def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
 
 
 def require_plain(dataset: h5py.Dataset, where: str, path: Path) -> None:
-    """InputFileError if a dataset is stored as l3 never stores one, or would be larger in memory than can be."""
+    """Raise InputFileError if a dataset is stored as l3 never stores one, or would be larger in memory than can be."""
     require_readable(path, dataset)
     if not filters_of(dataset) <= KNOWN_FILTERS:
         raise InputFileError(f"{path}: dataset {where} is stored as l3 never stores one; make the file again")
@@ -258,7 +259,7 @@ class Described:
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Kind, version, history and every dataset with axes and unit of any artifact, without the scales of its axes."""
+    """Return kind, version, history and every dataset with axes and unit of any artifact, without the scales of its axes."""
     with open_artifact(path) as root:
         with reading(path, "a dataset"):
             fields = [(name, dataset) for name, dataset in datasets(root) if name != "history" and not is_scale(dataset)]

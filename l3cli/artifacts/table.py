@@ -77,7 +77,7 @@ class TransformTable(Artifact):
             light.check_fits(f"lights/{index}", self.first, self.later)
 
     def _check_later(self, layer: PlaneLayer) -> None:
-        """ValueError if a layer does not fit the first one, whose levels, saturation cases and outputs it takes."""
+        """Raise ValueError if a layer does not fit the first one, whose levels, saturation cases and outputs it takes."""
         rule, below = layer.rule, self.first.rule
         if len(rule.turns) != self.cfa.size:
             raise ValueError(f"turns holds {len(rule.turns)} sites, the CFA {self.cfa.size}")
@@ -96,7 +96,7 @@ class TransformTable(Artifact):
         return (self.first, *self.later)
 
     def pictured(self) -> "TransformTable":
-        """The table of X, Y, Z alone if other outputs follow them, which no picture shows; else the table itself."""
+        """Return the table of X, Y, Z alone if other outputs follow them, which no picture shows; else the table itself."""
         if self.outputs[:3] != ("X", "Y", "Z") or len(self.outputs) == 3 or self.later:
             return self
         quiet = self.quiet and replace(self.quiet, first=self.quiet.first.pictured())
@@ -105,6 +105,6 @@ class TransformTable(Artifact):
         return replace(self, outputs=self.outputs[:3], white_point=white_point, first=first, quiet=quiet, lights=lights)
 
     def dark_signal(self, exposure: float | None) -> float:
-        """DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of training. A
-        table of before has no camera, and none."""
+        """Return DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of
+        training. A table of before has no camera, and none."""
         return self.camera.dark_signal(self.exposure if exposure is None else exposure) if self.camera else 0.0

@@ -51,7 +51,7 @@ class TrainingPair:
         check(self)
         _require_moderate("target", self.target)
         if not (self.white.size and self.white.min() >= 0 < self.white.max() <= LARGEST):
-            raise ValueError("white is no light")
+            raise ValueError("white is not that of a light")
         if min(self.luminance, self.exposure) < 1 / LARGEST or max(self.luminance, self.exposure) > LARGEST:
             bounds = f"{1 / LARGEST:g}…{LARGEST:g}"
             raise ValueError(f"luminance {self.luminance:g} and exposure {self.exposure:g} must lie in {bounds}")
@@ -60,6 +60,22 @@ class TrainingPair:
     def dark_time(self) -> float:
         """Seconds of dark current that are in `raw`; it has been taken off real pairs already."""
         return 0.0
+
+    @property
+    def shown(self) -> "Shown | None":
+        """Return the fingerprints of scene and light; None of a real pair."""
+        return None
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Fingerprints of a frame's scene and light, comparable with those of other cameras."""
+
+    scene: NDArray[np.float64] = data("float64", "projection", doc="fingerprint of the scene's visible part")
+    light: str = data("str", doc="SHA-256 of the measured spectra that the light is made of")
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -79,6 +95,7 @@ class TrainingFrame(TrainingPair):
         doc="mean photo-electrons of every channel, noise-free, unclipped",
     )
     seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
+    shown: Shown | None = group(default=None)  # None: an older file
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -90,7 +107,7 @@ class TrainingFrame(TrainingPair):
 
 
 def _require_moderate(name: str, values: NDArray[np.float32]) -> None:
-    """ValueError if products of values would run over."""
+    """Raise ValueError if products of values would run over."""
     if values.size == 0 or max(float(values.max()), -float(values.min())) > LARGEST:
         raise ValueError(f"{name} is empty or holds more than {LARGEST:g}")
 
@@ -112,7 +129,7 @@ class TrainingSet(Artifact):
 
 @dataclass(frozen=True)
 class FrameLight:
-    """What a frame tells of its light, read without its pixels."""
+    """Light of a frame, read without its pixels."""
 
     illuminant: str = data("str", doc="name of the illuminant")
     white: NDArray[np.float64] = data("float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white")
@@ -139,7 +156,7 @@ class TrainingSetReader:
 
     @property
     def has_pairs(self) -> bool:
-        """Whether there are real pairs."""
+        """Return whether there are real pairs."""
         return "pairs" in self._groups
 
     def frame(self, index: int) -> TrainingPair:
@@ -151,7 +168,7 @@ class TrainingSetReader:
         return frame
 
     def light(self, index: int) -> FrameLight:
-        """The light of a frame."""
+        """Return the light of a frame."""
         group, name = self._names[index]
         light: FrameLight = read_fields(hard_group(self._groups[group], name, self._path), FrameLight, self._path)
         return light
@@ -163,8 +180,8 @@ class TrainingSetReader:
 
 @contextlib.contextmanager
 def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingSetReader]:
-    """A reader of the training set at `path`; InputFileError if it is none or damaged. `unchanged`: its bytes have been
-    compared with its digest before, by this run."""
+    """Yield a reader of the training set at `path`; InputFileError if it is none or damaged. `unchanged`: its bytes have
+    been compared with its digest before, by this run."""
     with open_artifact(path, TrainingSet, unchanged=unchanged) as root:
         yield TrainingSetReader(root, path)
 
@@ -198,7 +215,7 @@ class TrainingSetWriter:
 
 @contextlib.contextmanager
 def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWriter]:
-    """A writer for a training set that appears at `path` when the block ends without an error."""
+    """Yield a writer for a training set that appears at `path` when the block ends without an error."""
     with new_artifact(path, head.kind, head.version, head.history) as root:
         write_fields(root, head)
         name_axes(root, type(head), {}, head)
@@ -214,7 +231,7 @@ class SceneCoverage:
 
 
 def write_part(path: Path, frame: TrainingPair, uncovered: float, run: str) -> None:
-    """One frame of `run` in a file, whole or not at all: what a killed run leaves, its successor goes on from."""
+    """Write one frame of `run` to a file, whole or not at all: what a killed run leaves, its successor goes on from."""
     with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
         root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # named after a file, which need not be text
@@ -224,7 +241,7 @@ def write_part(path: Path, frame: TrainingPair, uncovered: float, run: str) -> N
 
 
 def read_part(path: Path, run: str) -> TrainingPair:
-    """The frame that `write_part` stored for `run`."""
+    """Return the frame that `write_part` stored for `run`."""
     with container.open_file(path) as part:
         _require_run(part, path, run)
         kind = TrainingFrame if part.attrs["simulated"] else TrainingPair
@@ -238,7 +255,7 @@ def _require_run(part: h5py.File, path: Path, run: str) -> None:
 
 
 def whole_part(path: Path, run: str) -> bool:
-    """Whether a part of `run` is there, as it was written."""
+    """Return whether a part of `run` exists and is intact."""
     try:
         if not container.check(path, "l3 simulate"):
             return False

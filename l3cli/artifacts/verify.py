@@ -1,4 +1,4 @@
-"""Whether an artifact is what was written, and was made of the files at hand."""
+"""Verification of an artifact: whether it is as it was written, and was made of the files at hand."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.store import open_artifact, read_history, reading, require_plain
 from l3cli.artifacts.stored import is_scale
 from l3cli.errors import InputFileError
-from l3cli.limits import read_bounded
+from l3cli.system.limits import read_bounded
 
 SLAB = 1 << 26  # bytes of a dataset that are read at a time
 
 
 @dataclass(frozen=True)
 class Intact:
-    """What is intact in a file."""
+    """Intact parts of a file."""
 
     kind: str
     version: int
@@ -49,7 +49,7 @@ def verify(path: Path) -> Intact:
 
 
 def _datasets(root: h5py.File, path: Path) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Every dataset by name; no soft or external link is followed."""
+    """Yield every dataset by name; no soft or external link is followed."""
     names: list[str] = []
     try:
         root.visit(names.append)
@@ -83,7 +83,7 @@ class Link:
 
 
 def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple[Link, ...], tuple[Path, ...]]:
-    """What a history names, compared with files by their SHA-256; and those files that it does not name.
+    """Return the files that a history names, compared with files by their SHA-256, and those files that it does not name.
 
     The history of a file that is named is followed, too: of several training sets, an artifact names only the first.
     """
@@ -106,7 +106,7 @@ def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple
 
 
 def _history_of(path: Path) -> tuple[Stage, ...]:
-    """An artifact's history; nothing for another file."""
+    """Return an artifact's history; nothing for another file."""
     try:
         with open_artifact(path) as root:
             return read_history(root, path)
@@ -115,7 +115,7 @@ def _history_of(path: Path) -> tuple[Stage, ...]:
 
 
 def _is_recipe_of(path: Path, stage: Stage) -> bool:
-    """Whether a file's text is the stage's recipe, or one of two that it was joined from."""
+    """Return whether a file's text is the stage's recipe, or one of two that it was joined from."""
     if path.suffix != ".toml":
         return False
     content = read_bounded(path).decode("utf-8-sig", "replace")

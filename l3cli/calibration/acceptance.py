@@ -1,4 +1,4 @@
-"""Whether a calibrated camera can be trusted: what its captures, its efficiency and its validation say against it."""
+"""Reliability of a calibrated camera: what its captures, its efficiency and its validation say against it."""
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import PhotoFit
@@ -11,7 +11,7 @@ LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration 
 
 
 def shortfall(camera: CameraModel) -> str | None:
-    """Why the camera should not be trusted: the sentence that names captures that disagree, an efficiency that is hardly a
+    """Return the reason not to trust a camera: a sentence that names captures that disagree, an efficiency that is hardly a
     camera's, or the channel that its validation fails; or None."""
     if camera.fit and camera.fit.sweep and camera.fit.sweep.odd:
         odd = camera.fit.sweep.odd
@@ -36,7 +36,7 @@ def shortfall(camera: CameraModel) -> str | None:
 
 
 def _photo_shortfall(fit: PhotoFit, channels: tuple[str, ...]) -> str | None:
-    """Why photos of charts should not be trusted: a light that is hardly the one named, or patches that do not fit."""
+    """Return the reason not to trust photos of charts: a light that is hardly the one named, or patches that do not fit."""
     for index, name in enumerate(fit.names):
         if not fit.guessed[index] and fit.deficit[index] > NOTICED:
             return (

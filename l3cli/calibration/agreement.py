@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.calibration.responsivity import Sweep, light_centre
 from l3cli.errors import InputFileError
-from l3cli.measurement import BandCapture, Capture, ChartCapture, MonoCapture
+from l3cli.frames.measurement import BandCapture, Capture, ChartCapture, MonoCapture
 
 FACTOR = 1.5  # between signals a second of one light
 SCALE = 3.0  # between the responses that monochromator and charts give, seen in other parts of the frame
@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 
 
 def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None:
-    """InputFileError names the white capture whose signal (capture, channel) DN does not follow its seconds of light."""
+    """Raise InputFileError that names the white capture whose signal (capture, channel) DN does not follow its seconds of
+    light."""
     top = signal.max(axis=0)
     total = np.maximum(signal.sum(axis=1), 1e-9)
     below = (signal < NEAR_TOP * top).all(axis=1) & (total > LEAST * total.max())
@@ -39,8 +40,8 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
 
 
 def check_darks(captures: Sequence[Capture], signal: Array) -> None:
-    """InputFileError names the dark capture whose mean (capture) DN lies far off the line of all others over exposure;
-    only where three others or more agree with each other."""
+    """Raise InputFileError that names the dark capture whose mean (capture) DN lies far off the line of all others over
+    exposure; only where three others or more agree with each other."""
     exposure = np.array([capture.exposure for capture in captures])
     worst, outlier = 0.0, None
     for index, capture in enumerate(captures):
@@ -63,7 +64,8 @@ def check_darks(captures: Sequence[Capture], signal: Array) -> None:
 
 
 def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
-    """InputFileError names the capture whose patches (capture, patch, channel) DN do not follow exposure in its band."""
+    """Raise InputFileError that names the capture whose patches (capture, patch, channel) DN do not follow exposure in its
+    band."""
     lit = np.array([capture.lit for capture in captures])[:, None, None]
     for band in np.unique(light):
         chosen = np.flatnonzero(light == band)
@@ -81,8 +83,9 @@ def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], valu
 
 
 def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: Array, absolute: bool) -> None:
-    """InputFileError names the chart whose signals (chart, channel) DN over those `predicted` from the monochromator's
-    light are other than the rest's, or says that the two kinds of capture contradict each other (`absolute`)."""
+    """Raise InputFileError that names the chart whose signals (chart, channel) DN over those `predicted` from the
+    monochromator's light are other than the rest's, or says that the two kinds of capture contradict each other
+    (`absolute`)."""
     ratio = np.median(np.maximum(measured, 1e-9) / np.maximum(predicted, 1e-30), axis=1)
     votes = np.append(ratio, 1.0) if absolute and len(ratio) == 2 else ratio  # the monochromator decides between two
     off = np.abs(np.log(ratio / np.median(votes)))
@@ -97,8 +100,8 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
 
 
 def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
-    """The monochromatic captures whose responses lie far above or below those of both neighbours in wavelength, in every
-    channel that sees them, and by how much: the most striking first, then without it the next."""
+    """Return the monochromatic captures whose responses lie far above or below those of both neighbours in wavelength, in
+    every channel that sees them, and by how much: the most striking first, then without it the next."""
     centre = np.array([light_centre(capture.wavelength, capture.radiance) for capture in captures])
     left = list(np.argsort(centre, kind="stable"))
     steps = []
@@ -113,8 +116,8 @@ def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
 
 
 def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
-    """How often the step at `place` of `order` responds as much as its neighbours allow, least of all channels; 1: it does
-    not."""
+    """Return the factor by which the response of the step at `place` of `order` exceeds what its neighbours allow, the
+    least of all channels; 1: it does not."""
     factors = []
     for channel in range(sweep.values.shape[1]):
         if not sweep.valid[order[place], channel]:
@@ -139,7 +142,7 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
 
 
 def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
-    """InputFileError if one of the signals a second (capture) differs from the others' by more than light does."""
+    """Raise InputFileError if one of the signals a second (capture) differs from the others' by more than light does."""
     if len(captures) < 2:
         return
     off = np.abs(np.log(rates / np.median(rates)))

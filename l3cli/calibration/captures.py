@@ -1,4 +1,4 @@
-"""What captures give: dark and white frames of the sensor, monochromatic ones of its responsivity, charts of its gain
+"""Results of captures: the sensor from dark and white frames, responsivity from monochromatic ones, gain from charts
 (docs/method.md#calibration)."""
 
 import functools
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from l3cli.calibration import agreement, defects, gain, noise, responsivity
 from l3cli.calibration.statistics import Each, count_values, mean_value, measure_level, share_from
 from l3cli.errors import InputFileError
-from l3cli.measurement import Body, ChartCapture, Measurements, MonoCapture
+from l3cli.frames.measurement import Body, ChartCapture, Measurements, MonoCapture
 
 OVEREXPOSED = 1e-3  # share of saturated pixels that makes a monochromatic capture useless
 CUT_OFF = 0.05  # share of a light's peak that may be left where its measured spectrum ends
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sensor:
-    """What dark and white frames give."""
+    """Results of dark and white frames."""
 
     dark: noise.DarkNoise
     transfer: noise.PhotonTransfer
@@ -46,7 +46,8 @@ class Charts:
 
 
 def measure_sensor(measurements: Measurements, each: Each = map) -> Sensor:
-    """Noise, black, saturation and defects from dark and white frames (docs/method.md#dark-and-white-frames)."""
+    """Measure noise, black level, saturation and defects from dark and white frames
+    (docs/method.md#dark-and-white-frames)."""
     body = measurements.body
     dark = noise.dark_noise(measurements.darks, body, each)
     whites = sorted(measurements.whites, key=lambda capture: capture.exposure)
@@ -60,7 +61,8 @@ def measure_sensor(measurements: Measurements, each: Each = map) -> Sensor:
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
-    """(…, wavelength) photons that the area of a pixel on the axis receives during a capture, in each node's hat."""
+    """Return the photons (…, wavelength) that the area of a pixel on the axis receives during a capture, in each node's
+    hat."""
     photons = responsivity.node_photons(capture.wavelength, capture.radiance, nodes)
     return body.photons_per_radiance * capture.lit * photons
 
@@ -68,7 +70,8 @@ def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Bo
 def measure_sweep(
     captures: Sequence[MonoCapture], body: Body, sensor: Sensor, each: Each = map
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
-    """Eq. 1's system from the monochromatic captures, each row divided by its photons, and the captures that saturate.
+    """Return Eq. 1's system from the monochromatic captures, each row divided by its photons, and the captures that
+    saturate.
 
     A channel goes without the captures that saturate it; InputFileError if none, or only dark ones remain, or if a light's
     measured spectrum does not reach its end. The means are over whole frames: what the lens loses off the axis is the same
@@ -102,7 +105,8 @@ def measure_sweep(
 
 
 def measure_charts(captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor, each: Each = map) -> Charts:
-    """Mean DN and incident photons of every patch; InputFileError if the measured radiances do not cover the nodes."""
+    """Return the mean DN and incident photons of every patch; InputFileError if the measured radiances do not cover the
+    nodes."""
     for capture in captures:
         first, last = capture.wavelength[[0, -1]]
         if first > nodes[0] + responsivity.NODE_STEP or last < nodes[-1] - responsivity.NODE_STEP:

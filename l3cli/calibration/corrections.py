@@ -14,16 +14,16 @@ from l3cli.calibration.captures import Sensor
 from l3cli.calibration.flat_field import flat_field
 from l3cli.calibration.statistics import mean_frame
 from l3cli.errors import InputFileError
-from l3cli.measurement import Body, Capture, Measurements
+from l3cli.frames.measurement import Body, Capture, Measurements
 
 LEAST_SIGNAL = 0.02  # of full scale: a white that is darker says little of a pixel's response
-MOST_DEFECTIVE = 0.05  # share of the pixels: of more no frame can be mended
+MOST_DEFECTIVE = 0.05  # share of the pixels: of more no frame can be corrected
 Array = NDArray[np.float64]
 
 
 def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraModel:
-    """The camera with the defects of its dark and white frames, and with a flat field if the whites are even: for noise they
-    need not be."""
+    """Return the camera with the defects of its dark and white frames, and with a flat field if the whites are even: for
+    noise they need not be."""
     shape = (body.rows, body.cols)
     defects = defective.as_map(sensor.defects, sensor.dark.hot, shape)
     try:
@@ -33,7 +33,8 @@ def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraM
 
 
 def correct_by_frames(camera: CameraModel, measurements: Measurements) -> CameraModel:
-    """The camera with the defects and the flat field of dark and white frames, of one exposure or several; all else stays.
+    """Return the camera with the defects and the flat field of dark and white frames, of one exposure or several; all else
+    stays.
 
     InputFileError if the whites are too dark, clipped or uneven, or if too many pixels are defective.
     """
@@ -58,7 +59,7 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
 
 
 def _nearest(darks: Sequence[Capture], exposure: float) -> int:
-    """The dark capture whose exposure time is nearest, by ratio."""
+    """Return the dark capture whose exposure time is nearest, by ratio."""
     return int(np.argmin([abs(np.log(dark.exposure / exposure)) for dark in darks]))
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.calibration.responsivity import BAND_FLOOR, COVERAGE
 from l3cli.errors import InputFileError
-from l3cli.measurement import Body, FinishedCurves, SweepTable
+from l3cli.frames.measurement import Body, FinishedCurves, SweepTable
 
 Array = NDArray[np.float64]
 
@@ -18,21 +18,28 @@ class Curves:
 
     wavelength: Array  # (wavelength) nm
     relative: Array  # (channel, wavelength)
-    band: Array  # (channel, wavelength) half width of the 95 % band
+    band: Array  # (channel, wavelength) half width of the 95 % band; 0 everywhere: not known
 
     def to_common_peak(self) -> "Curves":
-        """Scaled so that the largest value of the whole set is 1."""
+        """Return the curves scaled so that the largest value of the whole set is 1."""
         peak = self.relative.max()
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
     def to_channel_peaks(self) -> "Curves":
-        """Scaled so that every channel's largest value is 1."""
+        """Return the curves scaled so that every channel's largest value is 1."""
         peak = self.relative.max(axis=1, keepdims=True)
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
+    def widened(self, light_error: float, wavelength_error: float) -> "Curves":
+        """Return the curves with a band that holds a relative error of the light and one of its wavelength in nm, too,
+        standard deviations."""
+        slope = np.gradient(self.relative, self.wavelength, axis=1) if self.wavelength.size > 1 else 0.0
+        stated = COVERAGE * np.hypot(light_error * self.relative, wavelength_error * slope)
+        return replace(self, band=np.hypot(self.band, stated))
+
 
 def from_sweep(table: SweepTable, body: Body) -> Array:
-    """Responsivity (channel, wavelength) per photon of a sweep beside a photodiode; nodes are the sweep's.
+    """Return the responsivity (channel, wavelength) per photon of a sweep beside a photodiode; nodes are the sweep's.
 
     Camera and photodiode each lose the dark reading of the same step; what lies below zero is zero. InputFileError if the
     photodiode or a channel sees no light.
@@ -50,9 +57,12 @@ def from_sweep(table: SweepTable, body: Body) -> Array:
     return np.asarray(per_energy / table.wavelength, dtype=np.float64)
 
 
-def without_fit(curve: SweepTable | FinishedCurves, body: Body, drift: float, wavelength_error: float) -> Curves:
-    """Curves of a table or of a finished source, in a band of what was declared of the lights."""
+def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: float, wavelength_error: float) -> Curves:
+    """Return the curves of a table or of a finished source, in a band of what was stated of light and wavelength: without
+    either, their error is not known, and there is no band."""
     relative = from_sweep(curve, body) if isinstance(curve, SweepTable) else curve.responsivity
-    shifted = wavelength_error * np.gradient(relative, curve.wavelength, axis=1)
-    band = np.hypot(COVERAGE * np.hypot(drift * relative, shifted), BAND_FLOOR * relative.max())
-    return Curves(curve.wavelength, relative, band).to_common_peak()
+    curves = Curves(curve.wavelength, relative, np.zeros_like(relative))
+    if light_error and wavelength_error:
+        floor = np.full_like(relative, BAND_FLOOR * relative.max())
+        curves = replace(curves, band=floor).widened(light_error, wavelength_error)
+    return curves.to_common_peak()

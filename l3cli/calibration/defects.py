@@ -13,13 +13,14 @@ Defects = NDArray[np.int64]  # (defect, 2) row, col
 
 
 def none() -> Defects:
-    """No defects."""
+    """Return an empty list of defects."""
     return np.zeros((0, 2), dtype=np.int64)
 
 
 def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defects:
-    """Pixels of a picture (row, col) that lie far from the median of their CFA site, and at least `least` from it; and all
-    of a row or column whose median does so by the spread of such medians, and by more than pixels differ as a rule."""
+    """Return the pixels of a picture (row, col) that lie far from the median of their CFA site, and at least `least` from
+    it; and all of a row or column whose median does so by the spread of such medians, and by more than pixels differ as a
+    rule."""
     rows, cols = cfa.shape
     defects = []
     for row in range(rows):
@@ -37,18 +38,18 @@ def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defe
 
 
 def _middle_and_spread(values: Array) -> tuple[float, float]:
-    """Median, and the standard deviation that those have who lie near it."""
+    """Return the median, and the standard deviation that those have who lie near it."""
     low, middle, high = np.percentile(values, (15.87, 50.0, 84.13))
     return float(middle), float((high - low) / 2 or values.std())
 
 
 def join(*parts: Defects) -> Defects:
-    """All pixels of several lists, each once, in the order of rows."""
+    """Return all pixels of several lists, each once, in the order of rows."""
     return np.unique(np.concatenate(parts), axis=0).astype(np.int64)
 
 
 def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
-    """The picture (row, col) with every defect replaced by the median of its neighbours of the same CFA site."""
+    """Return the picture (row, col) with every defect replaced by the median of its neighbours of the same CFA site."""
     rows, cols = cfa.shape
     result = picture.copy()
     for row, col in defects:
@@ -59,8 +60,8 @@ def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
 
 
 def as_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> DefectMap:
-    """The map of `defects` of a sensor of `shape` (rows, cols), `hot` those of them that are so without light; of a line
-    that is defective nearly everywhere the other pixels are taken for defective, too."""
+    """Return the map of `defects` of a sensor of `shape` (rows, cols), `hot` those of them that are so without light; of a
+    line that is defective nearly everywhere the other pixels are taken for defective, too."""
     bad, warm = np.zeros(shape, bool), np.zeros(shape, bool)
     bad[tuple(defects.T)] = True
     warm[tuple(hot.T)] = True
@@ -73,7 +74,8 @@ def as_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> DefectMap:
 
 
 def counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
-    """How many hot and dead pixels, rows and columns a map holds, and clusters: pixels off such lines that touch."""
+    """Return the numbers of hot and dead pixels, rows and columns of a map, and of clusters: pixels off such lines that
+    touch."""
     from scipy.ndimage import label
 
     kind, (row, col) = np.array(defects.pixel_kind, dtype=str), defects.position.T

@@ -8,7 +8,7 @@ from l3cli.calibration.curves import Curves
 from l3cli.calibration.responsivity import COVERAGE
 from l3cli.calibration.statistics import channel_shares
 from l3cli.errors import InputFileError
-from l3cli.measurement import Body
+from l3cli.frames.measurement import Body
 
 USUAL = (0.03, 1.0)  # peak quantum efficiencies of cameras, lens and filters included
 PHOTONS_PER_JOULE = 2.5e18  # at 500 nm
@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 
 
 def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array, Array]:
-    """Absolute quantum efficiency alpha · r / K (channel, wavelength) and the half width of its 95 % band, in which the
-    errors of alpha and K are contained (docs/method.md#quantum-efficiency)."""
+    """Return the absolute quantum efficiency alpha · r / K (channel, wavelength) and the half width of its 95 % band, in
+    which the errors of alpha and K are contained (docs/method.md#quantum-efficiency)."""
     assert fit.chart is not None
     assert fit.noise is not None
     scale = (fit.chart.alpha / (gain * body.channel_gains * body.channel_exposures))[:, None]
@@ -37,7 +37,8 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
 
 
 def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
-    """InputFileError if a quantum efficiency (channel, wavelength) is above 1, which is blamed on `odd` captures if any."""
+    """Raise InputFileError if a quantum efficiency (channel, wavelength) is above 1, which is blamed on `odd` captures if
+    any."""
     peak = float(responsivity.max())
     if peak > 1.0:
         cure = f"check {odd[0]}" if odd else likely_mistake(peak)
@@ -45,7 +46,7 @@ def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
 
 
 def likely_mistake(peak: float) -> str:
-    """What a peak quantum efficiency that no camera has is a sign of: the mistakes that would make a usual one of it."""
+    """Return the mistakes that would turn a usual peak quantum efficiency into one that no camera has, in words."""
     likely = [what for what, factor in MISTAKES.items() if USUAL[0] <= peak / factor <= USUAL[1]]
     general = "the units of radiances (photons/s/sr/m²/nm), exposures, pixel_pitch_um and f_number"
     return f"check {general}" + (f", as if {' or '.join(likely)}" if likely else "")

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_curves import full_width
 from l3cli.artifacts.fit import ChartFit, NoiseFit, PhotoFit, SeriesFit
 from l3cli.calibration import defects, gain
 from l3cli.calibration.flat_field import corner_falloff
@@ -13,7 +14,7 @@ from l3cli.physics import spectra
 
 
 def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
-    """Figures of the whole camera: EMVA 1288 name → value, unit."""
+    """Return the figures of the whole camera: EMVA 1288 name → value, unit."""
     noise = camera.noise
     return {
         "overall system gain K": (camera.gain, "DN/e-"),
@@ -28,7 +29,7 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def figures(camera: CameraModel) -> dict[str, Any]:
-    """Figures of a calibrated camera and of each of its channels, of lights and bands, ready for JSON."""
+    """Return the figures of a calibrated camera and of each of its channels, of lights and bands, ready for JSON."""
     fit = camera.fit
     assert fit is not None
     columns: dict[str, Any] = {}
@@ -57,6 +58,7 @@ def figures(camera: CameraModel) -> dict[str, Any]:
         "photos": _photos(camera, fit.photo) if fit.photo else {},
         "prior": fit.photo.prior if fit.photo else None,
         "next light": {"light": fit.photo.next_light, "remaining %": 100.0 * fit.photo.next_share} if fit.photo else None,
+        "curves": _curves(camera),
         "smoothing": fit.sweep.chosen_smoothing if fit.sweep else None,
         "responsivity": "absolute" if camera.absolute else "relative",
         "declared": list(camera.declared),
@@ -68,8 +70,19 @@ def figures(camera: CameraModel) -> dict[str, Any]:
     }
 
 
+def _curves(camera: CameraModel) -> dict[str, Any]:
+    """Return the range of the curves; of each channel peak and full width at half maximum (None: it does not fall so
+    far)."""
+    grid = camera.wavelength
+    channels = {
+        name: {"peak (nm)": float(grid[curve.argmax()]), "FWHM (nm)": full_width(grid, curve)}
+        for name, curve in zip(camera.channels, camera.responsivity, strict=True)
+    }
+    return {"first (nm)": float(grid[0]), "last (nm)": float(grid[-1]), "channels": channels}
+
+
 def _corners(camera: CameraModel) -> dict[str, float] | None:
-    """Of each channel the light lost in the darkest corner."""
+    """Return the light lost in the darkest corner, by channel."""
     if camera.flat_field is None:
         return None
     lost = 100.0 * corner_falloff(camera.flat_field)
@@ -77,19 +90,19 @@ def _corners(camera: CameraModel) -> dict[str, float] | None:
 
 
 def _efficiency_columns(camera: CameraModel) -> dict[str, Any]:
-    """Absolute efficiency at each channel's peak, the half width of its 95 % band, and Eq. 2's offset."""
+    """Return the absolute efficiency at each channel's peak, the half width of its 95 % band if it is known, and Eq. 2's
+    offset."""
     assert camera.fit is not None
     assert camera.fit.chart is not None
     peak = camera.responsivity.argmax(axis=1)[:, None]
-    return {
-        "peak QE (%)": 100.0 * np.take_along_axis(camera.responsivity, peak, 1)[:, 0],
-        "± 95 % (%)": 100.0 * np.take_along_axis(camera.responsivity_band, peak, 1)[:, 0],
-        "offset (DN)": camera.fit.chart.beta,
-    }
+    height, band = (np.take_along_axis(of, peak, 1)[:, 0] for of in (camera.responsivity, camera.responsivity_band))
+    known = {"± 95 % (%)": 100.0 * band} if camera.responsivity_band.any() else {}
+    return {"peak QE (%)": 100.0 * height, **known, "offset (DN)": camera.fit.chart.beta}
 
 
 def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
-    """EMVA 1288's figures; the dynamic range is that of electrons, from saturation down to a signal-to-noise ratio of 1."""
+    """Return EMVA 1288's figures; the dynamic range is that of electrons, from saturation down to a signal-to-noise ratio of
+    1."""
     least = np.sqrt(noise.read_noise**2 + 1.0 / 12.0 / noise.conversion_gain**2) + 0.5
     return {
         "K (DN/e-)": noise.conversion_gain,
@@ -104,7 +117,7 @@ def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
 
 
 def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]:
-    """R² and relative RMSE of each chart and channel."""
+    """Return R² and relative RMSE of each chart and channel."""
     rows = {}
     for index, light in enumerate(chart.illuminants):
         measured, predicted = chart.measured[index][None], chart.predicted[index][None]
@@ -116,7 +129,7 @@ def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]
 
 
 def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]]:
-    """Centre, response and spread over patches of each band and channel."""
+    """Return centre, response and spread over patches of each band and channel."""
     rows = {}
     for index, light in enumerate(series.lights):
         row = {"centre (nm)": float(camera.wavelength[index])}
@@ -128,7 +141,7 @@ def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]
 
 
 def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
-    """What is uncertain of the curves, and of what they are for: responses to surfaces under other lights."""
+    """Return the uncertainties of the curves, and of the responses to surfaces under other lights that they are for."""
     band = camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     return {
         "curve ± 95 % (% of peak)": 100.0 * np.sqrt(np.mean(band**2, axis=1)),
@@ -137,7 +150,7 @@ def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
 
 
 def _photos(camera: CameraModel, fit: PhotoFit) -> dict[str, dict[str, Any]]:
-    """Light, chart and what disturbed each photo."""
+    """Return light, chart and what disturbed each photo."""
     rows = {}
     for index, name in enumerate(fit.names):
         x, y = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 5))
@@ -159,7 +172,7 @@ def _photos(camera: CameraModel, fit: PhotoFit) -> dict[str, dict[str, Any]]:
 
 
 def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
-    """How close a calibrated camera comes to the one that was measured: figures, and curves of each channel.
+    """Return the differences between a calibrated camera and the one that was measured: figures, and curves of each channel.
 
     InputFileError if the two do not have the same channels.
     """
@@ -172,10 +185,9 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
     if not camera.absolute:
         real = real / real.max()
     error = camera.responsivity - real
-    columns = {
-        "responsivity RMS error (% of peak)": 100.0 * np.sqrt(np.mean(error**2, axis=1)) / real.max(axis=1),
-        "within band (%)": 100.0 * np.mean(np.abs(error) <= camera.responsivity_band, axis=1),
-    }
+    columns = {"responsivity RMS error (% of peak)": 100.0 * np.sqrt(np.mean(error**2, axis=1)) / real.max(axis=1)}
+    if camera.responsivity_band.any():
+        columns["within band (%)"] = 100.0 * np.mean(np.abs(error) <= camera.responsivity_band, axis=1)
     if camera.absolute:
         fitted_gain, true_gain = camera.gain * camera.responsivity.sum(axis=1), truth.gain * real.sum(axis=1)
         columns["gain alpha·r error (%)"] = 100.0 * (fitted_gain / true_gain - 1.0)
@@ -191,7 +203,7 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
 
 
 def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """Columns (channel) as one row of plain numbers a channel."""
+    """Return the columns (channel) as one row of plain numbers a channel."""
     return {
         name: {title: float(column[index]) for title, column in columns.items()}
         for index, name in enumerate(camera.channels)

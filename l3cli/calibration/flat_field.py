@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.corrections import FlatField
 from l3cli.calibration.statistics import by_site
 from l3cli.errors import InputFileError
-from l3cli.measurement import Body
+from l3cli.frames.measurement import Body
 
 DEGREE = 4  # of the surface: the fourth power of the distance from the middle
 CELLS = (36, 54)  # rows and columns of means that it is fitted to, at most
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def flat_field(response: Array, body: Body) -> FlatField:
-    """The gains that even out the response (row, col) to an even white, its defects patched.
+    """Return the gains that even out the response (row, col) to an even white, its defects patched.
 
     Fitted is the square root of the gain, of which cos⁴ is a polynomial of second degree. InputFileError if the white is
     no smooth surface, or falls off as no lens does.
@@ -43,19 +43,19 @@ def flat_field(response: Array, body: Body) -> FlatField:
 
 
 def corner_falloff(field: FlatField) -> Array:
-    """(channel) share of the light that is lost in the corner that loses most."""
+    """Return the share (channel) of the light that is lost in the corner that loses most."""
     corners = field.shading_gain[:, [0, 0, -1, -1], [0, -1, 0, -1]]
     return np.asarray(1.0 - 1.0 / corners.max(axis=1))
 
 
 def _surface(y: Array, x: Array) -> Array:
-    """(place, term) of the polynomial at y, x from −1 to 1, the first term being 1."""
+    """Return the terms (place, term) of the polynomial at y, x from −1 to 1, the first term being 1."""
     powers = [(down, across) for down in range(DEGREE + 1) for across in range(DEGREE + 1 - down)]
     return np.stack([y**down * x**across for down, across in powers], axis=1)
 
 
 def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Array]:
-    """Place from −1 to 1, and value, of means over cells of all pixels of a channel."""
+    """Return the place from −1 to 1, and value, of means over cells of all pixels of a channel."""
     places: list[tuple[Array, Array, Array]] = []
     y, x = (np.linspace(-1.0, 1.0, length) for length in response.shape)
     down = np.broadcast_to(y[:, None], response.shape)
@@ -69,7 +69,7 @@ def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Arr
 
 
 def _by_cell(site: Array) -> Array:
-    """The means of a picture over at most CELLS equal parts."""
+    """Return the means of a picture over at most CELLS equal parts."""
     starts = [
         np.linspace(0, length, min(length, most) + 1).astype(int) for length, most in zip(site.shape, CELLS, strict=True)
     ]

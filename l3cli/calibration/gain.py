@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.calibration import perspective
 from l3cli.calibration.defects import Defects
+from l3cli.charts import perspective
 from l3cli.errors import InputFileError
-from l3cli.measurement import CHART_COLS, CHART_ROWS, PATCHES, Body, ChartCapture
+from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES, Body, ChartCapture
 
 CORE = 0.25  # half the side of a patch's sampled core, in chart cells
 RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3  # of the signal, DN: how well a patch is known (docs/method.md#gain-and-offset)
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
-    """(row, col) index of the ColorChecker patch whose core a pixel lies in, 24 elsewhere.
+    """Return the index (row, col) of the ColorChecker patch whose core a pixel lies in, 24 elsewhere.
 
     corners (4, 2) are col, row of the outer corners of patches 1, 6, 24, 19; the chart may be turned and in perspective.
     """
@@ -23,7 +23,7 @@ def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
 
 
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:
-    """Of the cores of a chart's patches over its frames: mean DN (patch, channel), and whether they are saturated.
+    """Return the mean DN (patch, channel) of the cores of a chart's patches over its frames, and whether they are saturated.
 
     Saturated is a patch with more than one pixel in a thousand at `limit` DN or above in any frame. InputFileError if the
     corners do not lie in the frame, or if a core holds no pixel of a channel.
@@ -41,7 +41,7 @@ def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defec
 
 
 def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> Array:
-    """Mean DN (patch, channel) of a chart; InputFileError names a patch that is saturated."""
+    """Return the mean DN (patch, channel) of a chart; InputFileError names a patch that is saturated."""
     values, saturated = patch_values(capture, body, limit, defects)
     if saturated.any():
         patch, channel = np.argwhere(saturated)[0]
@@ -52,7 +52,7 @@ def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects:
 
 
 def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> Array:
-    """(patch, 1) light that reaches the cores of a chart's patches over what they would get on the axis."""
+    """Return the light (patch, 1) that reaches the cores of a chart's patches over what they would get on the axis."""
     pixels, label, count = _cores(capture, body, defects)
     channels = len(body.channels)
     light = _per_label(label, body.relative_illumination.ravel()[pixels], channels)
@@ -60,7 +60,8 @@ def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> A
 
 
 def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Pixels in patch cores but defects, the label patch · channels + channel of each, and their count (patch, channel)."""
+    """Return the pixels in patch cores but defects, the label patch · channels + channel of each, and their count (patch,
+    channel)."""
     rows, cols, channels = body.rows, body.cols, len(body.channels)
     if (capture.corners < 0).any() or (capture.corners > (cols, rows)).any():
         raise InputFileError(
@@ -82,13 +83,13 @@ def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray
 
 
 def _per_label(label: NDArray[np.int64], weights: NDArray, channels: int) -> Array:
-    """Sums (patch, channel) of weights (pixel)."""
+    """Return the sums (patch, channel) of weights (pixel)."""
     sums = np.bincount(label, weights=weights, minlength=PATCHES * channels)
     return sums.astype(np.float64).reshape(PATCHES, channels)
 
 
 def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, float]:
-    """Eq. 2 of one channel: (alpha, beta) of values ≈ alpha · photons + beta, alpha ≥ 0.
+    """Fit Eq. 2 of one channel: (alpha, beta) of values ≈ alpha · photons + beta, alpha ≥ 0.
 
     photons and values (sample) are what the responsivity predicts and the mean DN; weights: docs/method.md#gain-and-offset.
     """
@@ -102,7 +103,8 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
 
 
 def gain_error(photons: Array, values: Array, black_level: float, alpha: float, beta: float, drift: float) -> float:
-    """Standard deviation of alpha: its spread over charts (chart, patch) fitted one by one, or the declared drift's."""
+    """Return the standard deviation of alpha: its spread over charts (chart, patch) fitted one by one, or the declared
+    drift's."""
     weight = 1.0 / np.hypot(RELATIVE_ERROR * (values - black_level), ABSOLUTE_ERROR) ** 2
     single = (weight * photons * (values - beta)).sum(axis=1) / (weight * photons**2).sum(axis=1)
     charts = len(single)
@@ -110,18 +112,20 @@ def gain_error(photons: Array, values: Array, black_level: float, alpha: float, 
 
 
 def relative_rmse(measured: Array, predicted: Array, black_level: Array | float) -> Array:
-    """RMSE over the mean signal above black, over the axes (chart, patch) of both; further axes stay."""
+    """Return the RMSE over the mean signal above black, over the axes (chart, patch) of both; further axes stay."""
     return np.sqrt(np.mean((measured - predicted) ** 2, axis=(0, 1))) / np.mean(measured - black_level, axis=(0, 1))
 
 
 def r_squared(measured: Array, predicted: Array) -> Array:
-    """Share of the variance of `measured` that `predicted` explains, over the axes (chart, patch); further axes stay."""
+    """Return the share of the variance of `measured` that `predicted` explains, over the axes (chart, patch); further axes
+    stay."""
     residual = np.sum((measured - predicted) ** 2, axis=(0, 1))
     return 1.0 - residual / np.sum((measured - measured.mean(axis=(0, 1))) ** 2, axis=(0, 1))
 
 
 def cross_validate(photons: Array, values: Array, black_level: float) -> float:
-    """Relative RMSE of charts (chart, patch) predicted with alpha and beta from the charts under the other lights."""
+    """Return the relative RMSE of charts (chart, patch) predicted with alpha and beta from the charts under the other
+    lights."""
     predicted = np.empty_like(values)
     for chart in range(len(values)):
         others = np.arange(len(values)) != chart

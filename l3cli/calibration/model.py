@@ -15,7 +15,7 @@ from l3cli.calibration.photo.responsivity import fit_photos
 from l3cli.calibration.series import fit_series
 from l3cli.calibration.statistics import Each, channel_shares
 from l3cli.errors import InputFileError
-from l3cli.measurement import Body, Measurements, SensorFigures
+from l3cli.frames.measurement import Body, Measurements, SensorFigures
 
 DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothings tried in Eq. 1
 LEAST_R_SQUARED = 0.5  # charts that fit worse were not measured as the measurement file says
@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 
 
 def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
-    """The camera that explains the measurements (docs/method.md#calibration); InputFileError names the unusable capture.
+    """Return the camera that explains the measurements (docs/method.md#calibration); InputFileError names the unusable
+    capture.
 
     `each` maps a function over captures: the built-in map, or one that keeps several processes busy.
     """
@@ -57,8 +58,8 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
 
 
 def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
-    """A camera with relative curves of charts in photographs; its sensor of dark and white frames if there are any, or as
-    the photos and the data sheet say."""
+    """Return a camera with relative curves of charts in photographs; its sensor of dark and white frames if there are any,
+    or as the photos and the data sheet say."""
     try:
         curves, fit, sensor = fit_photos(measurements)
     except np.linalg.LinAlgError as error:
@@ -73,12 +74,13 @@ def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
 
 
 def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> CameraModel:
-    """A camera with a data sheet's sensor and relative curves: of a table, a finished source, a chart behind filters."""
+    """Return a camera with a data sheet's sensor and relative curves: of a table, a finished source, a chart behind
+    filters."""
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
     if measurements.curve is not None:
         return assemble(body, figures, finished.without_fit(measurements.curve, body, drift, shift), Fit())
     curves, fit = fit_series(measurements.bands, measurements.darks, body, figures.black_level, figures.white_level)
-    return assemble(body, figures, curves, Fit(series=fit))
+    return assemble(body, figures, curves.widened(drift, shift), Fit(series=fit))
 
 
 # -------------------------------------------------------------------------------------------------------- fitting
@@ -87,7 +89,7 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> Camer
 def fit_curves(
     sweep: responsivity.Sweep, charts: Charts, black_level: Array, measurements: Measurements, left_out: tuple[str, ...]
 ) -> tuple[Curves, SweepFit]:
-    """Eq. 1 with the smoothing that predicts the charts best, each channel scaled to a peak of 1, and its band."""
+    """Fit Eq. 1 with the smoothing that predicts the charts best, each channel scaled to a peak of 1, and its band."""
     errors = np.array([_validation_error(sweep, charts, delta, black_level) for delta in DELTAS])
     delta = responsivity.choose_smoothing(DELTAS, errors)
     curves = responsivity.solve_channels(sweep, delta)
@@ -99,7 +101,7 @@ def fit_curves(
 
 
 def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black_level: Array) -> float:
-    """Cross-validated relative RMSE over the charts, mean over channels."""
+    """Return the cross-validated relative RMSE over the charts, mean over channels."""
     photons = charts.photons @ responsivity.solve_channels(sweep, delta).T
     channels = range(len(black_level))
     return float(np.mean([gain.cross_validate(photons[..., c], charts.values[..., c], black_level[c]) for c in channels]))
@@ -108,7 +110,7 @@ def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, b
 def check_charts(
     measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, smoothing: float, black_level: Array
 ) -> None:
-    """InputFileError if a chart contradicts the others, or all of them the monochromator."""
+    """Raise InputFileError if a chart contradicts the others, or all of them the monochromator."""
     curves = responsivity.solve_channels(sweep, smoothing)
     measured = (charts.values - black_level).sum(axis=1)
     predicted = (charts.photons @ curves.T).sum(axis=1)
@@ -119,7 +121,7 @@ def check_charts(
 def fit_charts(
     charts: Charts, relative: Array, black_level: Array, drift: float, body: Body, odd: tuple[str, ...] = ()
 ) -> ChartFit:
-    """Eq. 2 for every channel and its validation; InputFileError if the charts contradict the curves, which is blamed on the
+    """Fit and validate Eq. 2 for every channel; InputFileError if the charts contradict the curves, which is blamed on the
     `odd` captures of these if there are any."""
     photons = charts.photons @ relative.T
     fits = []
@@ -152,8 +154,8 @@ def fit_charts(
 
 
 def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
-    """Dark and white frames in electrons, by the conversion gain of the whole sensor. InputFileError if channels have other
-    gains than the measurement file says."""
+    """Return the noise of dark and white frames in electrons, by the conversion gain of the whole sensor. InputFileError if
+    channels have other gains than the measurement file says."""
     dark, transfer = sensor.dark, sensor.transfer
     own = conversion_gain(sensor, body) * body.channel_gains  # (channel) DN/e-
     settings.check_gains(transfer.gain, transfer.gain_error, body)
@@ -175,8 +177,8 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
 
 
 def conversion_gain(sensor: Sensor, body: Body) -> float:
-    """K of the whole sensor, DN/e-, of those of each channel with its share of the pixels, or where channels are exposed
-    or amplified apart, as well as it is known."""
+    """Return K of the whole sensor, DN/e-, of those of each channel with its share of the pixels, or where channels are
+    exposed or amplified apart, as well as it is known."""
     each = sensor.transfer.gain / body.channel_gains
     if body.readout is None:
         return float(channel_shares(body) @ each)
@@ -184,7 +186,7 @@ def conversion_gain(sensor: Sensor, body: Body) -> float:
 
 
 def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
-    """One figure for all pixels, of those of each channel with its share of the pixels."""
+    """Return one figure for all pixels, of those of each channel with its share of the pixels."""
     pixels = channel_shares(body)
     conversion, black_level = conversion_gain(sensor, body), float(pixels @ sensor.dark.black_level)
 
@@ -202,14 +204,15 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
 
 
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
-    """The camera model, absolute where charts gave the scale; InputFileError if the levels contradict each other."""
+    """Return the camera model, absolute where charts gave the scale; InputFileError if the levels contradict each other."""
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
+        band = band if curves.band.any() else np.zeros_like(band)  # the scale's error alone is no band of the curve
         settings.check_exposures(curve, body)
         check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
     elif body.readout is not None:
-        curve, band = settings.of_filters(curve, band, body)
+        curve, band = settings.filter_curves(curve, band, body)
     try:
         return CameraModel(
             name=body.name,
@@ -238,7 +241,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
 
 
 def _declared(fit: Fit) -> tuple[str, ...]:
-    """What was not measured."""
+    """Return the names of the figures that were not measured."""
     if fit.noise is not None:
         return ()
     if fit.photo is None:

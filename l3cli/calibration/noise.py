@@ -25,7 +25,7 @@ from l3cli.calibration.statistics import (
     weighted_sums,
 )
 from l3cli.errors import InputFileError
-from l3cli.measurement import Body, Capture
+from l3cli.frames.measurement import Body, Capture
 
 QUANTISATION = 1.0 / 12.0  # DN², variance of rounding
 SATURATED = 0.985  # share of the span from black to white level that counts as saturated
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """What lens-cap frames give, each (channel)."""
+    """Results of lens-cap frames, each (channel)."""
 
     black_level: Array  # DN at zero exposure
     slope: Array  # DN/s
@@ -64,14 +64,16 @@ class PhotonTransfer:
 
 
 def line_weights(exposures: Array) -> tuple[Array, Array]:
-    """Weights (level) whose sums with values give intercept and slope of the least-squares line over `exposures`."""
+    """Return the weights (level) whose sums with values give intercept and slope of the least-squares line over
+    `exposures`."""
     centred = exposures - exposures.mean()
     slope = centred / (centred @ centred)
     return 1.0 / exposures.size - exposures.mean() * slope, slope
 
 
 def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> DarkNoise:
-    """Black, dark signal, read noise, DSNU and hot pixels from lens-cap frames; InputFileError without two exposures."""
+    """Measure black level, dark signal, read noise, DSNU and hot pixels from lens-cap frames; InputFileError without two
+    exposures."""
     exposures = np.array([capture.exposure for capture in captures])
     if np.unique(exposures).size < 2:
         raise InputFileError("the dark frames have a single exposure; dark current needs two or more, up to a second")
@@ -96,7 +98,8 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 
 
 def _pixel_variance(site: Array) -> float:
-    """Variance of a picture without what its rows and columns have in common (column noise is no DSNU of pixels)."""
+    """Return the variance of a picture without what its rows and columns have in common (column noise is no DSNU of
+    pixels)."""
     centred = site - site.mean(axis=0, keepdims=True)
     centred -= centred.mean(axis=1, keepdims=True)
     rows, cols = site.shape
@@ -107,7 +110,7 @@ def _pixel_variance(site: Array) -> float:
 
 
 def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> PhotonTransfer:
-    """Conversion gain from the line of white levels sorted by exposure (docs/method.md#dark-and-white-frames).
+    """Fit the conversion gain to the line of white levels sorted by exposure (docs/method.md#dark-and-white-frames).
 
     Saturation is where the variance falls, be it the well or the converter; levels from there on stay out.
     InputFileError if a channel has fewer than two levels below saturation.
@@ -138,7 +141,7 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
 
 
 def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
-    """Slope of variance over mean (level) and its standard deviation; that of a variance is √(2/n) of itself."""
+    """Return the slope of variance over mean (level) and its standard deviation; that of a variance is √(2/n) of itself."""
     variance = np.array([level.variance[channel] for level in levels])
     samples = np.array([level.counts[channel].sum() / level.trials * (level.trials // 2) for level in levels])
     line, covariance = np.polyfit(mean, variance, 1, w=np.sqrt(samples / 2.0) / variance, cov="unscaled")
@@ -148,7 +151,7 @@ def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[
 def linearity_errors(
     levels: Sequence[Level], mean: Array, used: NDArray[np.bool_], dark: DarkNoise, white_level: float
 ) -> Array:
-    """(channel) EMVA 1288 LE: mean relative deviation of the signal from a line; 0 with fewer than three levels."""
+    """Return EMVA 1288's LE (channel): mean relative deviation of the signal from a line; 0 with fewer than three levels."""
     lit, exposure = np.array([(level.lit, level.exposure) for level in levels]).T
     errors = []
     for channel, signal in enumerate((mean - dark.slope * exposure[:, None]).T):
@@ -159,13 +162,13 @@ def linearity_errors(
 
 
 def linearity_error(lit: Array, signal: Array) -> float:
-    """Mean relative deviation of `signal` from the line over `lit` that makes relative deviations least."""
+    """Return the mean relative deviation of `signal` from the line over `lit` that makes relative deviations least."""
     line = np.polyval(np.polyfit(lit, signal, 1, w=1.0 / signal), lit)
     return float(np.mean(np.abs(signal / line - 1.0)))
 
 
 def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[float, bool]:
-    """DN at which pixels saturate, and whether any did: the median of a channel whose variance has collapsed."""
+    """Return DN at which pixels saturate, and whether any did: the median of a channel whose variance has collapsed."""
     fallen = variance[-1] / variance.max(axis=0)
     channel = int(fallen.argmin())
     if fallen[channel] > 0.5:
@@ -177,8 +180,9 @@ def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[floa
 def prnu(
     captures: Sequence[Capture], levels: Sequence[Level], used: NDArray[np.bool_], body: Body, hot: Defects, each: Each = map
 ) -> tuple[Array, Defects, Array]:
-    """(channel) relative spread of the pixels' slopes over exposure about their local mean (uneven light cancels), the
-    dead pixels, whose slope differs from that mean by a tenth or more, and the slopes (row, col) in DN/s, theirs patched."""
+    """Return the relative spread (channel) of the pixels' slopes over exposure about their local mean (uneven light
+    cancels), the dead pixels, whose slope differs from that mean by a tenth or more, and the slopes (row, col) in DN/s,
+    theirs patched."""
     weights = np.zeros(used.shape)
     for channel in range(used.shape[1]):
         chosen = used[:, channel]
@@ -193,13 +197,13 @@ def prnu(
 
 
 def dead_pixels(response: Array, cfa: NDArray[np.uint8]) -> tuple[Defects, Array]:
-    """Pixels whose response (row, col) to even light differs from its local mean by a tenth or more, and the responses with
-    theirs patched. Neighbours of a line or cluster are judged by a mean that those have been taken out of."""
+    """Return the pixels whose response (row, col) to even light differs from its local mean by a tenth or more, and the
+    responses with theirs patched. Neighbours of a line or cluster are judged by a mean that those have been taken out of."""
     suspect = defective.outliers(_over_local_mean(response, response, cfa), cfa, defective.LEAST_LOSS)
     if not suspect.size:
         return suspect, response
-    mended = defective.patched(response, cfa, suspect)
-    dead = defective.outliers(_over_local_mean(response, mended, cfa), cfa, defective.LEAST_LOSS)
+    patched = defective.patched(response, cfa, suspect)
+    dead = defective.outliers(_over_local_mean(response, patched, cfa), cfa, defective.LEAST_LOSS)
     return dead, defective.patched(response, cfa, dead)
 
 
@@ -209,16 +213,19 @@ def _local_mean(site: Array) -> Array:
     return np.asarray(uniform_filter(site, WINDOW), dtype=np.float64)
 
 
-def _over_local_mean(picture: Array, mended: Array, cfa: NDArray[np.uint8]) -> Array:
-    """(row, col) each pixel over the mean of its neighbours of the same CFA site in the picture `mended`, minus 1."""
+def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> Array:
+    """Return the ratio (row, col) of each pixel to the mean of its neighbours of the same CFA site in the picture `patched`,
+    minus 1."""
     deviation = np.empty_like(picture)
-    for (_, into), (_, site), (_, whole) in zip(*(by_site(each, cfa) for each in (deviation, picture, mended)), strict=True):
+    for (_, into), (_, site), (_, whole) in zip(
+        *(by_site(each, cfa) for each in (deviation, picture, patched)), strict=True
+    ):
         into[...] = site / _local_mean(whole) - 1.0
     return deviation
 
 
 def _local_spread(site: Array, temporal: float) -> float:
-    """Variance of site / local mean − 1, without the temporal variance `temporal` of each sample."""
+    """Return the variance of site / local mean − 1, without the temporal variance `temporal` of each sample."""
     inner = slice(WINDOW // 2, -(WINDOW // 2))
     local = _local_mean(site)[inner, inner]
     deviation = site[inner, inner] / local - 1.0

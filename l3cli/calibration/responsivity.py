@@ -35,7 +35,7 @@ def node_grid(lights: list[tuple[Array, Array]]) -> Array:
 
 
 def light_centre(wavelength: Array, radiance: Array) -> float:
-    """Centre of gravity in nm of a light (wavelength) at half its peak or more."""
+    """Return the centre of gravity in nm of a light (wavelength) at half its peak or more."""
     inside = np.where(radiance >= radiance.max() / 2, radiance * spectra.bin_widths(wavelength), 0.0)
     return float(inside @ wavelength / inside.sum())
 
@@ -51,7 +51,7 @@ def roughness(nodes: int) -> Array:
 
 
 def solve(design: Array, values: Array, delta: float) -> Array:
-    """The responsivity r ≥ 0 (node) that minimises ‖values − design r‖² + delta ‖second differences of r‖².
+    """Return the responsivity r ≥ 0 (node) that minimises ‖values − design r‖² + delta ‖second differences of r‖².
 
     values (capture) are scaled to their peak meanwhile, so that delta means the same for every channel and unit.
     """
@@ -70,7 +70,7 @@ def solve_channels(sweep: Sweep, delta: float) -> Array:
 
 
 def residuals(sweep: Sweep, responsivity: Array) -> Array:
-    """(channel) RMS of what Eq. 1 leaves unexplained, over the channel's largest value."""
+    """Return the RMS (channel) of what Eq. 1 leaves unexplained, over the channel's largest value."""
     relative = []
     for values, valid, curve in zip(sweep.values.T, sweep.valid.T, responsivity, strict=True):
         rest = values[valid] - sweep.design[valid] @ curve
@@ -79,7 +79,8 @@ def residuals(sweep: Sweep, responsivity: Array) -> Array:
 
 
 def choose_smoothing(deltas: Array, errors: Array) -> float:
-    """The logarithmic middle of the plateau about the least error, which alone is chance (docs/method.md#responsivity)."""
+    """Return the logarithmic middle of the plateau about the least error, which alone is chance
+    (docs/method.md#responsivity)."""
     best = int(errors.argmin())
     good = errors <= PLATEAU * errors[best]
     first, last = best, best
@@ -91,7 +92,7 @@ def choose_smoothing(deltas: Array, errors: Array) -> float:
 
 
 def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: float, wavelength_error: float) -> Array:
-    """Half width (channel, wavelength) of a 95 % band about `responsivity` (docs/method.md#confidence-bands).
+    """Return the half width (channel, wavelength) of a 95 % band about `responsivity` (docs/method.md#confidence-bands).
 
     Leverage-corrected residuals of random sign about a smoother pilot, whose spread is known in closed form because the
     estimate is linear where r > 0; in quadrature with the pilot's bias, lamp drift, wavelength error and a floor.

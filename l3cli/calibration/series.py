@@ -12,7 +12,7 @@ from l3cli.calibration.curves import Curves
 from l3cli.calibration.responsivity import COVERAGE, light_centre
 from l3cli.calibration.statistics import count_values, mean_value
 from l3cli.errors import InputFileError
-from l3cli.measurement import PATCHES, BandCapture, Body, Capture
+from l3cli.frames.measurement import PATCHES, BandCapture, Body, Capture
 from l3cli.physics import spectra
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ def fit_series(
 def measure_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, limit: float
 ) -> Series:
-    """The patches of every capture, bands in the order of their centres."""
+    """Return the patches of every capture, bands in the order of their centres."""
     names = list(dict.fromkeys(capture.illuminant for capture in captures))
     names.sort(key=lambda name: next(band_centre(capture) for capture in captures if capture.illuminant == name))
     dark = dark_levels([capture.exposure for capture in captures], darks, body, black_level)
@@ -82,7 +82,7 @@ def measure_series(
 
 
 def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body, black_level: float) -> Array:
-    """(exposure, channel) DN in the dark, interpolated between lens-cap frames; without any, `black_level`."""
+    """Return the DN (exposure, channel) in the dark, interpolated between lens-cap frames; without any, `black_level`."""
     if not darks:
         return np.full((len(exposures), len(body.channels)), black_level)
     known = np.array([capture.exposure for capture in darks])
@@ -92,8 +92,9 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
 
 
 def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Signals as proportional to exposure: rates (light, patch, channel) DN/s from all unsaturated captures of a band; of
-    every capture the value (capture, patch, channel) that the others of its band predict; and where there is one."""
+    """Return the signals as proportional to exposure: rates (light, patch, channel) DN/s from all unsaturated captures of a
+    band; of every capture the value (capture, patch, channel) that the others of its band predict; and where there is
+    one."""
     weight = series.lit[:, None, None] * series.valid
     products, squares = weight * series.values, weight * series.lit[:, None, None]
     same = series.light == np.arange(len(series.lights))[:, None]
@@ -106,12 +107,13 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def band_centre(capture: BandCapture) -> float:
-    """Centre of gravity in nm of what a filter lets through at half its peak or more."""
+    """Return the centre of gravity in nm of what a filter lets through at half its peak or more."""
     return light_centre(capture.wavelength, capture.radiance.sum(axis=0))
 
 
 def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array, Array]:
-    """Centres (light) nm of the bands and the light of every patch (light, patch) in them, in the unit of the radiances."""
+    """Return the centres (light) nm of the bands and the light of every patch (light, patch) in them, in the unit of the
+    radiances."""
     first = [captures[int(np.argmax(series.light == band))] for band in range(len(series.lights))]
     photons = [capture.radiance @ spectra.bin_widths(capture.wavelength) for capture in first]
     return np.array([band_centre(capture) for capture in first]), np.array(photons)
@@ -143,7 +145,7 @@ def linearity_errors(series: Series, span: float) -> Array:
 
 
 def named(captures: Sequence[BandCapture], series: Series, body: Body) -> tuple[str, ...]:
-    """The captures with saturated patches, and how many in which channel."""
+    """Return the captures with saturated patches, and how many in which channel."""
     lines = []
     for capture, valid in zip(captures, series.valid, strict=True):
         counts = zip(body.channels, (~valid).sum(axis=0), strict=True)

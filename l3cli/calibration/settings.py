@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.fit import NoiseFit
 from l3cli.artifacts.readout import Readout
 from l3cli.errors import InputFileError
-from l3cli.measurement import Body
+from l3cli.frames.measurement import Body
 
 TOLERANCE = 0.1  # relative, by which a setting may differ from what frames say of it
 CERTAIN = 4.0  # standard deviations of a gain that do
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def check_gains(measured: Array, error: Array, body: Body) -> None:
-    """InputFileError if conversion gains (channel), known to `error`, contradict the gains of the measurement file."""
+    """Raise InputFileError if conversion gains (channel), known to `error`, contradict the gains of the measurement file."""
     if body.readout is None:
         return
     relative = measured / body.channel_gains
@@ -32,8 +32,8 @@ def check_gains(measured: Array, error: Array, body: Body) -> None:
 
 
 def check_exposures(responsivity: Array, body: Body) -> None:
-    """InputFileError if efficiencies (channel, wavelength) of channels with one filter differ, as they do if an exposure is
-    not that of the measurement file."""
+    """Raise InputFileError if efficiencies (channel, wavelength) of channels with one filter differ, as they do if an
+    exposure is not that of the measurement file."""
     if body.readout is None:
         return
     whole = responsivity.sum(axis=1)
@@ -47,15 +47,17 @@ def check_exposures(responsivity: Array, body: Body) -> None:
             )
 
 
-def of_filters(curves: Array, band: Array, body: Body) -> tuple[Array, Array]:
-    """Relative curves and bands (channel, wavelength) of what channels give, as those of their filters, peak 1."""
+def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]:
+    """Return the relative curves and bands (channel, wavelength) of what channels give, as those of their filters, peak
+    1."""
     setting = (body.channel_gains * body.channel_exposures)[:, None]
     peak = float((curves / setting).max())
     return curves / setting / peak, band / setting / peak
 
 
 def measured_readout(body: Body, noise: NoiseFit | None, read_noise: float) -> Readout | None:
-    """The settings with the read noise that was measured, `read_noise` (e-) where none was; None: all channels alike."""
+    """Return the settings with the read noise that was measured, `read_noise` (e-) where none was; None: all channels
+    alike."""
     if body.readout is None:
         return None
     each = np.full(len(body.channels), read_noise) if noise is None else noise.read_noise

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.calibration.defects import Defects
 from l3cli.errors import InputFileError
-from l3cli.measurement import Body, Capture
+from l3cli.frames.measurement import Body, Capture
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -56,7 +56,7 @@ def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Count
 
 
 def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
-    """(channel, value) histogram of all frames of a capture, defects left out."""
+    """Return the histogram (channel, value) of all frames of a capture, defects left out."""
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for frame in capture.frames:
         counts += histogram(frame, body, defects)
@@ -69,7 +69,7 @@ def mean_value(counts: Counts) -> Array:
 
 
 def share_from(counts: Counts, value: float) -> Array:
-    """(channel) share of the pixels that lie at `value` DN or above."""
+    """Return the share (channel) of the pixels that lie at `value` DN or above."""
     return counts[:, int(np.ceil(value)) :].sum(axis=1) / counts.sum(axis=1)
 
 
@@ -110,7 +110,7 @@ def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each:
 
 
 def _channels(body: Body) -> list[list[tuple[slice, slice]]]:
-    """Of each channel the slices that take its sites out of a frame."""
+    """Return, for each channel, the slices that take its sites out of a frame."""
     rows, cols = body.cfa.shape
     sites: list[list[tuple[slice, slice]]] = [[] for _ in body.channels]
     for row in range(rows):
@@ -120,7 +120,7 @@ def _channels(body: Body) -> list[list[tuple[slice, slice]]]:
 
 
 def mean_frame(capture: Capture) -> NDArray[np.float32]:
-    """Mean (row, col) DN of the frames of a capture."""
+    """Return the mean (row, col) DN of the frames of a capture."""
     total: NDArray | None = None
     trials = 0
     for frame in capture.frames:
@@ -131,5 +131,5 @@ def mean_frame(capture: Capture) -> NDArray[np.float32]:
 
 
 def channel_shares(body: Body) -> Array:
-    """(channel) share of the pixels."""
+    """Return the share (channel) of the pixels."""
     return np.bincount(body.cfa.ravel(), minlength=len(body.channels)) / body.cfa.size

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from l3cli.columns import columns, figure
+from l3cli.system.text import columns, figure
 
 SHOWN = 8  # defects listed in the text; JSON and the artifact hold all
 
@@ -31,11 +31,21 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     if defects:
         shown = " ".join(f"({row}, {col})" for row, col in defects[:SHOWN]) + (" …" if len(defects) > SHOWN else "")
         lines.append(f"hot and dead pixels left out, row and col: {len(defects)}: {shown}")
-    return lines + _correction_lines(result)
+    return lines + _correction_lines(result) + _curve_lines(result["curves"], width)
+
+
+def _curve_lines(curves: dict[str, Any], width: int | None) -> list[str]:
+    """Return the peak and width of each channel's curve."""
+    rows = []
+    for name, curve in curves["channels"].items():
+        wide = "–" if curve["FWHM (nm)"] is None else f"{curve['FWHM (nm)']:.0f}"
+        rows.append([name, f"{curve['peak (nm)']:g}", wide])
+    range_nm = f"{curves['first (nm)']:g}…{curves['last (nm)']:g} nm"
+    return ["", f"curves, {range_nm}", *columns(["channel\n", "peak\nnm", "FWHM\nnm"], rows, width)]
 
 
 def _correction_lines(result: dict[str, Any]) -> list[str]:
-    """What a camera's defect map and flat field hold."""
+    """Return lines on a camera's defect map and flat field."""
     lines = []
     if found := result["defect map"]:
         lines.append("defect map: " + ", ".join(f"{what} {count}" for what, count in found.items()))
@@ -46,7 +56,7 @@ def _correction_lines(result: dict[str, Any]) -> list[str]:
 
 
 def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | None = None) -> list[str]:
-    """How far the exported matrices of each light leave the colours of measured surfaces."""
+    """Return lines on the colour errors of measured surfaces that the exported matrices of each light leave."""
     headings = ["light", "matrix", "ΔE00 mean", "95 %", "worst", "of L*", "a*", "b*"]
     rows = [
         [
@@ -62,14 +72,14 @@ def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | No
 
 
 def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
-    """Rows of numbers below two lines of headings: names, and the units that stand in brackets after them."""
+    """Return the rows of numbers below two lines of headings: names, and the units that stand in brackets after them."""
     titles = list(next(iter(rows.values())))
     headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
     return columns(headings, [[name, *(figure(row[title], ".5g") for title in titles)] for name, row in rows.items()], width)
 
 
 def _photo_lines(result: dict[str, Any]) -> list[str]:
-    """What photos of charts say, and how to read their bands."""
+    """Return lines on the results of photos of charts, and how to read their bands."""
     lines = [""]
     for name, photo in result["photos"].items():
         light = f"{photo['light']} (guessed)" if photo["guessed"] else photo["light"]

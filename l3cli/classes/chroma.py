@@ -18,15 +18,15 @@ from l3cli.artifacts.class_rule import CHROMA_SCALE, MAX_CHROMAS, ClassRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.statistics import Statistics, truncation
 from l3cli.classes.windows import Integers, Neighbourhoods
-from l3cli.config import Recipe
+from l3cli.recipes.toml import Recipe
 
 CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chroma scores
 TOP = 2**16 - 1  # of what enters the scores, which only values at the top of the range pass
-SNIPPET = "chroma.cl"
+SNIPPET = "features/chroma.cl"
 
 
-class Keys(Recipe):
-    """Of the [classes] of a recipe."""
+class Options(Recipe):
+    """Chroma keys of the [classes] of a recipe."""
 
     chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = (
         9  # colours distinguished where nothing is saturated, white one of them; 0 or 1: none (docs/method.md#chroma)
@@ -34,7 +34,7 @@ class Keys(Recipe):
 
 
 def channel_shares(signal: NDArray[np.float32], near: Neighbourhoods, site: int) -> NDArray[np.float64]:
-    """Means of the channels over each patch (patch, tap), as shares of their sum: (patch, channel)."""
+    """Return the means of the channels over each patch (patch, tap), as shares of their sum: (patch, channel)."""
     member = (near.channel[site][:, None] == np.arange(near.count.shape[1])) / near.count[site]
     means = signal.astype(np.float64) @ member
     return means / np.maximum(means.sum(axis=1, keepdims=True), 1e-9)
@@ -43,8 +43,8 @@ def channel_shares(signal: NDArray[np.float32], near: Neighbourhoods, site: int)
 def choose_chromas(
     shares: NDArray[np.float64], count: int, seed: int, white: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64] | None:
-    """`count` centres (chroma, channel) of the channel shares (patch, channel) by k-means, the last of them, if they are
-    known, the shares of white's signals (channel); None if none or one is asked for."""
+    """Return `count` centres (chroma, channel) of the channel shares (patch, channel) by k-means, the last of them, if they
+    are known, the shares of white's signals (channel); None if none or one is asked for."""
     if count <= 1:
         return None
     if white is not None and white.min() > 0:
@@ -72,7 +72,8 @@ def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
-    """Chroma centres q (chroma, channel), rows of sum 1, of the integer weights |q|² − 2 q; equal shares if there is one."""
+    """Return the chroma centres q (chroma, channel), rows of sum 1, of the integer weights |q|² − 2 q; equal shares if there
+    is one."""
     weights = rule.chroma_weights / CHROMA_SCALE
     if rule.chromas == 1:
         return np.full((1, rule.channels), 1.0 / rule.channels)
@@ -81,35 +82,35 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
 
 
 def stored_black_level(camera: CameraModel, shift: int) -> int:
-    """The rule's black level."""
+    """Return the rule's black level."""
     return int(np.rint((camera.black_level - truncation(shift)) / 2**shift * 2**CHROMA_FRACTION))
 
 
 def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Chroma (…), whatever is saturated."""
+    """Return the chroma (…), whatever is saturated."""
     above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, TOP)
     # below 2⁵³: exact in float64, whose products BLAS does
     return np.argmin(above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64), axis=-1)
 
 
 def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
-    """Number of a chroma and its centre as the channels' shares, read back from the rule's weights |q|² − 2 q."""
+    """Return the number of a chroma and its centre as the channels' shares, read back from the rule's weights |q|² − 2 q."""
     shares = chroma_centres(table.first.rule)[chroma].tolist()
     return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """An entry as a row of a table begins, such as "1: r 0.30 g 0.45 b 0.25"."""
+    """Return an entry as a row of a table begins, such as "1: r 0.30 g 0.45 b 0.25"."""
     return f"{entry['chroma']}: " + " ".join(f"{name} {share:.2f}" for name, share in entry["shares"].items())
 
 
 def name(table: TransformTable, chroma: int) -> str:
-    """Such as "chroma 5"."""
+    """Return a name such as "chroma 5"."""
     return f"chroma {chroma}"
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """What chroma.cl is compiled with."""
+    """Return the macros that chroma.cl is compiled with."""
     black_level = rule.chroma_black_level
     return {
         "CHROMAS": rule.chromas,

@@ -17,29 +17,29 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.statistics import Statistics
 from l3cli.classes.windows import VARIANCE_FRACTION, Integers
-from l3cli.config import Recipe
 from l3cli.errors import RecipeError
+from l3cli.recipes.toml import Recipe
 
 MEAN_TRUNCATED = 1 / 3  # what M, rounded down, adds to V on average: matters where noise is below a DN
-SNIPPET = "contrast.cl"
+SNIPPET = "features/contrast.cl"
 
 
-class Keys(Recipe):
-    """Of the [classes] of a recipe."""
+class Options(Recipe):
+    """Contrast keys of the [classes] of a recipe."""
 
     contrasts: tuple[float, ...] = (1.4,)  # edges of √(signal variance / noise variance)
 
 
-def check_edges(recipe: Keys) -> None:
-    """RecipeError if contrast edges cannot be."""
+def check_edges(recipe: Options) -> None:
+    """Raise RecipeError if contrast edges cannot be."""
     if tuple(sorted(set(recipe.contrasts))) != recipe.contrasts or any(edge <= 0 for edge in recipe.contrasts):
         raise RecipeError("contrasts must be positive and increase")
 
 
 def stored_edges(
-    recipe: Keys, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
+    recipe: Options, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
 ) -> NDArray[np.uint32]:
-    """The rule's contrast edges (edge, level) from the camera's noise at `levels`, as `noise_of_grey` has them."""
+    """Return the rule's contrast edges (edge, level) from the camera's noise at `levels`, as `noise_of_grey` has them."""
     channels = len(camera.channels)
     variance = noise_of_grey(levels, camera, dark) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
     limit = 2.0**32 - 1 - channels
@@ -48,8 +48,9 @@ def stored_edges(
 
 
 def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float) -> NDArray[np.floating]:
-    """Mean over the channels of the noise variance (level) in DN² of greys at `levels`, shares of full scale in the most
-    sensitive channel, of frames of which `dark` DN of dark current have been taken off; clipped channels have none."""
+    """Return the mean over the channels of the noise variance (level) in DN² of greys at `levels`, shares of full scale in
+    the most sensitive channel, of frames of which `dark` DN of dark current have been taken off; clipped channels have
+    none."""
     span = camera.white_level - camera.black_level
     if camera.readout is None:
         return camera.noise_variance(levels * span, dark)
@@ -71,22 +72,22 @@ def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integ
 
 
 def entry(table: TransformTable, contrast: int) -> dict[str, Any]:
-    """Number of a contrast."""
+    """Return the number of a contrast."""
     return {"contrast": contrast}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """An entry as a row of a table begins: its number."""
+    """Return an entry as a row of a table begins: its number."""
     return str(entry["contrast"])
 
 
 def name(table: TransformTable, contrast: int) -> str:
-    """Such as "contrast 0"."""
+    """Return a name such as "contrast 0"."""
     return f"contrast {contrast}"
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """What contrast.cl is compiled with."""
+    """Return the macros that contrast.cl is compiled with."""
     return {"CONTRASTS": rule.contrasts}
 
 

@@ -27,7 +27,7 @@ def labels(rule: ClassRule, statistics: Statistics) -> Integers:
 def label_mosaic(
     values: NDArray[np.uint16], rule: ClassRule, cfa: NDArray[np.uint8], channels: int, phase: tuple[int, int] = (0, 0)
 ) -> Integers:
-    """Class of every pixel of a mosaic (row, col) whose first pixel has CFA site `phase`."""
+    """Return the class of every pixel of a mosaic (row, col) whose first pixel has CFA site `phase`."""
     statistics = mosaic_statistics(values, rule, neighbourhoods(cfa, rule.patch, channels), cfa, phase)
     return rule.on_site(labels(rule, statistics), statistics.site)
 
@@ -35,20 +35,21 @@ def label_mosaic(
 def label_patches(
     patches: NDArray[np.unsignedinteger], rule: ClassRule, near: Neighbourhoods, site: int, order: TapOrder | None = None
 ) -> Integers:
-    """Class within `site` of each patch (patch, tap) of DN; `order`: that of the site, where it is known."""
+    """Return the class within `site` of each patch (patch, tap) of DN; `order`: that of the site, where it is known."""
     order = order or tap_order(rule, near, site)
     return label_sums(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, near, site)
 
 
 def label_sums(seen: PatchSums, rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
-    """Class within `site` of each patch from what is seen of it."""
+    """Return the class within `site` of each patch from what is seen of it."""
     return labels(rule, _statistics(seen, near, site))
 
 
 def observe_patches(
     patches: NDArray[np.unsignedinteger], rule: ClassRule, near: Neighbourhoods, site: int
 ) -> dict[str, NDArray[np.float64]]:
-    """What each further feature of `rule` asks of the pilot (patch, …), of patches (patch, tap) of DN."""
+    """Return, by feature, the statistics (patch, …) that each further feature of `rule` takes from the pilot's patches
+    (patch, tap) of DN."""
     if not rule.axes:
         return {}
     order = tap_order(rule, near, site)

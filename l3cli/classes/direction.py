@@ -31,16 +31,16 @@ from l3cli.artifacts.further_features import Axis, Window
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import contrast, level
 from l3cli.classes.windows import Integers
-from l3cli.config import Recipe, Share
 from l3cli.errors import RecipeError
+from l3cli.recipes.toml import Recipe, Share
 
-SNIPPET = "direction.cl"
+SNIPPET = "features/direction.cl"
 SCALE = 64  # of the larger of the multipliers m
 SHARES = 16  # parts in which coherence is stored
 HEAD = 5  # constants before the strength edges: m of axes 0 and 2, m of 1 and 3, orientations, strengths, coherence
 
 
-class Keys(Recipe):
+class Options(Recipe):
     """[classes.direction] of a recipe."""
 
     orientations: Literal[4, 8] = 4
@@ -49,11 +49,11 @@ class Keys(Recipe):
 
 
 def fits(camera: CameraModel, patch: int) -> bool:
-    """Whether boxes of one period leave room within a patch to be told apart."""
+    """Return whether a patch has room for boxes of one period at distinct places."""
     return math.lcm(*camera.cfa.shape) < patch
 
 
-def axis(keys: Keys, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None) -> Axis:
+def axis(keys: Options, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None) -> Axis:
     """Windows, multipliers and strength edges by the camera's noise; RecipeError if the strengths cannot be."""
     if not keys.strengths or tuple(sorted(set(keys.strengths))) != keys.strengths or keys.strengths[0] <= 0:
         raise RecipeError("classes.direction.strengths must be there, be positive and increase")
@@ -71,12 +71,12 @@ def axis(keys: Keys, camera: CameraModel, rule: ClassRule, dark: float, observed
 
 
 def inner_span(span: int) -> int:
-    """How far apart boxes lie, down and across, that are about `span` apart along a diagonal, and as symmetric."""
+    """Return the distance, down and across, of boxes that are about `span` apart along a diagonal and equally symmetric."""
     return max(2 - span % 2, span - 2 * round((span - span / math.sqrt(2)) / 2))
 
 
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
-    """The boxes of the four differences. Where none lies in the middle, the two beside it are both taken."""
+    """Return the boxes of the four differences. Where none lies in the middle, the two beside it are both taken."""
     span = patch - period
     near, far = (span - inner) // 2, (span + inner) // 2
     middle = sorted({span // 2, (span + 1) // 2})
@@ -90,7 +90,7 @@ def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
 
 
 def _strength_edges(
-    keys: Keys, windows: tuple[Window, ...], multipliers: Integers, camera: CameraModel, rule: ClassRule, dark: float
+    keys: Options, windows: tuple[Window, ...], multipliers: Integers, camera: CameraModel, rule: ClassRule, dark: float
 ) -> Integers:
     """(strength edge, level) of G: multiples of its root mean square by the camera's noise alone."""
     counts = np.zeros((4, rule.patch, rule.patch))
@@ -106,7 +106,7 @@ def _strength_edges(
 
 
 def check(axis: Axis, rule: ClassRule) -> None:
-    """ValueError if the constants of an axis that has been read do not fit the formula."""
+    """Raise ValueError if the constants of an axis that has been read do not fit the formula."""
     if len(axis.constants) < HEAD or axis.sums != 4:
         raise ValueError(f"{len(axis.constants)} constants and {axis.sums} window sums")
     straight, diagonal, orientations, strengths, coherence = axis.constants[:HEAD].tolist()
@@ -148,7 +148,8 @@ def quieter(axis: Axis, share: float) -> Axis:
 
 
 def turned(axis: Axis, transposed: bool, turns: int) -> Integers:
-    """What becomes of each direction where a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
+    """Return the direction that each direction becomes when a patch is replaced by rot90(patch.T if transposed else
+    patch, turns)."""
     orientations = int(axis.constants[2])
     quarter = orientations // 2
     orientation = np.arange(orientations)
@@ -177,22 +178,22 @@ def _axis_of(table: TransformTable) -> Axis:
 
 
 def entry(table: TransformTable, index: int) -> dict[str, Any]:
-    """Number of a direction, and the angle along which the neighbourhood varies, clockwise from the row."""
+    """Return the number of a direction, and the angle along which the neighbourhood varies, clockwise from the row."""
     return {"direction": index, "varies": _described(_axis_of(table), index)}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """An entry as a row of a table begins, such as "3: along 90°"."""
+    """Return an entry as a row of a table begins, such as "3: along 90°"."""
     return f"{entry['direction']}: {entry['varies']}"
 
 
 def name(table: TransformTable, index: int) -> str:
-    """Such as "flat" or "along 45° strength 2"."""
+    """Return a name such as "flat" or "along 45° strength 2"."""
     return _described(_axis_of(table), index)
 
 
 def macros(axis: Axis, rule: ClassRule) -> dict[str, int]:
-    """What direction.cl is compiled with."""
+    """Return the macros that direction.cl is compiled with."""
     names = ("STRAIGHT", "DIAGONAL", "ORIENTATIONS", "STRENGTHS", "COHERENCE")
     head = {f"DIRECTION_{name}": value for name, value in zip(names, axis.constants[:HEAD].tolist(), strict=True)}
     return head | {"DIRECTION_HEAD": HEAD, "DIRECTION_SHARES": SHARES}

@@ -17,37 +17,37 @@ from l3cli.artifacts.further_features import Axis
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, direction, level, saturation
 from l3cli.classes.windows import Integers
-from l3cli.config import Recipe
 from l3cli.errors import InputFileError
+from l3cli.recipes.toml import Recipe
 
 
 class Feature(Protocol):
-    """What the module of every feature has, beside its formula."""
+    """Interface of a feature's module, beside its formula."""
 
     SNIPPET: str  # file of opencl/ with its formula
 
     @property
-    def Keys(self) -> type[Recipe]:
-        """What a recipe may say of it."""
+    def Options(self) -> type[Recipe]:
+        """Return the type of the feature's keys in a recipe."""
 
     def entry(self, table: TransformTable, index: int) -> dict[str, Any]:
-        """Its value number `index` in documents."""
+        """Return its value number `index` in documents."""
 
     def heading(self, entry: dict[str, Any]) -> str:
-        """Such an entry as a row of a table begins."""
+        """Return such an entry as a row of a table begins."""
 
     def name(self, table: TransformTable, index: int) -> str:
-        """Its value number `index` in text."""
+        """Return its value number `index` in text."""
 
 
 class BasicFeature(Feature, Protocol):
     """Level, contrast, saturation and chroma."""
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
-        """What the snippet is compiled with."""
+        """Return the macros that the snippet is compiled with."""
 
     def kernel_array(self, rule: ClassRule) -> NDArray[Any]:
-        """The constants that the snippet reads."""
+        """Return the constants that the snippet reads."""
 
 
 class FurtherFeature(Feature, Protocol):
@@ -62,32 +62,35 @@ class FurtherFeature(Feature, Protocol):
     """
 
     def fits(self, camera: CameraModel, patch: int) -> bool:
-        """Whether patches of side `patch` are large enough to see it on a camera's array; else rules do without it."""
+        """Return whether patches of side `patch` are large enough to see the feature on a camera's array; else rules do
+        without it."""
 
     def axis(
         self, keys: Any, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
     ) -> Axis:
-        """What is stored of it: `keys` of the recipe for a camera, beside the features of `rule`, for frames of which `dark`
-        DN of dark current have been taken off. `observed` (patch, …) is of the pilot; None before it. RecipeError if the
-        keys cannot be."""
+        """Return what a table stores of the feature, from its `keys` in the recipe, beside the features of `rule`, for
+        frames from which `dark` DN of dark current have been subtracted. `observed` (patch, …) comes from the pilot; None
+        before it. Raise RecipeError if the keys are impossible."""
 
     def check(self, axis: Axis, rule: ClassRule) -> None:
-        """ValueError if an axis that has been read does not fit its formula, which could then read past its constants."""
+        """Raise ValueError if an axis that has been read does not fit its formula, which could then read past its
+        constants."""
 
     def observe(self, axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-        """What `axis` needs of the patches of the pilot: (patch, …), no columns if it needs nothing."""
+        """Return the statistics (patch, …) that `axis` takes from the patches of the pilot; no columns if it takes none."""
 
     def values(self, axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
-        """Its value (…) from window sums (…, sum) at `level` (…)."""
+        """Return its value (…) from window sums (…, sum) at `level` (…)."""
 
     def quieter(self, axis: Axis, share: float) -> Axis:
-        """The same for frames with this share of the camera's noise variance."""
+        """Return the same for frames with this share of the camera's noise variance."""
 
     def turned(self, axis: Axis, transposed: bool, turns: int) -> Integers:
-        """What becomes of its values (value) where a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
+        """Return the value that each value (value) becomes when a patch is replaced by rot90(patch.T if transposed else
+        patch, turns)."""
 
     def macros(self, axis: Axis, rule: ClassRule) -> dict[str, int]:
-        """What the snippet is compiled with."""
+        """Return the macros that the snippet is compiled with."""
 
 
 BASIC: tuple[BasicFeature, ...] = (
@@ -102,7 +105,8 @@ FURTHER: Mapping[str, FurtherFeature] = {  # by the table of a recipe that switc
 
 
 def feature_of(axis: Axis, rule: ClassRule) -> FurtherFeature:
-    """The module of a further feature of a rule. InputFileError if this l3 does not know it, or its constants do not fit."""
+    """Return the module of a further feature of a rule. InputFileError if this l3 does not know it, or its constants do not
+    fit."""
     feature = FURTHER.get(axis.name)
     if feature is None:
         raise InputFileError(f'the class rule has the feature "{axis.name}", which this l3 does not know; upgrade l3cli')
@@ -114,5 +118,5 @@ def feature_of(axis: Axis, rule: ClassRule) -> FurtherFeature:
 
 
 def further_features(rule: ClassRule) -> tuple[tuple[FurtherFeature, Axis], ...]:
-    """The further features of a rule in order; InputFileError as `feature_of`."""
+    """Return the further features of a rule in order; InputFileError as `feature_of`."""
     return tuple((feature_of(axis, rule), axis) for axis in rule.axes)

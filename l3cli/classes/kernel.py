@@ -1,4 +1,4 @@
-"""How kernels see a rule: the snippets of its features, macros for shapes, arrays for values."""
+"""A class rule as kernels see it: the snippets of its features, macros for shapes, arrays for values."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,9 @@ def snippets(rule: ClassRule) -> tuple[str, ...]:
 
 
 def joined(rule: ClassRule) -> str:
-    """The further features as rule.cl asks for them: FURTHER values together, from WINDOW_SUMS sums over the windows that
-    EACH_WINDOW names, by `further_of`. Values past the end of an axis are its last. BOX_ROWS and BOX_COLUMNS are the size of
-    the windows where all have one."""
+    """Return the further features as rule.cl asks for them: FURTHER values together, from WINDOW_SUMS sums over the windows
+    that EACH_WINDOW names, by `further_of`. Values past the end of an axis are its last. BOX_ROWS and BOX_COLUMNS are the
+    size of the windows where all have one."""
     windows, values = [], []
     sums = constants = 0
     for axis in rule.axes:
@@ -46,14 +46,14 @@ def joined(rule: ClassRule) -> str:
 
 
 def kernel_macros(rule: ClassRule) -> dict[str, int]:
-    """What the snippets of the features, and rule.cl which joins them, are compiled with."""
+    """Return the macros of the features' snippets and of rule.cl, which joins them."""
     basic = {key: value for feature in BASIC for key, value in feature.macros(rule).items()}
     further = {key: value for feature, axis in further_features(rule) for key, value in feature.macros(axis, rule).items()}
     return basic | further | {"KINDS": rule.kinds}
 
 
 def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
-    """The constants of the features, in the order in which kernels take them. Behind those that noise tells, edges of
+    """Return the constants of the features, in the order in which kernels take them. Behind those that noise tells, edges of
     contrast and what further features read, lie those of `others`, which differ in nothing else."""
     basic = [
         np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])

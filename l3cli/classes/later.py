@@ -14,15 +14,15 @@ from l3cli.classes import tree
 from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.structure import REACH, structures
 from l3cli.classes.windows import Integers
-from l3cli.frame import mirrored_indices
+from l3cli.frames.frame import mirrored_indices
 
 
 def label_planes(
     planes: NDArray[np.int32], first: Integers, rule: PlaneRule, first_rule: ClassRule, *others: PlaneRule
 ) -> Integers:
-    """Class (row, col) of every pixel, among those of all sites, from the first layer's planes (plane, row, col) and classes
-    (row, col). `others`: the rules of further sets of transforms, which differ in the scale of gradients alone; classes of
-    the sets follow one another, as if each had sites of its own."""
+    """Return the class (row, col) of every pixel, among those of all sites, from the first layer's planes (plane, row, col)
+    and classes (row, col). `others`: the rules of further sets of transforms, which differ in the scale of gradients alone;
+    classes of the sets follow one another, as if each had sites of its own."""
     place = first_rule.split(first)
     scale = place.level + first_rule.levels * (place.site // len(rule.turns)) if others else place.level
     kind = rule.kind(_structure(planes, scale, place.site, _together(rule, others)), first_rule.lost(place.kind))
@@ -30,14 +30,14 @@ def label_planes(
 
 
 def _together(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
-    """The rule with the sites of all sets, and the scales of gradients at the levels of all."""
+    """Return the rule with the sites of all sets, and the scales of gradients at the levels of all."""
     names = ("turns", "gradient_factor", "gradient_shift") if others else ()
     arrays: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in (rule, *others)]) for name in names}
     return replace(rule, **arrays)
 
 
 def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
-    """What the rule tells apart (row, col) where nothing is saturated."""
+    """Return the structure class (row, col) of pixels where nothing is saturated."""
     if isinstance(rule, StructureRule):
         luminance = mirrored(planes[LUMINANCE].astype(np.int64), REACH)
         return structures(luminance, mirrored(level, REACH - 1), site, rule)
@@ -47,7 +47,8 @@ def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule:
 def plane_evidence(
     planes: NDArray[np.int32], level: Integers, factor: NDArray[np.uint8], shift: NDArray[np.uint8]
 ) -> tree.Evidence:
-    """What a tree's tests compare, of planes (plane, row, col), levels (row, col) and the scale (level) of gradients."""
+    """Return the quantities that a tree's tests compare, from planes (plane, row, col), levels (row, col) and the scale
+    (level) of gradients."""
     place = mirrored(level, tree.REACH - 1)
     return tree.evidence(
         mirrored(planes.astype(np.int64), tree.REACH), factor.astype(np.int64)[place], shift.astype(np.int64)[place]
@@ -55,23 +56,24 @@ def plane_evidence(
 
 
 def mirrored(planes: NDArray, margin: int) -> NDArray:
-    """Planes (…, row, col) with `margin` more pixels on each side, mirrored about the outermost ones."""
+    """Return the planes (…, row, col) with `margin` more pixels on each side, mirrored about the outermost ones."""
     rows, cols = (mirrored_indices(length, margin, 1) for length in planes.shape[-2:])
     return planes[..., rows[:, None], cols]
 
 
 def window_means(planes: NDArray, side: int) -> NDArray:
-    """Means (…, row, col) over side × side of planes (…, row, col) with a margin of mirrored pixels. Whole planes are added,
-    along rows and then along columns: means of a strided view of windows take ten times as long."""
+    """Return the means (…, row, col) over side × side of planes (…, row, col) with a margin of mirrored pixels. Whole planes
+    are added, along rows and then along columns: means of a strided view of windows take ten times as long."""
     rows, cols = (length - side + 1 for length in planes.shape[-2:])
     across = functools.reduce(np.add, [planes[..., first : first + cols] for first in range(side)])
     return np.asarray(functools.reduce(np.add, [across[..., first : first + rows, :] for first in range(side)]) / side**2)
 
 
 def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> NDArray[np.uint64]:
-    """What a kernel reads of each class (class) of the first layer. In its lower half, the factor of gradients, from bit 8
-    on their shift, from bit 14 on how its site is turned; in its upper half the first class of its site and level, with the
-    highest bit set where saturation decides and it is the class (opencl/gradient.cl). `others`: as in label_planes."""
+    """Return a word for each class (class) of the first layer, as kernels read it. Its lower half holds the factor of
+    gradients, from bit 8 on their shift, from bit 14 on the orientation of its site; its upper half the first class of
+    its site and level, with the highest bit set where saturation decides and it is the class (opencl/common/gradient.cl).
+    `others`: as in label_planes."""
     every = _together(rule, others)
     place = first.split(np.arange(len(every.turns) * first.classes_per_site))
     scale = place.level + first.levels * (place.site // len(rule.turns))

@@ -1,4 +1,4 @@
-"""What classes are called."""
+"""Names of classes."""
 
 from typing import Any
 
@@ -13,17 +13,18 @@ AXES: dict[str, Feature] = {"level": level, "contrast": contrast, "chroma": chro
 
 
 def heading(axis: str, entry: dict[str, Any]) -> str:
-    """What a row of a table begins with, of an entry that the feature `axis` has made."""
+    """Return the beginning of a table row for an entry that the feature `axis` has made."""
     return AXES[axis].heading(entry)
 
 
 def further_headings(entry: dict[str, Any]) -> list[str]:
-    """What the further features say of a class whose entry they have all added to, such as "direction 3: along 90°"."""
+    """Return a phrase of each further feature for a class from the entry that they have filled, such as "direction 3:
+    along 90°"."""
     return [f"{name} {feature.heading(entry)}" for name, feature in FURTHER.items() if name in entry]
 
 
 def class_name(table: TransformTable, index: int) -> str:
-    """Where a class applies, such as "site (1, 2) g, level 3 (0.002–0.003 of full scale), contrast 0, chroma 5"."""
+    """Return the name of a class, such as "site (1, 2) g, level 3 (0.002–0.003 of full scale), contrast 0, chroma 5"."""
     place = table.first.rule.split(index)
     row, col = divmod(place.site, table.cfa.shape[1])
     channel = table.channels[table.cfa[row, col]]
@@ -32,7 +33,7 @@ def class_name(table: TransformTable, index: int) -> str:
 
 
 def class_words(table: TransformTable, index: int) -> dict[str, str]:
-    """Where a class of the first layer applies, each feature by its name."""
+    """Return the place of a class of the first layer, feature by feature."""
     rule = table.first.rule
     place = rule.split(index)
     case = int(rule.case(place.kind))
@@ -51,7 +52,7 @@ def class_words(table: TransformTable, index: int) -> dict[str, str]:
 
 
 def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> dict[str, str]:
-    """Where a class of a later layer applies, each feature by its name."""
+    """Return the place of a class of a later layer, feature by feature."""
     rule, place = layer.rule, layer.rule.split(index)
     case = int(rule.case(place.kind))
     words = {}
@@ -64,14 +65,14 @@ def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> d
             words["structure"] = structure.name(rule, place.kind, place.site)
     elif not case:
         words["leaf of the tree"] = f"{place.kind} of {rule.structures}"
-    spared = table.first.rule.spared_cases
+    protected = table.first.rule.spared_cases
     if case:
-        return words | {"saturation": saturation.name(table, case + spared)}
-    return words | {"saturation": "none by which a filter is lost" if spared else "none"}
+        return words | {"saturation": saturation.name(table, case + protected)}
+    return words | {"saturation": "none by which a filter is lost" if protected else "none"}
 
 
 def _of(index: int, count: int, ends: tuple[str, str]) -> str:
-    """A place among so many, with words for the first and the last one."""
+    """Return a place among so many, with words for the first and the last one."""
     if count == 1:
         return "not told apart"
     words = {0: f", the {ends[0]}", count - 1: f", the {ends[1]}"}.get(index, "")
@@ -79,7 +80,7 @@ def _of(index: int, count: int, ends: tuple[str, str]) -> str:
 
 
 def further_names(table: TransformTable, together: int) -> list[str]:
-    """The value of each further feature in text, in order."""
+    """Return the value of each further feature in text, in order."""
     values = table.first.rule.split_further(together)
     return [
         feature.name(table, value) for (feature, _), value in zip(further_features(table.first.rule), values, strict=True)

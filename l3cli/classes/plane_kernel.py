@@ -1,4 +1,4 @@
-"""How kernels see the rule of a layer that reads planes: files of opencl/, macros for shapes, arrays for values."""
+"""The rule of a layer that reads planes as kernels see it: files of opencl/, macros for shapes, arrays for values."""
 
 import bisect
 
@@ -16,14 +16,14 @@ NEVER = np.finfo(np.float32).max  # what nothing exceeds: the threshold of leave
 
 
 def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
-    """The file of a rule's formula, and by variant that of its kernel `structures`."""
+    """Return the file of a rule's formula, and by variant that of its kernel `structures`."""
     if isinstance(rule, StructureRule):
-        return "structure.cl", {"processor": "structures.cl", "graphics": "structures_by_item.cl"}
-    return "tree.cl", {"processor": "trees.cl", "graphics": "trees_by_item.cl"}
+        return "common/structure.cl", {"processor": "cpu/structures.cl", "graphics": "gpu/structures.cl"}
+    return "common/tree.cl", {"processor": "cpu/trees.cl", "graphics": "gpu/trees.cl"}
 
 
 def rule_macros(rule: PlaneRule) -> dict[str, int]:
-    """What formula and kernel are compiled with."""
+    """Return the macros that formula and kernel are compiled with."""
     if isinstance(rule, StructureRule):
         return {
             "STRENGTHS": rule.strengths,
@@ -43,14 +43,14 @@ def rule_macros(rule: PlaneRule) -> dict[str, int]:
 
 
 def rule_constants(rule: PlaneRule, variant: str) -> tuple[NDArray[np.uint32], ...]:
-    """The constants of the formula, in the order in which the kernels of a variant take them."""
+    """Return the constants of the formula, in the order in which the kernels of a variant take them."""
     if isinstance(rule, StructureRule):
         return (rule.strength_edges,)
     return (_tests(rule),) if variant == "processor" else (_nodes(rule), rule.leaf.astype(np.uint32))
 
 
 def _tests(rule: TreeRule) -> NDArray[np.uint32]:
-    """The tests of a tree's parts, as trees.cl has them."""
+    """Return the tests of a tree's parts, as trees.cl has them."""
     first, end = _parts(rule), _leaf_ends(rule).tolist()
     words = -(-len(first) // 32)
     groups: list[list[tuple[int, int, int]]] = [[] for _ in range(words + len(first))]
@@ -73,8 +73,8 @@ def _tests(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _parts(rule: TreeRule) -> list[int]:
-    """First leaves of the parts that a tree is cut into: the largest branches of at most TOGETHER leaves, from left to
-    right."""
+    """Return the first leaves of the parts that a tree is cut into: the largest branches of at most TOGETHER leaves, from
+    left to right."""
     leaf, end = rule.leaf, _leaf_ends(rule)
     first, above = [], [0]
     while above:
@@ -87,7 +87,7 @@ def _parts(rule: TreeRule) -> list[int]:
 
 
 def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
-    """Number (node) of the leaf behind those below each node."""
+    """Return the number (node) of the leaf behind those below each node."""
     end = rule.leaf + 1
     for node in np.flatnonzero(rule.branch)[::-1].tolist():  # branches lie behind their node
         end[node] = end[rule.branch[node] + 1]

@@ -38,21 +38,22 @@ class FixedPoint:
     fraction: NDArray[np.int32]  # (class) F
 
     def planes(self, sums: Integers, label: Integers) -> NDArray[np.int32]:
-        """Planes (plane, …) of sums Σ W · DN + B, or of coarse planes, of pixels (…) of the classes `label`."""
+        """Return the planes (plane, …) of sums Σ W · DN + B, or of coarse planes, of pixels (…) of the classes `label`."""
         fraction = self.fraction.astype(np.int64)[label]
         rounded = (sums + (1 << fraction >> 1)) >> fraction
         return np.clip(rounded, -PLANE_TOP, PLANE_TOP).astype(np.int32)
 
 
 def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Columns X − aY, Y, Z − bY of outputs X, Y, Z: rows of outputs times it are planes."""
+    """Return the columns X − aY, Y, Z − bY of outputs X, Y, Z: rows of outputs times it are planes."""
     basis = np.eye(3)
     basis[LUMINANCE, 0], basis[LUMINANCE, 2] = -white_point[0] / white_point[1], -white_point[2] / white_point[1]
     return basis
 
 
 def fixed_point(table: TransformTable) -> FixedPoint:
-    """The first layer of a table whose outputs are X, Y, Z; InputFileError if its transforms are beyond all planes."""
+    """Return the first layer of a table whose outputs are X, Y, Z; InputFileError if its transforms are beyond all
+    planes."""
     first, read = table.first, _raw(table.bits, table.black_level, table.white_level)
     channels, basis = window_channels(table.cfa, first.rule.patch), opponent_basis(table.white_point)
     sites = [(first.rule.of_site(site), channel) for site, channel in enumerate(channels)]
@@ -60,24 +61,25 @@ def fixed_point(table: TransformTable) -> FixedPoint:
 
 
 def later_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
-    """A layer that reads planes and after which another does; InputFileError if its transforms are beyond all planes."""
+    """Return a layer that reads planes and after which another does; InputFileError if its transforms are beyond all
+    planes."""
     plane = np.repeat(np.arange(len(basis)), layer.side**2)
     return _fixed_point(layer.weights, layer.intercept, basis, BETWEEN, [(slice(0, len(layer.weights)), plane)])
 
 
 def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Planes as a layer between reads them."""
+    """Return the planes as a layer between reads them."""
     return np.clip(planes + (1 << COARSE >> 1) >> COARSE, -COARSE_TOP, COARSE_TOP)
 
 
 def raw_middle(bits: int) -> int:
-    """What is taken off raw values of so many bits, so that they fit 16 bits with a sign."""
+    """Return the offset that brings raw values of so many bits into 16 bits with a sign."""
     return 2**15 if bits == 16 else 0
 
 
 @dataclass(frozen=True)
 class _Read:
-    """What a layer's transforms read."""
+    """Input of a layer's transforms."""
 
     step: float  # weights are per so many of the values
     zero: float  # the value that stands for nothing
@@ -101,14 +103,14 @@ def _raw(bits: int, black_level: float, white_level: float) -> _Read:
 def room_for(
     weights: NDArray[np.float64], intercept: NDArray[np.float64], bits: int, black_level: float, white_level: float
 ) -> NDArray[np.float64]:
-    """How many times larger transforms (class, plane, tap) of taps in units of full scale, with an intercept (class, plane),
-    could be (class) for their planes to be computed as integers; below 1 they are too large."""
+    """Return the factor (class) by which transforms (class, plane, tap) of taps in units of full scale, with an intercept
+    (class, plane), could be larger for their planes to be computed as integers; below 1 they are too large."""
     read = _raw(bits, black_level, white_level)
     return _room(weights.transpose(2, 1, 0) / read.step, intercept.T / PLANE_STEP, read)
 
 
 def room_between(weights: NDArray[np.float64], intercept: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same (class) of transforms (class, plane, tap) of planes to planes that a further layer reads."""
+    """Return the same (class) of transforms (class, plane, tap) of planes to planes that a further layer reads."""
     return _room(weights.transpose(2, 1, 0) / BETWEEN.step, intercept.T / PLANE_STEP, BETWEEN)
 
 
@@ -139,7 +141,8 @@ def _fixed_point(
 
 
 def _room(weights: NDArray[np.float64], offset: NDArray[np.float64], read: _Read) -> NDArray[np.float64]:
-    """How many times larger (class) weights (tap, plane, class) of what is read, with an offset (plane, class), could be."""
+    """Return the factor (class) by which weights (tap, plane, class) of an input, with an offset (plane, class), could be
+    larger."""
     size = np.abs(weights)
     offset = np.abs(offset) + read.farthest * np.abs(weights.sum(axis=0))
     sums = (size.sum(axis=0) * read.largest + offset).max(axis=0)
@@ -156,8 +159,8 @@ def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float64]:
-    """Weights (tap, …), a channel's taps between two of the `ends`, as whole numbers less than one away, of sums over each
-    channel that are the nearest: those that lose most are rounded up, of equal ones the first."""
+    """Return the weights (tap, …), a channel's taps between two of the `ends`, as whole numbers less than one away, of sums
+    over each channel that are the nearest: those that lose most are rounded up, of equal ones the first."""
     whole = np.floor(weights)
     loss = whole - weights
     for start, end in pairwise(ends):

@@ -10,8 +10,8 @@ DARKEST = 2**9  # steps of a plane: the least mean luminance that a ratio is tak
 
 
 def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
-    """How far the two chroma planes of a pixel would be from their means over side × side, had all of the window one colour
-    and only light and shade: (chroma, row, col) of planes (plane, row, col), in their steps.
+    """Return the distance of the two chroma planes of a pixel from their means over side × side if all of the window had one
+    colour and only light and shade: (chroma, row, col) of planes (plane, row, col), in their steps.
 
         C̄ · ρ        ρ = clamp((Y − Ȳ) / max(Ȳ, DARKEST), ±1)
 

@@ -1,4 +1,4 @@
-"""What a class recipe may say of classes: the keys of all features, which stand in their modules."""
+"""Class recipes: the keys of all features, which are declared in their modules."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -7,12 +7,12 @@ import msgspec
 from l3cli.artifacts.camera import CameraModel
 from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.classes.features import FURTHER
-from l3cli.config import Count, Recipe
+from l3cli.recipes.toml import Count, Recipe
 
 if TYPE_CHECKING:
 
-    class ClassRecipe(level.Keys, contrast.Keys, saturation.Keys, chroma.Keys):
-        """How pixels are sorted into classes (configs/classes)."""
+    class ClassRecipe(level.Options, contrast.Options, saturation.Options, chroma.Options):
+        """Recipe of the classes that pixels are sorted into (configs/classes)."""
 
         patch: Count = 9  # pixels, side of the neighbourhood
 
@@ -27,8 +27,8 @@ else:
         "ClassRecipe",
         [
             ("patch", Count, 9),
-            *(field for feature in (level, contrast, saturation, chroma) for field in _fields(feature.Keys)),
-            *((name, feature.Keys | None, None) for name, feature in FURTHER.items()),
+            *(field for feature in (level, contrast, saturation, chroma) for field in _fields(feature.Options)),
+            *((name, feature.Options | None, None) for name, feature in FURTHER.items()),
         ],
         bases=(Recipe,),
         module=__name__,
@@ -36,10 +36,10 @@ else:
 
 
 def switched_on(recipe: ClassRecipe) -> dict[str, Any]:
-    """The tables of the further features that a recipe has, by name, in the order of FURTHER."""
+    """Return the tables of the further features that a recipe has, by name, in the order of FURTHER."""
     return {name: keys for name in FURTHER if (keys := getattr(recipe, name)) is not None}
 
 
 def left_out(recipe: ClassRecipe, camera: CameraModel) -> list[str]:
-    """Names of the features switched on that patches are too small for on a camera's array."""
+    """Return the names of the features switched on that patches are too small for on a camera's array."""
     return [name for name in switched_on(recipe) if not FURTHER[name].fits(camera, recipe.patch)]

@@ -25,7 +25,7 @@ def make_rule(
     observed: Mapping[str, NDArray[np.float64]] | None = None,
     spared_cases: int = 0,
 ) -> ClassRule:
-    """The integer rule for a camera: edges in DN, contrast edges from its noise model (docs/method.md#classes).
+    """Return the integer rule for a camera: edges in DN, contrast edges from its noise model (docs/method.md#classes).
     It is for frames of which `dark` DN of dark current have been taken off.
 
     `chroma_centres` (chroma, channel) are shares of the channel means in their sum; without them there is one chroma.
@@ -68,8 +68,9 @@ def make_rule(
 
 
 def _saturation_radius(recipe: ClassRecipe, camera: CameraModel) -> int:
-    """The recipe's, within the patch, and wide enough for every site to see every channel: else sites would put one clipped
-    area into different cases, most of which no clipped grey is taught to (docs/method.md#saturation-cases)."""
+    """Return the recipe's radius, limited to the patch, and wide enough for every site to see every channel: else sites
+    would put one clipped area into different cases, most of which no clipped grey is taught to
+    (docs/method.md#saturation-cases)."""
     most, least = recipe.patch // 2, min(recipe.saturation_radius, recipe.patch // 2)
     for radius in range(least, most if least else 0):
         seen = window_channels(camera.cfa, 2 * radius + 1)

@@ -13,14 +13,14 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, tap_order
-from l3cli.config import Count, CountOrNone, Recipe
+from l3cli.recipes.toml import Count, CountOrNone, Recipe
 
 SMALLEST_SHARE = 2e-4  # of the training patches: rarer patterns join the nearest kept one
-SNIPPET = "saturation.cl"
+SNIPPET = "features/saturation.cl"
 
 
-class Keys(Recipe):
-    """Of the [classes] of a recipe."""
+class Options(Recipe):
+    """Saturation keys of the [classes] of a recipe."""
 
     saturation: float = 0.985  # share of full scale from which a pixel is saturated
     saturation_radius: CountOrNone = 2  # pixels
@@ -51,7 +51,8 @@ def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[in
 
 
 def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> int:
-    """How many cases, the first after case 0, hold no code (code) in which a filter has lost all of its channels."""
+    """Return the number of cases, the first after case 0, that hold no code (code) in which a filter has lost all of its
+    channels."""
     lost = lost_filters(np.arange(len(case_of_code)), filters) > 0
     return int(case_of_code[lost].min(initial=case_of_code.max() + 1)) - 1 if case_of_code.any() else 0
 
@@ -62,8 +63,8 @@ def lost_filters(codes: Integers, filters: Sequence[int]) -> Integers:
     return np.sum([codes & mask == mask for mask in of_filter], axis=0)
 
 
-def stored_threshold(recipe: Keys, camera: CameraModel) -> int:
-    """The rule's saturation, in DN."""
+def stored_threshold(recipe: Options, camera: CameraModel) -> int:
+    """Return the rule's saturation, in DN."""
     return int(np.ceil(camera.black_level + recipe.saturation * (camera.white_level - camera.black_level)))
 
 
@@ -74,7 +75,7 @@ def saturation_codes(patches: NDArray[np.unsignedinteger], rule: ClassRule, near
 
 
 def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder) -> Integers:
-    """Saturation codes (patch) of DN (tap, patch) in `order`."""
+    """Return the saturation codes (patch) of DN (tap, patch) in `order`."""
     code = np.zeros(values.shape[1], np.int64)
     for bit, taps in enumerate(order.inner):
         if taps.stop > taps.start:
@@ -88,19 +89,19 @@ def code_of(saturated: NDArray[np.bool_]) -> Integers:
 
 
 def cases(rule: ClassRule, code: Integers) -> Integers:
-    """Saturation case (…) of codes (…)."""
+    """Return the saturation case (…) of codes (…)."""
     return rule.case_of_code[code].astype(np.int64)
 
 
 def entry(table: TransformTable, case: int) -> dict[str, Any]:
-    """Number of a saturation case and the channels that all patterns sorted into it have saturated."""
+    """Return the number of a saturation case and the channels that all patterns sorted into it have saturated."""
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     common = int(np.bitwise_and.reduce(codes)) if codes.size else 0
     return {"case": case, "saturated": _channels(table, common)}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """An entry as a row of a table begins, such as "2: r g"."""
+    """Return an entry as a row of a table begins, such as "2: r g"."""
     return f"{entry['case']}: " + (" ".join(entry["saturated"]) or ("mixed" if entry["case"] else "none"))
 
 
@@ -118,8 +119,8 @@ def _channels(table: TransformTable, code: int) -> list[str]:
 
 
 def _apart(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
-    """How far each pattern lies from all together, as choose_cases measures it: channels that differ, and half for each of
-    the others that is not within it. There may be 2¹⁶ patterns: too many to compare them in pairs."""
+    """Return the distance of each pattern from all together, as choose_cases measures it: channels that differ, and half
+    for each of the others that is not within it. There may be 2¹⁶ patterns: too many to compare them in pairs."""
     holds = codes[:, None] >> np.arange(channels) & 1
     often = holds.sum(axis=0)
     within = np.zeros(2**channels)
@@ -131,7 +132,7 @@ def _apart(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """What saturation.cl and the statistics are compiled with."""
+    """Return the macros that saturation.cl and the statistics are compiled with."""
     return {"SATURATION": min(rule.saturation, 1 << 16), "SATURATION_RADIUS": rule.saturation_radius}
 
 

@@ -1,4 +1,4 @@
-"""What every feature decides by: channel sums and squares over patches, and their saturation codes."""
+"""Statistics that every feature decides by: channel sums and squares over patches, and their saturation codes."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.classes import saturation
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, sites
-from l3cli.frame import pad_mosaic, shifted_cfa
+from l3cli.frames.frame import pad_mosaic, shifted_cfa
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of the neighbourhoods of pixels, in whatever shape (…)."""
+    """Statistics of the neighbourhoods of pixels, of any shape (…)."""
 
     near: Neighbourhoods
     site: Integers  # (…), or one site for all, (1)
@@ -31,7 +31,7 @@ class Statistics:
 
 
 class PatchSums(NamedTuple):
-    """Of patches of one site."""
+    """Sums over patches of one site."""
 
     sums: NDArray[np.uint32]  # (channel, patch) of v = DN >> shift
     squares: NDArray[np.uint32] | None  # (channel, patch) of v²; None as above
@@ -40,18 +40,18 @@ class PatchSums(NamedTuple):
 
 
 def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]:
-    """The window sums (…, sum) of each further feature, in order."""
+    """Return the window sums (…, sum) of each further feature, in order."""
     ends = np.cumsum([axis.sums for axis in rule.axes], dtype=int)
     return tuple(statistics.windows[..., end - axis.sums : end] for axis, end in zip(rule.axes, ends.tolist(), strict=True))
 
 
 def truncation(shift: int) -> float:
-    """What values lose on average, in DN, when they are shifted right."""
+    """Return the mean loss of values, in DN, when they are shifted right."""
     return (2**shift - 1) / 2
 
 
 def patch_statistics(values: NDArray[np.uint32], rule: ClassRule, order: TapOrder) -> PatchSums:
-    """What is seen of DN (tap, patch) in `order`, which are overwritten."""
+    """Return the sums of DN (tap, patch) in `order`, which are overwritten."""
     code = saturation.codes(values, rule, order)
     if rule.shift:
         values >>= rule.shift
@@ -116,13 +116,13 @@ def _padded_channels(frame_cfa: NDArray[np.uint8], radius: int, rows: int, cols:
 
 
 def _inner(padded: NDArray, rule: ClassRule) -> NDArray:
-    """The padded array cut down to the margin that the saturation radius needs."""
+    """Return the padded array cut down to the margin that the saturation radius needs."""
     cut = rule.radius - rule.saturation_radius
     return padded[cut : padded.shape[0] - cut, cut : padded.shape[1] - cut]
 
 
 def _box(padded: Integers, size: int) -> Integers:
-    """Sum over every size × size window."""
+    """Return the sum over every size × size window."""
     total = np.cumsum(np.pad(padded, ((1, 0), (0, 0))), axis=0)
     total = total[size:] - total[:-size]
     total = np.cumsum(np.pad(total, ((0, 0), (1, 0))), axis=1)

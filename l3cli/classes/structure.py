@@ -55,7 +55,7 @@ def _windowed(values: Integers) -> Integers:
 
 
 def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
-    """Number 0…7 of the multiple of 45° nearest the angle of (a, b), and how long (a, b) is along it."""
+    """Return the number 0…7 of the multiple of 45° nearest the angle of (a, b), and how long (a, b) is along it."""
     width, height = np.abs(a), np.abs(b)
     flat, steep = 12 * height < 5 * width, 12 * width < 5 * height  # 22.6°
     diagonal = np.where(a > 0, np.where(b > 0, 1, 7), np.where(b > 0, 3, 5))
@@ -65,8 +65,8 @@ def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
 
 
 def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
-    """What becomes of (a, b) when a 3 × 3 window is read in the order `turn` (tap): a quarter turn changes both signs, a
-    mirror image that of b, a transposition that of a."""
+    """Return the signs that (a, b) take when a 3 × 3 window is read in the order `turn` (tap): a quarter turn changes
+    both, a mirror image that of b, a transposition that of a."""
     row, col = np.divmod(turn.reshape(3, 3), 3)
     down, right = (row[2, 1] - row[1, 1], col[2, 1] - col[1, 1]), (row[1, 2] - row[1, 1], col[1, 2] - col[1, 1])
     swapped = down[0] == 0  # the tap below the centre lies beside it
@@ -75,8 +75,8 @@ def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
 
 
 def name(rule: StructureRule, number: int, site: int) -> str:
-    """A structure at a site in text, such as "flat", "strength 2 of 2, no direction" or "strength 1 of 2, edge at 45°": the
-    angle is that of the edge, from the horizontal, anticlockwise."""
+    """Return a structure at a site in text, such as "flat", "strength 2 of 2, no direction" or "strength 1 of 2, edge at
+    45°": the angle is that of the edge, from the horizontal, anticlockwise."""
     if number == 0:
         return "flat"
     strength, within = divmod(number - 1, 1 + DIRECTIONS)

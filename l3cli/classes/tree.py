@@ -30,7 +30,7 @@ ONE, TRACE, CHROMA, LUMA = range(4)  # denominators
 
 
 class Test(NamedTuple):
-    """What a test compares: its name for people, and the denominator of its numerator."""
+    """A test of a tree: its name for people, and the denominator of its numerator."""
 
     name: str
     denominator: int
@@ -64,15 +64,15 @@ assert len(EVERY) == TESTS
 
 @dataclass(frozen=True)
 class Evidence:
-    """Of the neighbourhoods of pixels."""
+    """Quantities that tests compare, of the neighbourhoods of pixels."""
 
     numerators: NDArray[np.float32]  # (test, …)
     denominators: NDArray[np.float32]  # (denominator, …)
 
 
 def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
-    """What planes (plane, row + 2 REACH, col + 2 REACH) show, with the `factor` and `shift` (row + 4, col + 4) of gradients,
-    both with a margin of mirrored pixels: of (row, col)."""
+    """Return the evidence (row, col) of planes (plane, row + 2 REACH, col + 2 REACH) with the `factor` and `shift` (row +
+    4, col + 4) of gradients, both with a margin of mirrored pixels."""
     luminance = planes[LUMINANCE]
     chroma = [plane for index, plane in enumerate(planes) if index != LUMINANCE]
 
@@ -134,8 +134,8 @@ def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
 
 
 def turned_axes(turn: int) -> tuple[bool, int, int]:
-    """Of a window read in orientation number `turn` of `orientations`: whether its columns are rows as it lies, and the
-    signs of its steps across and down."""
+    """Return, of a window read in orientation number `turn` of `orientations`, whether its columns are rows as it lies,
+    and the signs of its steps across and down."""
     taps = np.arange(9).reshape(3, 3)
     row, col = np.divmod(np.rot90(taps.T if turn >= 4 else taps, turn % 4), 3)
     down = int(row[2, 1] - row[1, 1]), int(col[2, 1] - col[1, 1])
@@ -145,7 +145,7 @@ def turned_axes(turn: int) -> tuple[bool, int, int]:
 
 
 def _near(values: Integers) -> Integers:
-    """Sums over 3 × 3 of values with a margin of 2."""
+    """Return the sums over 3 × 3 of values with a margin of 2."""
     return _sum(_inner(values, 1), NEAR)
 
 

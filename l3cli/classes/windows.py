@@ -33,7 +33,7 @@ def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbo
 
 
 def window_channels(cfa: NDArray[np.uint8], patch: int) -> Integers:
-    """Channel of each tap (site, tap), row by row, of the windows of side `patch` about every site."""
+    """Return the channel of each tap (site, tap), row by row, of the windows of side `patch` about every site."""
     rows, cols = cfa.shape
     reach = np.arange(patch) - patch // 2
     windows = [cfa[np.ix_((r + reach) % rows, (c + reach) % cols)].ravel() for r in range(rows) for c in range(cols)]
@@ -57,7 +57,7 @@ class TapOrder:
 
 
 def tap_order(rule: ClassRule, near: Neighbourhoods, site: int) -> TapOrder:
-    """The order for one site."""
+    """Return the order for one site."""
     channel, channels = near.channel[site], near.count.shape[1]
     reach = np.abs(np.arange(rule.patch) - rule.radius)
     outer = np.maximum(reach[:, None], reach[None]).ravel() > rule.saturation_radius
@@ -73,7 +73,7 @@ def tap_order(rule: ClassRule, near: Neighbourhoods, site: int) -> TapOrder:
 
 
 def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
-    """How often each tap (sum, tap), row by row, counts in the window sums of all further features."""
+    """Return the number of times that each tap (sum, tap), row by row, counts in the window sums of all further features."""
     counts = np.zeros((sum(axis.sums for axis in rule.axes), rule.patch, rule.patch), np.float32)
     first = 0
     for axis in rule.axes:

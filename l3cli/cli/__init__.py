@@ -13,13 +13,12 @@ from l3cli import __version__
 from l3cli.cli.results import Record, Result, begin
 from l3cli.cli.terminal import drop, prepare, show, to_stderr
 from l3cli.errors import L3Error, suggestion
-from l3cli.importing import own_process, without_collecting
-from l3cli.interrupts import Terminated, end_process, heed, leave_to_python
-from l3cli.ledger import close_ledger
-from l3cli.limits import require_address_space
 from l3cli.parallel import one_blas_thread, without_plots
 from l3cli.stages.log import Logged
 from l3cli.stages.plan import Planned
+from l3cli.system.ledger import close_ledger
+from l3cli.system.limits import require_address_space, require_settings
+from l3cli.system.signals import Terminated, end_process, heed, leave_to_python
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -59,8 +58,7 @@ class Pipeline(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        with without_collecting():
-            return getattr(importlib.import_module(f"l3cli.cli.{cmd_name}"), cmd_name)
+        return getattr(importlib.import_module(f"l3cli.cli.{cmd_name}"), cmd_name)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         if args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
@@ -98,6 +96,7 @@ def l3(context: click.Context) -> None:
         for line in context.get_help().splitlines():
             to_stderr(line)
         context.exit(2)
+    require_settings()
 
 
 def main() -> None:
@@ -106,7 +105,6 @@ def main() -> None:
     heed()
     one_blas_thread()
     without_plots()
-    own_process()
     code = run(sys.argv[1:])
     leave_to_python()
     end_process(code)
@@ -178,7 +176,7 @@ def _guarded(work: Callable[[], int | None]) -> int:
 
 
 def _usage(error: click.ClickException) -> str:
-    """What is wrong with a call, and which help to read."""
+    """Return what is wrong with a call, and which help to read."""
     message = error.format_message().rstrip(".")
     if isinstance(error, click.NoSuchOption):
         near = [name for name in error.possibilities or () if name.startswith("--")]

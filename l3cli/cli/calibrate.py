@@ -35,7 +35,10 @@ def _draft(
 )
 @click.option("--light", metavar="LIGHT", help='Its light: "D65", "3200K"…; without, it is guessed.')
 @click.option(
-    "--draft", type=options.FILE, metavar="FOLDER", help="Write a measurement file of the captures in FOLDER instead."
+    "--draft",
+    type=options.FILE,
+    metavar="FOLDER",
+    help="Write a measurement file of the captures or tables in FOLDER instead.",
 )
 @click.option("--camera", type=options.CAMERA, metavar="CAMERA", help="Sensor, array and optics of the draft.")
 @options.output("Camera model to write; with --draft the measurement file")
@@ -65,6 +68,10 @@ def calibrate(
     if camera is not None:
         raise click.UsageError("--camera goes with --draft; a measurement file states its camera itself")
     from l3cli.calibration import text
+    from l3cli.io.raw.registry import is_photo
+
+    if measurements is not None and is_photo(measurements):
+        raise click.UsageError(f"{measurements} is a raw file; a photo of a ColorChecker goes with --photo")
     from l3cli.stages.calibration import calibrate as stage
 
     _, result = stage(measurements, output, console, force=force, **others)

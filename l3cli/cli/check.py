@@ -24,7 +24,7 @@ class AnyRecipe(options.RecipeFile):
         return value
 
     def names(self) -> list[str]:
-        from l3cli.recipes import KINDS, known_recipes
+        from l3cli.recipes.builtin import KINDS, known_recipes
 
         return list(dict.fromkeys(name for kind in KINDS for name in known_recipes(kind)))
 
@@ -48,7 +48,7 @@ def check(recipes: tuple[str, ...], plot: Path | None, force: bool, console: "Co
     judged = stage(recipes)
     fault, faulty = None, [judgement for judgement in judged if judgement.findings]
     if faulty:
-        count = sum(len(judgement.findings) for judgement in faulty)
+        count = sum(len(judgement.findings) + judgement.more for judgement in faulty)
         fault = InputFileError(
             f"{count} fault{'s' if count > 1 else ''} in {len(faulty)} of {len(judged)} files; correct them"
         )

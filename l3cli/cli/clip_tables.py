@@ -1,4 +1,4 @@
-"""What has become of rendered clips, as a table on stdout."""
+"""Outcome of rendered clips, as a table on stdout."""
 
 from typing import TYPE_CHECKING, Any
 

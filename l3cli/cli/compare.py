@@ -1,5 +1,6 @@
 """l3 compare: evaluations of several cameras over luminance."""
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,8 +8,8 @@ import click
 
 from l3cli.cli import options
 from l3cli.cli.results import Result
-from l3cli.cli.terminal import show_table
-from l3cli.columns import printable
+from l3cli.cli.terminal import show, show_table, width
+from l3cli.system.text import printable
 
 if TYPE_CHECKING:
     from l3cli.stages.comparison import Comparison
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 def compare(
     evaluations: tuple[Path, ...], figures: tuple[str, ...], output: Path | None, force: bool, console: "Console"
 ) -> Result:
-    """Compare cameras by figures of their evaluations at each luminance, and print where the ranking changes.
+    """Compare cameras by figures of their evaluations at each luminance: which is better where, and where it clips.
 
     \b
     Example: l3 compare bayer.json rgbw.json --figure psnr -o curves.html
@@ -51,4 +52,12 @@ def _text(comparison: "Comparison") -> None:
             for index, luminance in enumerate(curves[0].luminance)
         ]
         headings = ["cd/m²", *(printable(curve.name) for curve in curves)]
-        show_table([figure], headings, rows, *comparison.sentences(figure))
+        show_table([figure], headings, rows, *_lines(comparison.sentences(figure)))
+    for line in _lines(comparison.clipping):
+        show(line)
+
+
+def _lines(sentences: list[str]) -> list[str]:
+    """Sentences as lines that fit the terminal."""
+    wide = width()
+    return [line for each in sentences for line in (textwrap.wrap(printable(each), wide) if wide else [each])]

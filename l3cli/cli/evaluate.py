@@ -45,6 +45,10 @@ if TYPE_CHECKING:
     metavar="DIR",
     help="Write the table's, ideal and basic picture and an error map (black: ΔE00 0, white: 10) of every frame as PNG.",
 )
+@click.option(
+    "--rival", "rivals", type=options.FILE, metavar="PICTURES", multiple=True,
+    help="sRGB pictures of the frames by another pipeline (folder, pattern, glob), in their order.",
+)  # fmt: skip
 @click.option("--force", is_flag=True, help="Write pictures into a folder that is not empty.")
 @options.dry_run
 @options.quiet
@@ -57,6 +61,7 @@ def evaluate(
     viewing: float,
     border: int | None,
     pictures: Path | None,
+    rivals: tuple[Path, ...],
     force: bool,
     console: "Console",
 ) -> Result:
@@ -70,6 +75,9 @@ def evaluate(
     are bilinear interpolation, Malvar and Menon for Bayer, spectral differences (sd) and the pseudo-panchromatic image
     difference (ppid) for arrays in which every band occurs once a period.
 
+    With --rival: pictures of another pipeline beside them, under the name of their folder. Their brightness does not
+    matter: one factor a picture is fitted.
+
     With --sequence: noise and flicker of CIE L* over time on patches that stand still, the largest jump of a frame's
     mean, and beside ideal pictures PSNR, ΔE00 and how the error changes along the known motion.
 
@@ -77,8 +85,8 @@ def evaluate(
     Example: l3 evaluate table.h5 unseen.h5 --json
     """
     if sequence is not None:
-        if table is not None or pictures is not None:
-            raise click.UsageError("--sequence judges pictures; leave TABLE.h5, TRAINING.h5 and --pictures out")
+        if table is not None or pictures is not None or rivals:
+            raise click.UsageError("--sequence judges pictures; leave TABLE.h5, TRAINING.h5, --pictures and --rival out")
         for name in ("backend", "viewing", "force"):
             if click.get_current_context().get_parameter_source(name) is not ParameterSource.DEFAULT:
                 raise click.UsageError(f"--{name} is for a table; leave it out with --sequence")
@@ -87,7 +95,17 @@ def evaluate(
         raise click.UsageError("give TABLE.h5 and TRAINING.h5, or --sequence PICTURES with or without --ideal")
     from l3cli.stages.evaluation import evaluate as stage
 
-    document = stage(table, frames, console, backend=backend, viewing=viewing, border=border, pictures=pictures, force=force)
+    document = stage(
+        table,
+        frames,
+        console,
+        backend=backend,
+        viewing=viewing,
+        border=border,
+        pictures=pictures,
+        rivals=rivals,
+        force=force,
+    )
     from l3cli.cli.quality_tables import print_tables
 
     return Result(document, lambda: print_tables(document))

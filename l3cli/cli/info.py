@@ -8,8 +8,8 @@ import click
 from l3cli.cli import options
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import folded, show
-from l3cli.columns import figure, printable
 from l3cli.errors import InputFileError
+from l3cli.system.text import figure, printable
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 @click.argument("inputs", type=options.FILE, nargs=-1, metavar="[INPUT…]")
 @click.option("--verify", "verifies", is_flag=True, help="Verify every byte of FILE, and that it was made from the INPUTs.")
 @click.option(
-    "--version", "versions", is_flag=True, help="Versions of l3, Python and libraries, and OpenCL devices; no FILE."
+    "--version",
+    "versions",
+    is_flag=True,
+    help="Versions of l3, Python and libraries, OpenCL devices, decoder; no FILE.",
 )
 @options.quiet
 def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: bool, console: "Console") -> Result:
@@ -65,7 +68,7 @@ def _versions() -> dict[str, Any]:
 
 
 def _verify(file: Path, inputs: tuple[Path, ...]) -> Result:
-    """What is verified and what is not given; InputFileError with it if something differs."""
+    """Return what is verified and what is not given; InputFileError with it if something differs."""
     from l3cli.stages.information import verification
 
     result = verification(file, inputs)
@@ -98,7 +101,7 @@ def _lines(content: dict[str, Any]) -> list[str]:
 
 
 def _verified(file: Path, verification: "Verification") -> list[str]:
-    """What is verified, and what the history names that is not given."""
+    """Return lines on what is verified, and what the history names that is not given."""
     intact = verification.intact
     digest = "every byte is as written" if intact.digest else "without a digest of its bytes, which version 2 has"
     lines = [f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets are right"]
@@ -133,4 +136,5 @@ def _version_lines(versions: dict[str, Any]) -> list[str]:
         *libraries,
         "OpenCL devices:",
         *devices,
+        f"Decoder of foreign files: {versions['decoding']}",
     ]

@@ -50,7 +50,7 @@ def init(
 
     \b
     Example: l3 init bayer demo && make -C demo
-             l3 init --from photo.dng mine && make -C mine
+             l3 init --from photo.dng mine && make -C mine picture.png
     """
     from l3cli.stages.photo_start import start_from
     from l3cli.stages.starting import start, starters, summary
@@ -68,7 +68,7 @@ def init(
     known = starters()
     if recipe is None:
         recipes = {name: summary(path) for name, path in known.items()}
-        console.say('next: one of them and a new folder, such as "l3 init bayer demo"')
+        console.info('next: one of them and a new folder, such as "l3 init bayer demo"')
         return Result({"recipes": recipes}, lambda: _list(recipes))
     if recipe not in known:
         raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, known)}')

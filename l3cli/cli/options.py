@@ -12,8 +12,8 @@ import click
 from l3cli.cli.results import JSON, recorded
 from l3cli.cli.terminal import ErrorsOnly, Terminal, with_options
 from l3cli.errors import shortened
-from l3cli.files import sparing
-from l3cli.quantities import LARGEST_WHOLE, NoSuchNumber, Quantity
+from l3cli.system.files import protecting
+from l3cli.system.numbers import LARGEST_WHOLE, NoSuchNumber, Quantity
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -33,13 +33,13 @@ class RecipeFile(click.Path):
         self.kind = kind
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        from l3cli.recipes import find_recipe
+        from l3cli.recipes.builtin import find_recipe
 
         return find_recipe(os.fspath(value), self.kind)
 
     def names(self) -> Iterable[str]:
         """The recipes that come with l3."""
-        from l3cli.recipes import known_recipes
+        from l3cli.recipes.builtin import known_recipes
 
         return known_recipes(self.kind)
 
@@ -184,7 +184,7 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
         scheduler: str | None, tls_ca: Path | None, tls_cert: Path | None, tls_key: Path | None, **others: Any
     ) -> Any:
         console: Console = others["console"]
-        click.get_current_context().with_resource(sparing(filter(None, [tls_ca, tls_cert, tls_key])))
+        click.get_current_context().with_resource(protecting(filter(None, [tls_ca, tls_cert, tls_key])))
         if scheduler is None:
             if tls_ca or tls_cert or tls_key:
                 raise click.UsageError("--tls-ca, --tls-cert and --tls-key go with --scheduler")
@@ -209,8 +209,8 @@ def _mode(name: str, module: str, what: str) -> Callable[[F], F]:
 
 
 trust = _mode(
-    "trust", "l3cli.limits",
-    "Decode raw, image, MATLAB and video files without the sandbox, which limits time and memory.",
+    "trust", "l3cli.system.limits",
+    "Decode raw, image, MATLAB and video files in this process, not in an isolated one with limits.",
 )  # fmt: skip
 dry_run = _mode(
     "dry_run", "l3cli.stages.plan",

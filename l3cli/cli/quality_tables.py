@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 from l3cli.classes.names import further_headings, heading
 from l3cli.cli import terminal
 from l3cli.cli.terminal import show, show_table
-from l3cli.columns import figure as number
+from l3cli.system.text import figure as number
 
 if TYPE_CHECKING:
     from l3cli.evaluation.sequence import SequenceFigures

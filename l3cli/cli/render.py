@@ -13,28 +13,23 @@ from l3cli.cli import options
 from l3cli.cli.clip_tables import clips_result
 from l3cli.cli.results import Record, Result
 from l3cli.errors import L3Error, shortened
-from l3cli.importing import without_collecting
-from l3cli.interrupts import Terminated
-from l3cli.stages.plan import is_dry
+from l3cli.system.signals import Terminated
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
     from l3cli.stages.console import Console
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
-
-
 PHASE = options.Number(0, 65535, "rows or columns", whole=True)
 SIZE = options.Number(1, 1_000_000, "pixels", whole=True)
 EXPOSURE = options.Number(1e-9, 1e9, "times Y")
+STOPS = options.Number(-20, 20, "EV")
 FRAME = options.Number(0, 10**18 - 1, whole=True)  # names may hold the time to a microsecond
 STEP = options.Number(1, 10**18 - 1, "frames", whole=True)
 RATE = options.Number(0.001, 1000, "frames/s")
 RATE_PART = options.Number(1, 10**12, whole=True)  # of a rate written as a fraction
 LEVEL = options.Number(0, 65535, "DN")
 TIME = options.Number(0, 1e5, "s")
-EVERY = options.Number(0.1, 86400, "s")
-USUAL_EVERY = 2.0  # s
 
 
 def _pair(separator: str, number: options.Number) -> Callable[[Any, Any, str | None], tuple[int, int] | None]:
@@ -54,12 +49,21 @@ def _pair(separator: str, number: options.Number) -> Callable[[Any, Any, str | N
     return read
 
 
-def _exposure(context: Any, parameter: Any, text: str) -> float | None:
-    """Reads a number, or "auto" as None."""
+def _exposure(context: Any, parameter: Any, text: str) -> tuple[float | None, float]:
+    """Read a factor of Y, "auto" as None, or stops from the automatic exposure ("+1EV")."""
+    if text == "auto":
+        return None, 0.0
+    if text.lower().endswith("ev"):
+        return None, STOPS.read(text[:-2].rstrip())
     try:
-        return None if text == "auto" else EXPOSURE.read(text)
+        factor = EXPOSURE.read(text)
     except click.BadParameter as error:
-        raise click.BadParameter(f"{error.message}, or auto") from None
+        raise click.BadParameter(f"{error.message}, auto, or stops from it such as -1EV") from None
+    if text.startswith("+"):  # a factor has no sign: stops may be meant
+        raise click.BadParameter(
+            f"{text} may be a factor or stops; give {text[1:]} (times Y), or {text}EV (brighter than auto)"
+        )
+    return factor, 0.0
 
 
 def _frames(context: Any, parameter: Any, text: str | None) -> range | None:
@@ -88,6 +92,14 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     rate = Fraction(int(RATE_PART.read(above)), int(RATE_PART.read(below)))
     RATE.read(repr(float(rate)))
     return storable_rate(rate)
+
+
+def _refuse_watching(context: Any, parameter: Any, value: str | None) -> None:
+    """UsageError for options that there were once."""
+    if value is not None:
+        raise click.UsageError(
+            "--watch is no more; call again for what has arrived: l3 render TABLE.h5 FOLDER -o OUTPUT --resume"
+        )
 
 
 @click.command()
@@ -131,9 +143,9 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     "--exposure",
     default="auto",
     callback=_exposure,
-    metavar="auto|VALUE",
+    metavar="auto|VALUE|±NEV",
     show_default=True,
-    help="Factor of Y; what it brings to 1 is shown white.",
+    help="Factor of Y; what it brings to 1 is shown white. +1EV: twice as bright as auto.",
 )
 @click.option(
     "--white",
@@ -197,14 +209,14 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     help="Render only part I of N, from 1, of a sequence, to the same pictures as a run over all of it.",
 )  # fmt: skip
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
-@click.option("--resume", is_flag=True, help="Continue a sequence of pictures, or many clips, where a run was stopped.")
 @click.option(
-    "--watch", "watched", type=options.FILE, metavar="FOLDER",
-    help="Instead of INPUT: render whatever arrives whole in FOLDER, until Ctrl-C.",
-)  # fmt: skip
+    "--resume",
+    is_flag=True,
+    help="Continue a sequence of pictures where a run was stopped; of many clips render what is new or changed.",
+)
 @click.option(
-    "--every", type=EVERY, metavar="SECONDS",
-    help="Time between two looks at --watch's folder; what did not change in it is whole [default: 2].",
+    "--watch", "--every", hidden=True, is_eager=True, expose_value=False, callback=_refuse_watching,
+    help="No more: --resume renders what has arrived in a folder.",
 )  # fmt: skip
 @options.scheduler
 @options.trust
@@ -214,74 +226,62 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
     fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, device: str | None,
-    variant: str | None, exposure: float | None, white: str | None, space: str | None, remosaic: str | None,
+    variant: str | None, exposure: tuple[float | None, float], white: str | None, space: str | None, remosaic: str | None,
     bits: str, black_level: float | None, white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...],
     camera: Path | None, hot: str,
     phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
-    stride: int | None, temporal: bool, shard: tuple[int, int] | None, skip_bad: bool, resume: bool, watched: Path | None,
-    every: float | None, scheduler: "Scheduler | None", force: bool, console: "Console",
+    stride: int | None, temporal: bool, shard: tuple[int, int] | None, skip_bad: bool, resume: bool,
+    scheduler: "Scheduler | None", force: bool, console: "Console",
 ) -> Result:  # fmt: skip
     """Render INPUT through TABLE.h5: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw,
     .bin, .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
     FITS), a headerless file of many frames, a grey video (FFV1 in MKV), or - (headerless frames on stdin).
 
-    Several INPUTs of which one is a sequence are clips: each becomes a folder or file of its name in the folder -o, and what
-    is wrong with one does not stop the others (exit code 1).
+    Several INPUTs of which one is a sequence are clips, and so is what lies in a folder of videos, stacks and folders: each
+    becomes a folder or file of its name in the folder -o, and what is wrong with one does not stop the others (exit code 1).
+    With --resume the same call renders what has been added or changed since.
 
     With --exposure auto the 99th percentile of Y is shown white, smoothed over time in a sequence.
 
     \b
     Example: l3 render table.h5 frame.dng -o picture.png
     """
-    _refuse_contradictions(inputs, output, watched, every, shard)
-    from l3cli.io.apart import start
-    from l3cli.io.raw.registry import needs_sandbox
+    if Record.current is not None and output == Path("-"):
+        raise click.UsageError("-o - writes pictures to stdout, where --json goes; name a file or leave --json out")
+    from l3cli.io.isolated import start
+    from l3cli.io.raw.registry import is_photo, needs_isolation
 
-    if any(needs_sandbox(path) for path in inputs):
+    if is_photo(table):
+        from l3cli.stages.photo_start import refuse_as_table
+
+        refuse_as_table(table, inputs, output)
+    if not inputs:
+        raise click.UsageError("Missing argument 'INPUT...'.")
+    if any(needs_isolation(path) for path in inputs):
         start()  # it takes a third of a second, like what follows
-    with without_collecting():
-        from l3cli.io.raw.files import KnownBetter
-        from l3cli.stages.rendering.clips import ClipJob, alone, are_clips
-        from l3cli.stages.rendering.render import render as stage
+    from l3cli.io.raw.files import RawOverrides
+    from l3cli.stages.rendering.clip_inputs import are_clips, clips_of
+    from l3cli.stages.rendering.clips import ClipJob, alone
+    from l3cli.stages.rendering.render import render as stage
 
-    known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure_time)
+    known = RawOverrides(black_level, white_level, phase, size, packing, stride, exposure_time)
     render_one = functools.partial(
         stage, table, rate=fps, bits=int(bits), codec=codec, crf=crf, preset=preset, suffix=suffix,
-        frames=frames, dataset=dataset, known=known, dark=dark, camera=camera, hot=hot == "auto", exposure=exposure,
-        white=white, space=space, remosaic=remosaic, backend=backend, device=device, variant=variant, skip_bad=skip_bad,
-        scheduler=scheduler, temporal=temporal,
+        frames=frames, dataset=dataset, known=known, dark=dark, camera=camera, hot=hot == "auto", exposure=exposure[0],
+        stops=exposure[1], white=white, space=space, remosaic=remosaic, backend=backend, device=device, variant=variant,
+        skip_bad=skip_bad, scheduler=scheduler, temporal=temporal,
     )  # fmt: skip
-    if watched is None and not are_clips(inputs, output, suffix):
+    clips = clips_of(inputs, table, known, output, console)
+    if clips == inputs and not are_clips(inputs, output, suffix):
         render_one = functools.partial(render_one, shard=shard)
         return clips_result(alone(render_one, inputs, output, console, resume, force))
     if shard is not None:
         raise click.UsageError("--shard divides one sequence; these inputs are several clips")
     job = ClipJob(table, output, suffix, render_one, console, force=force)
     try:
-        if watched is None:
-            job.run(inputs, resume)
-        else:
-            from l3cli.stages.rendering.watch import watch
-
-            watch(job, watched, USUAL_EVERY if every is None else every)
+        job.run(clips, resume)
     except (L3Error, KeyboardInterrupt, Terminated) as ended:
         if not job.summary.clips:
             raise
         return clips_result(job.summary, ended)
     return clips_result(job.summary, show_text=True)
-
-
-def _refuse_contradictions(
-    inputs: tuple[Path, ...], output: Path, watched: Path | None, every: float | None, shard: tuple[int, int] | None
-) -> None:
-    """UsageError if what is asked for cannot go together."""
-    if bool(inputs) == (watched is not None):
-        raise click.UsageError("give either INPUTs or --watch FOLDER")
-    if every is not None and watched is None:
-        raise click.UsageError("--every goes with --watch")
-    if watched is not None and is_dry():
-        raise click.UsageError("--watch never ends, so a dry run cannot say what it makes; leave one of them out")
-    if watched is not None and shard is not None:
-        raise click.UsageError("--shard divides one sequence; leave it or --watch out")
-    if Record.current is not None and output == Path("-"):
-        raise click.UsageError("-o - writes pictures to stdout, where --json goes; name a file or leave --json out")

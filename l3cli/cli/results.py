@@ -1,4 +1,4 @@
-"""What a command found: one document, of which the text is made; with --json it is printed, and how the command ran."""
+"""Result of a command: one document, of which the text is made; with --json it is printed, and how the command ran."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -9,20 +9,20 @@ from typing import Any, ClassVar, TypeVar
 from l3cli import __version__
 from l3cli.cli.terminal import Terminal, finite, show_json, with_options
 from l3cli.errors import InputFileError, L3Error
-from l3cli.files import require_regular, sha256
-from l3cli.ledger import Dated, Ledger, close_ledger, dated, open_ledger, outputs_of
 from l3cli.stages.console import Console
+from l3cli.system.files import require_regular, sha256
+from l3cli.system.ledger import Dated, Ledger, close_ledger, dated, open_ledger, outputs_of
 
 T = TypeVar("T")
 FORMAT = 1  # of "run", raised when its keys change
 KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # of errors, by exit code
-MOST_KEPT = 1000  # messages, and as many warnings: a command may run for months
+MOST_KEPT = 1000  # messages, and as many warnings: there may be many frames
 JSON = "--json"
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a command found."""
+    """Result of a command."""
 
     document: Mapping[str, Any] = field(default_factory=dict)  # ready for JSON
     text: Callable[[], object] | None = None  # prints the same for people; None: messages have said it
@@ -32,7 +32,7 @@ class Result:
 
 @dataclass
 class Record:
-    """How a command runs, and what it says meanwhile; kept only for --json."""
+    """Course of a command and its messages; held only for --json."""
 
     current: ClassVar["Record | None"] = None  # of the command that is running
 
@@ -122,16 +122,16 @@ class Recorded:
             done += 1
             self._record.steps[what] = (done, before + time.monotonic() - start)
 
-    def say(self, message: str) -> None:
-        self._console.say(message)
+    def info(self, message: str) -> None:
+        self._console.info(message)
         self._record.keep(self._record.messages, message)
 
     def warn(self, message: str) -> None:
         self._console.warn(message)
         self._record.keep(self._record.warnings, message)
 
-    def alert(self, message: str) -> None:
-        self._console.alert(message)
+    def report(self, message: str) -> None:
+        self._console.report(message)
         self._record.keep(self._record.warnings, message)
 
 

@@ -13,8 +13,8 @@ from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from l3cli.columns import columns, printable
 from l3cli.stages.console import Silent
+from l3cli.system.text import columns, printable
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -123,24 +123,24 @@ class Terminal:
     """The console of a command: everything on stderr."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """As a bar on a terminal, elsewhere as plain lines, one every tenth; both with rate and time left."""
+        """As a bar on a terminal, elsewhere as plain lines, one every tenth; with share, time passed, rate and time left."""
         interactive = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         return (_with_bar if interactive else _with_lines)(items, total, what)
 
-    def say(self, message: str) -> None:
+    def info(self, message: str) -> None:
         to_stderr(message)
 
     def warn(self, message: str) -> None:
         to_stderr(f"warning: {message}")
 
-    def alert(self, message: str) -> None:
+    def report(self, message: str) -> None:
         to_stderr(message)
 
 
 class ErrorsOnly(Silent):
     """The console of a command with --quiet: on stderr what is left out, and nothing else."""
 
-    def alert(self, message: str) -> None:
+    def report(self, message: str) -> None:
         to_stderr(message)
 
 
@@ -149,10 +149,10 @@ def _with_bar(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     pace = TextColumn("{task.fields[pace]}")
-    columns = (TextColumn(what), BarColumn(bar_width=16), MofNCompleteColumn(), pace, TimeElapsedColumn())
+    columns = (TextColumn(what), BarColumn(bar_width=12), MofNCompleteColumn(), pace, TimeElapsedColumn())
     environment = {name: os.environ[name] for name in os.environ if name not in SIZES or DIGITS.fullmatch(os.environ[name])}
     with Progress(*columns, console=console.Console(stderr=True, _environ=environment), transient=True) as bar:
-        task, start = bar.add_task(what, total=total, pace=""), time.monotonic()
+        task, start = bar.add_task(what, total=total, pace="0 %" if total else ""), time.monotonic()
         for done, item in enumerate(items, 1):
             yield item
             bar.update(task, advance=1, pace=_pace(done, total, time.monotonic() - start))
@@ -167,15 +167,15 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
         reached = 10 * done // total if total else 0
         if done != total and ((reached > tenth and now - last >= OFTEN) or now - last >= SELDOM):
             of = f" of {total}" if total else ""
-            to_stderr(f"{what}: {done}{of}, {_pace(done, total, now - start)}")
+            to_stderr(f"{what}: {done}{of}, {_span(now - start)} passed, {_pace(done, total, now - start)}")
             last, tenth = now, reached
 
 
 def _pace(done: int, total: int | None, seconds: float) -> str:
-    """Rate and time left."""
+    """Share that is done, rate and time left."""
     each = max(seconds, 1e-9) / done
     rate = f"{1 / each:.3g} a second" if each < 2 else f"{_span(each)} each"
-    return rate if total is None else f"{rate}, {_span(max(total - done, 0) * each)} left"
+    return f"{100 * done // total} %, {rate}, {_span(max(total - done, 0) * each)} left" if total else rate
 
 
 def _span(seconds: float) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.evaluation.quality import cropped
-from l3cli.frame import pad_mosaic
+from l3cli.frames.frame import pad_mosaic
 
 Array = NDArray[np.floating]
 CFA = NDArray[np.uint8]
@@ -24,13 +24,13 @@ CODES = 255.0  # of a perfect white: the unit of the 1 in PPID's weights
 
 
 def occurs_once(cfa: CFA) -> bool:
-    """Whether every band of a CFA of at least 2×2 occurs once a period."""
+    """Return whether every band of a CFA of at least 2×2 occurs once a period."""
     return min(cfa.shape) > 1 and int(cfa.max()) + 1 == cfa.size == np.unique(cfa).size
 
 
 def bilinear(mosaic: Array, cfa: CFA) -> Array:
-    """Every band by itself: samples nearer than a period weighed by triangles, "weighted bilinear" (Brauers and Aach 2006).
-    Of a Bayer CFA this is bilinear interpolation."""
+    """Return every band by itself: samples nearer than a period weighed by triangles, "weighted bilinear" (Brauers and Aach
+    2006). Of a Bayer CFA this is bilinear interpolation."""
     return _by_site(mosaic, cfa, lambda padded: lambda site: _interpolated(padded, cfa, site))
 
 
@@ -69,8 +69,8 @@ def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
 
 
 def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
-    """The pseudo-panchromatic image (row, col) of a mosaic: its mean over a period, sharpened by what the mosaic's samples
-    of the same band a period away lie off theirs (equations 23 to 28)."""
+    """Return the pseudo-panchromatic image (row, col) of a mosaic: its mean over a period, sharpened by what the mosaic's
+    samples of the same band a period away lie off theirs (equations 23 to 28)."""
     from scipy.ndimage import correlate1d
 
     smooth = values
@@ -92,12 +92,12 @@ def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Arr
     for down, right in DIRECTIONS:
         change = np.abs(values - _moved(values, _step((down, right), period)))
         total = np.ones(values.shape)
-        for ahead, aside in itertools.product((0, 1), (-1, 0, 1)):
+        for prefetched, aside in itertools.product((0, 1), (-1, 0, 1)):
             if down and right:
-                place = ((ahead + (aside < 0)) * down, (ahead + (aside > 0)) * right)
+                place = ((prefetched + (aside < 0)) * down, (prefetched + (aside > 0)) * right)
             else:
-                place = (ahead * down + aside * right, ahead * right + aside * down)
-            total += (2 - ahead) * (2 - abs(aside)) * _moved(change, place)
+                place = (prefetched * down + aside * right, prefetched * right + aside * down)
+            total += (2 - prefetched) * (2 - abs(aside)) * _moved(change, place)
         weights[down, right] = 1.0 / total
     return weights
 
@@ -123,7 +123,7 @@ def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Dire
 
 
 def _by_site(mosaic: Array, cfa: CFA, method: Callable[[Array], Callable[[Direction], Array]]) -> Array:
-    """What a method gives, prepared with the padded mosaic, at the pixels of every site; without the margin."""
+    """Return the result of a method, prepared with the padded mosaic, at the pixels of every site; without the margin."""
     margin = PERIODS * math.lcm(*cfa.shape)
     return cropped(_all_sites(padded := pad_mosaic(mosaic, margin, cfa.shape), cfa, method(padded)), margin)
 
@@ -136,7 +136,7 @@ def _all_sites(padded: Array, cfa: CFA, at: Callable[[Direction], Array]) -> Arr
 
 
 def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)) -> Array:
-    """The samples of a plane at `offset` from the pixels of a site; beyond the end those of the other end."""
+    """Return the samples of a plane at `offset` from the pixels of a site; beyond the end those of the other end."""
     rows, cols = (
         (np.arange(first, length, step) + by) % length
         for first, length, step, by in zip(site, plane.shape, cfa.shape, offset, strict=True)
@@ -150,5 +150,5 @@ def _moved(plane: Array, by: tuple[int, ...]) -> Array:
 
 
 def _step(direction: Direction, period: tuple[int, ...]) -> tuple[int, ...]:
-    """A period in a direction."""
+    """Return a period in a direction."""
     return tuple(sign * length for sign, length in zip(direction, period, strict=True))

@@ -34,8 +34,8 @@ class Colour:
 
 
 def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum | None = None) -> Colour:
-    """XYZ under the light that is `wanted` (None: `light` itself) from the channels under `light`, by ridge regression over
-    measured reflectances on the lights' whole grids; white stays exactly white.
+    """Return XYZ under the light that is `wanted` (None: `light` itself) from the channels under `light`, by ridge
+    regression over measured reflectances on the lights' whole grids; white stays exactly white.
 
     InputFileError if eye or camera see nothing of a light.
     """
@@ -54,7 +54,7 @@ def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum 
 
 
 def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) -> Array:
-    """Photo-electrons a second (sample, channel) of `radiances` (sample, wavelength) on a light's grid."""
+    """Return the photo-electrons a second (sample, channel) of `radiances` (sample, wavelength) on a light's grid."""
     return radiances @ (camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)).T
 
 
@@ -68,7 +68,8 @@ def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
 
 
 def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
-    """M (output, channel), rows of sum 1, that takes white-balanced channels (sample, channel) to outputs (sample, output).
+    """Return M (output, channel), rows of sum 1, that takes white-balanced channels (sample, channel) to outputs (sample,
+    output).
 
     Ridge regression of what the outputs differ from the channels' mean by, on what the channels differ from it by."""
     mean = channels.mean(axis=1, keepdims=True)
@@ -82,8 +83,8 @@ def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
 def develop(
     frame: TrainingPair, camera: CameraModel, colour: Colour, demosaic: Demosaic, merge: Merge | None = None
 ) -> Array:
-    """XYZ (3, row, col) in the target's unit of a frame's raw: black and dark off, white balance, demosaic, matrix. `merge`
-    is what is made of the exposures of a camera that has several."""
+    """Return XYZ (3, row, col) in the target's unit of a frame's raw: black and dark off, white balance, demosaic, matrix.
+    `merge` is what is made of the exposures of a camera that has several."""
     electrons = _electrons(frame, camera)
     balance = colour.balance / (frame.luminance * frame.exposure)
     balanced = electrons * balance[tiled(camera.cfa, frame.raw.shape)]
@@ -95,9 +96,9 @@ def develop(
 
 
 def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosaic: Demosaic) -> Array:
-    """The camera's bands (channel, row, col) in the target's unit of a frame's raw: black and dark off, white balance,
-    demosaic, white balance of the target (docs/method.md#baselines-for-bands). `relit`: the target's light is another than
-    the frame's.
+    """Return the camera's bands (channel, row, col) in the target's unit of a frame's raw: black and dark off, white
+    balance, demosaic, white balance of the target (docs/method.md#baselines-for-bands). `relit`: the target's light is
+    another than the frame's.
 
     InputFileError if the camera sees nothing of the light."""
     share = camera.saturation_exposure / camera.full_scale  # of a target of the camera's bands, per electron a second
@@ -115,7 +116,7 @@ def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosai
 
 
 def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Photo-electrons (row, col) of a frame's raw."""
+    """Return the photo-electrons (row, col) of a frame's raw."""
     signal = (frame.raw - camera.black_level) / camera.gain
     dark = camera.noise.dark_current * frame.dark_time
     if camera.readout is None:
@@ -125,7 +126,7 @@ def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
-    """The light of a frame; where it does not hold it, that of its name, or the common light nearest to its white."""
+    """Return the light of a frame; where it does not hold it, that of its name, or the common light nearest to its white."""
     if frame.light is not None:
         return frame.light
     try:
@@ -137,7 +138,7 @@ def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
 
 
 def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
-    """A light of a name that spectra.illuminant knows, at every nm of what the observer and the cameras see."""
+    """Return a light of a name that spectra.illuminant knows, at every nm of what the observer and the cameras see."""
     first, last = (bound(end, *(camera.wavelength[at] for camera in cameras)) for bound, end, at in ENDS)
     grid = np.arange(np.floor(first), last + 1.0)
     light = spectra.at_luminance(spectra.illuminant(name, grid), grid, 1.0)
@@ -145,5 +146,5 @@ def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
 
 
 def _distance(one: Array, other: Array) -> float:
-    """Of two whites (3), between their chromaticities."""
+    """Return the distance between the chromaticities of two whites (3)."""
     return float(np.hypot(*(one / one.sum() - other / other.sum())[:2]))

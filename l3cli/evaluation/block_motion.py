@@ -13,15 +13,15 @@ WINDOW = 15  # pixels, side of what is matched
 BLOCK = 4  # pixels, between medians of the motion
 PENALTY = 0.1  # L*², of a pixel of displacement, so that plain areas move with what is about them
 MISMATCH = 3.0  # L*, mean over a few pixels, from which on another thing is seen
-NEAR = 5  # pixels, side of what that is a mean of
+MISMATCH_WINDOW = 5  # pixels, side of the square that this is a mean of
 STEPS = 4  # towards parts of a pixel
 TINY = 1e-6  # pixels
 FLAT = 0.1  # L*² a pixel², mean square slope below which a window tells little of parts of a pixel
 
 
 def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
-    """What a frame of L* (row, col) has moved by since the last one (3, row, col): pixels down and right, to parts of a
-    pixel, and 1 where the same is seen; as far as REACH · 2^(LEVELS − 1) pixels."""
+    """Return the motion of a frame of L* (row, col) since the last one (3, row, col): pixels down and right, to fractions
+    of a pixel, and 1 where the same is seen; as far as REACH · 2^(LEVELS − 1) pixels."""
     pairs: list[tuple[Array, Array]] = [(np.asarray(light, np.float64), np.asarray(last, np.float64))]
     while len(pairs) < LEVELS and min(pairs[-1][0].shape) >= 2 * WINDOW:
         pairs.append((_halved(pairs[-1][0]), _halved(pairs[-1][1])))
@@ -35,7 +35,7 @@ def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
 
 
 def _refined(here: Array, before: Array, vector: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
-    """The best of the displacements within `reach` of a field of them (2, row, col)."""
+    """Return the best of the displacements within `reach` of a field of them (2, row, col)."""
     from scipy.ndimage import median_filter
 
     offsets = np.array(list(itertools.product(range(-reach, reach + 1), repeat=2)))
@@ -50,7 +50,7 @@ def _refined(here: Array, before: Array, vector: NDArray[np.intp], reach: int) -
 
 
 def _mismatch(here: Array, before: Array, vector: NDArray[np.intp]) -> Array:
-    """Mean square difference (row, col) of windows from those that lie a displacement (2, row, col) back."""
+    """Return the mean square difference (row, col) of windows from those that lie a displacement (2, row, col) back."""
     from scipy.ndimage import uniform_filter
 
     place = [
@@ -60,8 +60,8 @@ def _mismatch(here: Array, before: Array, vector: NDArray[np.intp]) -> Array:
 
 
 def _exact(here: Array, before: Array, motion: Array) -> Array:
-    """Displacements (2, row, col) to parts of a pixel: least squares over windows of what slopes of the frame, brought
-    along, say of the difference (Lucas and Kanade, "An iterative image registration technique", 1981)."""
+    """Return the displacements (2, row, col) to parts of a pixel: least squares over windows of what slopes of the frame,
+    brought along, say of the difference (Lucas and Kanade, "An iterative image registration technique", 1981)."""
     from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
     place, spline = np.indices(here.shape), spline_filter(before)
@@ -88,14 +88,14 @@ def _without_outliers(plane: Array) -> Array:
 
 
 def _seen(light: Array, last: Array, motion: Array) -> NDArray[np.bool_]:
-    """Where (row, col) the last frame, brought along, looks the same."""
+    """Return the mask (row, col) of pixels where the last frame, moved along, looks the same."""
     from scipy.ndimage import map_coordinates, uniform_filter
 
     source = np.indices(light.shape) - motion
     inside = np.logical_and.reduce(
         [(at > -TINY) & (at < length - 1 + TINY) for at, length in zip(source, light.shape, strict=True)]
     )
-    wrong = uniform_filter(abs(light - map_coordinates(last, source, order=3, mode="mirror")), NEAR)
+    wrong = uniform_filter(abs(light - map_coordinates(last, source, order=3, mode="mirror")), MISMATCH_WINDOW)
     return np.asarray(inside & (wrong < MISMATCH))
 
 
@@ -105,7 +105,8 @@ def _halved(plane: Array) -> Array:
 
 
 def _doubled(vector: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """A field of displacements (2, row, col) at twice the size, its last row and column once more where that is odd."""
+    """Return a field of displacements (2, row, col) at twice the size, its last row and column once more where that is
+    odd."""
     whole = 2 * vector.repeat(2, axis=1).repeat(2, axis=2)
     return np.pad(
         whole, [(0, 0), *((0, length - have) for length, have in zip(shape, whole.shape[1:], strict=True))], mode="edge"

@@ -1,4 +1,4 @@
-"""Where a table errs: mean error by class of its rule, to see which classes are worst (docs/method.md#classes)."""
+"""Mean error of a table by class of its rule, to see which classes are worst (docs/method.md#classes)."""
 
 from typing import Any
 
@@ -32,8 +32,8 @@ class ClassErrors:
             self._sums[name] += rule.by_axis(np.bincount(within, weights=error.ravel(), minlength=classes))[0]
 
     def by_axis(self, figure: str) -> dict[str, list[dict[str, Any]]]:
-        """Mean error, called `figure`, of the classes met along each axis: level, contrast, chroma, saturation and
-        further features."""
+        """Return the mean error, called `figure`, of the classes met along each axis: level, contrast, chroma, saturation
+        and further features."""
         table, rule = self._table, self._rule
         axes: dict[str, list[tuple[dict[str, Any], Any]]] = {
             "level": [(level.entry(table, index), np.s_[index]) for index in range(rule.levels)],
@@ -50,7 +50,8 @@ class ClassErrors:
         return {axis: [entry for entry in entries if entry["pixels"]] for axis, entries in every.items()}
 
     def worst(self, figure: str, pipeline: str) -> list[dict[str, Any]]:
-        """The classes of the largest mean error of `pipeline` among those that hold a thousandth of the pixels or more."""
+        """Return the classes of the largest mean error of `pipeline` among those that hold a thousandth of the pixels or
+        more."""
         pixels = np.maximum(self._pixels, 1)
         seen = self._pixels >= max(LEAST_SHARE * self._pixels.sum(), 1)
         mean = np.where(seen, self._sums[pipeline] / pixels, -1.0)

@@ -1,6 +1,7 @@
 """Cameras beside each other over the light on the scene: from which luminance on one of them is the better."""
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -9,8 +10,11 @@ import numpy as np
 
 from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.evaluation.evaluation import OURS, higher_is_better
+from l3cli.frames.scene import shown_alike
 
 LARGEST = 1e12  # of a figure, of a luminance in cd/m²
+CLIPPING = 0.05  # of all pixels at full scale, from which on a camera is said to clip: highlights are fewer
+UNITS = {"delta_e": " ΔE00", "scielab": " ΔE00", "psnr": " dB", "angle": "°"}  # by the end of a figure's name
 
 
 @dataclass(frozen=True)
@@ -20,30 +24,60 @@ class Curve:
     name: str
     luminance: tuple[float, ...]  # cd/m² of a perfect white, rising
     value: tuple[float, ...]
+    clipped: tuple[float, ...] = ()  # share of the pixels at full scale; none: evaluated by an older version
+    exposure: tuple[float, ...] = ()  # s, the longest at each luminance
 
 
 def curve_of(document: Mapping[str, Any], figure: str) -> Curve:
-    """The mean of `figure` at each luminance, from a document of `l3 evaluate --json`; InputFileError if it lacks them,
-    RecipeError if its frames have no figure of that name."""
+    """Return the mean of `figure` at each luminance, from a document of `l3 evaluate --json`; InputFileError if it lacks
+    them, RecipeError if its frames have no figure of that name."""
     try:
         known = {name for frame in document["frames"] for name in frame[OURS]}
         if known and figure not in known:
             raise RecipeError(f'no figure "{figure}"; {suggestion(figure, sorted(known))}')
-        by_luminance: dict[float, list[float]] = {}
+        by_luminance: dict[float, list[tuple[float, float, float]]] = {}
         for frame in document["frames"]:
-            by_luminance.setdefault(float(frame["luminance"]), []).append(float(frame[OURS][figure]))
-        values = [value for at_one in by_luminance.values() for value in at_one]
-        if not all(abs(value) <= LARGEST for value in values) or not all(0 < at <= LARGEST for at in by_luminance):
+            row = float(frame[OURS][figure]), float(frame.get("clipped", 0.0)), float(frame.get("exposure", 1.0))
+            by_luminance.setdefault(float(frame["luminance"]), []).append(row)
+        rows = [row for at_one in by_luminance.values() for row in at_one]
+        sound = all(abs(value) <= LARGEST and 0 <= clipped <= 1 and 0 < time <= LARGEST for value, clipped, time in rows)
+        if not sound or not all(0 < at <= LARGEST for at in by_luminance):
             raise ValueError("no number that a figure can be")
         rising = sorted(by_luminance)
         name = str(document["camera"])
-    except (KeyError, TypeError, ValueError) as error:
+        told = all("clipped" in frame and "exposure" in frame for frame in document["frames"])
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputFileError(f'no figure {figure} by luminance; give what "l3 evaluate --json" prints') from error
-    return Curve(name, tuple(rising), tuple(float(np.mean(by_luminance[each])) for each in rising))
+    value, clipped = (tuple(float(np.mean([row[part] for row in by_luminance[each]])) for each in rising) for part in (0, 1))
+    exposure = tuple(max(time for _, _, time in by_luminance[each]) for each in rising)
+    return Curve(name, tuple(rising), value, *((clipped, exposure) if told else ()))
+
+
+def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:
+    """Return whether the frames of all documents show the same scenes and lights; None: not every frame has fingerprints.
+    InputFileError if a document is none of `l3 evaluate`."""
+    try:
+        first, *others = map(_shown, documents)
+        if not all(itertools.chain(first.values(), *(other.values() for other in others))):
+            return None
+        return all(
+            first.keys() == other.keys() and all(shown_alike(first[place], other[place]) for place in first)
+            for other in others
+        )
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InputFileError('frames do not say what they show; give what "l3 evaluate --json" prints') from error
+
+
+def _shown(document: Mapping[str, Any]) -> dict[tuple[str, str, str], Any]:
+    """Return the fingerprints of the frames by scene, light and luminance."""
+    return {
+        (str(frame.get("scene")), str(frame.get("illuminant")), f"{float(frame['luminance']):.6g}"): frame.get("shown")
+        for frame in document["frames"]
+    }
 
 
 def require_comparable(curves: list[Curve]) -> None:
-    """InputFileError unless all curves have the same luminances."""
+    """Raise InputFileError unless all curves have the same luminances."""
     for other in curves[1:]:
         if other.luminance != curves[0].luminance:
             raise InputFileError(
@@ -52,11 +86,62 @@ def require_comparable(curves: list[Curve]) -> None:
 
 
 def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
-    """Luminances (cd/m²) at which the better of two curves changes, on a logarithmic scale between their points."""
+    """Return the luminances (cd/m²) at which the better of two curves changes, on a logarithmic scale between their
+    points."""
     sign = 1.0 if higher_is_better(figure) else -1.0
     lead = sign * (np.array(one.value) - np.array(other.value))
     luminances = []
-    for (at, before), (to, after) in pairwise(zip(np.log(one.luminance), lead, strict=True)):
-        if before * after < 0:
-            luminances.append(float(np.exp(at + (to - at) * before / (before - after))))
+    for at, to in pairwise(np.flatnonzero(lead)):
+        if lead[at] * lead[to] < 0:  # where they are equal between the two, the better one changes there
+            to = min(to, at + 1) if lead[at + 1] == 0 else to
+            share = lead[at] / (lead[at] - lead[to])
+            low, high = np.log(one.luminance[at]), np.log(one.luminance[to])
+            luminances.append(float(np.exp(low + (high - low) * share)))
     return luminances
+
+
+def verdict(one: Curve, other: Curve, figure: str) -> str:
+    """Which of two curves is the better where, and by how much at most."""
+    sign = 1.0 if higher_is_better(figure) else -1.0
+    lead = sign * (np.array(one.value) - np.array(other.value))
+    if not lead.any():
+        return f"{figure}: {one.name} and {other.name} are equal at every luminance."
+    bounds = [0.0, *crossings(one, other, figure), np.inf]
+    parts: list[str] = []
+    for low, high in pairwise(bounds):
+        inside = lead[(np.array(one.luminance) >= low) & (np.array(one.luminance) <= high)]
+        most = inside[np.argmax(abs(inside))]
+        better, worse = (one, other) if most > 0 else (other, one)
+        than = "" if parts else f" is better than {worse.name}"
+        parts.append(f"{better.name}{than} {_range(low, high)}, by up to {_difference(abs(most), figure)}")
+    return f"{figure}: {'; '.join(parts)}."
+
+
+def _range(low: float, high: float) -> str:
+    if low == 0.0:
+        return "at every luminance" if high == np.inf else f"below {high:.3g} cd/m²"
+    return f"above {low:.3g} cd/m²" if high == np.inf else f"from {low:.3g} to {high:.3g} cd/m²"
+
+
+def _difference(value: float, figure: str) -> str:
+    unit = next((unit for end, unit in UNITS.items() if figure.endswith(end)), "")
+    return f"{value:.2g}{unit}" if value < 10 else f"{value:.0f}{unit}"
+
+
+def clipping(curve: Curve) -> str | None:
+    """From which luminance on a camera clips, at least CLIPPING of its pixels at each; None if it does not, or if that is
+    not known."""
+    some = [share >= CLIPPING for share in curve.clipped]
+    if not some or not some[-1]:
+        return None
+    first = len(some) - next((index for index, clips in enumerate(reversed(some)) if not clips), len(some))
+    times = set(curve.exposure[first:])
+    at = f" at {_time(curve.exposure[first])}" if len(times) == 1 else ""
+    share = f"{curve.clipped[-1]:.0%} of its pixels at {curve.luminance[-1]:g} cd/m²"
+    return f"{curve.name} clips{at} from {curve.luminance[first]:g} cd/m² on: {share}."
+
+
+def _time(seconds: float) -> str:
+    """Return an exposure as photographers write it: a fraction of a second where it is one."""
+    parts = round(1.0 / seconds)
+    return f"1/{parts} s" if parts > 1 and abs(parts * seconds - 1.0) < 0.01 else f"{seconds:.3g} s"

@@ -1,7 +1,7 @@
 """A table judged frame by frame beside pipelines that learn nothing, and what comes out of it all as one document."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet
-from l3cli.errors import InputFileError
+from l3cli.classes.names import AXES
+from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, light_of
 from l3cli.evaluation.classes import ClassErrors
 from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
@@ -22,6 +23,9 @@ from l3cli.physics.display import XYZ, displayed, displayed_delta_e, white_lumin
 Array = NDArray[np.floating]
 FORMAT = 2  # of the document; a change of its keys raises it
 OURS = "ours"
+TAKEN = {
+    "scene", "illuminant", "luminance", "frames", "pixels", "from", "to", "band", "case", "varies", *AXES, "ideal", "error",
+}  # fmt: skip # names that documents and pictures have for something else than a pipeline
 LARGEST = 1e24  # cd/m² that a table may answer with: its square, summed up, is a number
 
 
@@ -29,11 +33,18 @@ class Evaluation:
     """Figures of a table on the frames of a training set, gathered frame by frame; memory holds no pictures."""
 
     def __init__(
-        self, table: TransformTable, head: TrainingSet, viewing: float = VIEWING, border: int | None = None
+        self,
+        table: TransformTable,
+        head: TrainingSet,
+        viewing: float = VIEWING,
+        border: int | None = None,
+        rivals: Sequence[str] = (),
     ) -> None:
-        """`border`: pixels left out at each edge of a frame; None: those whose patch is not inside it.
+        """`border`: pixels left out at each edge of a frame; None: those whose patch is not inside it. `rivals`: names of
+        further pipelines, of whose pictures `add` is given the XYZ.
 
-        InputFileError if table and frames are of different CFAs or outputs."""
+        InputFileError if table and frames are of different CFAs or outputs, RecipeError if a rival cannot be compared or has
+        the name of something else."""
         camera = head.camera
         if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
             raise InputFileError("the frames are of a camera with another CFA than the table; evaluate a matching pair")
@@ -48,6 +59,14 @@ class Evaluation:
             self._baselines = dict.fromkeys(self._merges, interpolate) | baselines(camera.cfa)
         else:
             self._baselines = band_baselines(camera.cfa) if table.outputs == camera.channels else {}
+        if rivals and not self._pictures:
+            raise RecipeError(
+                f"rivals are pictures, and the table's outputs are {', '.join(table.outputs)}; leave ‹rival› out"
+            )
+        self._rivals = tuple(rivals)
+        for name in self.pipelines:
+            if self.pipelines.count(name) > 1 or name in TAKEN:
+                raise RecipeError(f'no two pipelines and no figure may have one name; rename "{name}"')
         self._figure = "mean_delta_e" if self._pictures else "mean_angle"
         self._colours: dict[bytes, Colour] = {}  # by light
         self._frames: list[dict[str, Any]] = []
@@ -56,11 +75,14 @@ class Evaluation:
 
     @property
     def pipelines(self) -> tuple[str, ...]:
-        """ "ours" first, then the baselines; none where the outputs are neither XYZ nor the camera's bands."""
-        return (OURS, *self._baselines)
+        """ "ours" first, then the baselines (none where the outputs are neither XYZ nor the camera's bands), then rivals."""
+        return (OURS, *self._baselines, *self._rivals)
 
-    def add(self, frame: TrainingPair, outputs: Array, labels: NDArray[np.integer]) -> dict[str, Array]:
-        """Count a frame whose raw the table rendered to `outputs` (output, row, col) by the classes `labels` (row, col).
+    def add(
+        self, frame: TrainingPair, outputs: Array, labels: NDArray[np.integer], rivals: Mapping[str, Array] | None = None
+    ) -> dict[str, Array]:
+        """Count a frame whose raw the table rendered to `outputs` (output, row, col) by the classes `labels` (row, col), and
+        every rival to XYZ planes (3, row, col) in the target's unit.
 
         Returns the planes (output, row, col) of every pipeline in the target's unit. InputFileError if the frame is too
         small to have pixels whose neighbourhood lies inside it, if its light is dark, or if `outputs` are no colours.
@@ -83,9 +105,14 @@ class Evaluation:
                 planes[name] = develop(frame, self._camera, self._colour(frame), demosaic, self._merges.get(name))
             else:
                 planes[name] = develop_bands(frame, self._camera, self._wanted is not None, demosaic)
+        planes |= rivals or {}
         black_level = self._camera.black_level + self._camera.dark_signal(frame.dark_time)
         level = float(frame.raw.mean() - black_level) / (self._camera.white_level - self._camera.black_level)
-        about = {"scene": frame.scene, "illuminant": frame.illuminant, "luminance": frame.luminance, "level": level}
+        about = {
+            "scene": frame.scene, "illuminant": frame.illuminant, "luminance": frame.luminance, "level": level,
+            "exposure": frame.exposure, "clipped": float((frame.raw >= self._camera.white_level).mean()),
+            "shown": frame.shown and {"scene": frame.shown.scene.tolist(), "light": frame.shown.light},
+        }  # fmt: skip
         figures = {name: self._quality(of, frame, border) for name, of in planes.items()}
         self._frames.append({**about, **figures})
         if not self._pictures:
@@ -96,15 +123,16 @@ class Evaluation:
         return planes
 
     def document(self) -> dict[str, Any]:
-        """All figures, ready for JSON. The keys are those of `l3 evaluate --json`:
+        """Return all figures, ready for JSON. The keys are those of `l3 evaluate --json`:
 
         format         2, raised when keys change
         camera, outputs, viewing (samples a degree of S-CIELAB), border (pixels left out at each edge), pipelines ("ours"
-                       first)
-        frames         scene, illuminant, luminance (cd/m²), level (mean signal above the dark / full scale), then per
-                       pipeline the fields of Quality (XYZ) or BandQuality (other outputs)
+                       first, rivals last)
+        frames         scene, illuminant, luminance (cd/m²), level (mean signal above the dark / full scale), exposure (s),
+                       clipped (share of the pixels at full scale), shown (scene, light: what they are known by; null where
+                       nothing is), then per pipeline the fields of Quality (XYZ) or BandQuality (other outputs)
         mean           per pipeline the mean of every figure over the frames
-        better         per baseline: in how many frames ours is better, by figure
+        better         per other pipeline: in how many frames ours is better, by figure
         by_level       from, to (of the frames' level, a factor of two), frames, then per pipeline the mean figures
         by_illuminant  illuminant, frames, then as by_level
         by_band        outputs that are not XYZ: band, then per pipeline psnr, output_psnr and ssim, means over the frames
@@ -122,7 +150,7 @@ class Evaluation:
             "pipelines": list(self.pipelines),
             "frames": self._frames,
             "mean": self._mean(self._frames),
-            "better": {name: self._better(name, tuple(first[OURS])) for name in self._baselines},
+            "better": {name: self._better(name, tuple(first[OURS])) for name in self.pipelines[1:]},
             "by_level": self._grouped(lambda frame: _octave(frame["level"]), lambda key: {"from": key[0], "to": key[1]}),
             "by_illuminant": self._grouped(lambda frame: frame["illuminant"], lambda key: {"illuminant": key}),
             "by_band": self._by_band(),
@@ -143,7 +171,8 @@ class Evaluation:
         return dataclasses.asdict(band_quality(planes, frame.target, frame.white, border))
 
     def _errors(self, planes: Array, frame: TrainingPair) -> Array:
-        """ΔE00 as displayed, or spectral angle in degrees, of every pixel (row, col); NaN where the target has no angle."""
+        """Return ΔE00 as displayed, or spectral angle in degrees, of every pixel (row, col); NaN where the target has no
+        angle."""
         if not self._pictures:
             return spectral_angle(planes, frame.target)
         scale = white_luminance(frame.target[1])
@@ -157,7 +186,7 @@ class Evaluation:
         }
 
     def _by_band(self) -> list[dict[str, Any]]:
-        """Mean figures of each output."""
+        """Return the mean figures of each output."""
         bands = []
         for index, band in enumerate(self._table.outputs if self._bands else ()):
             of_band = [{name: bands[index] for name, bands in frame.items()} for frame in self._bands]
@@ -165,7 +194,7 @@ class Evaluation:
         return bands
 
     def _better(self, baseline: str, figures: tuple[str, ...]) -> dict[str, int]:
-        """Number of frames in which ours is better than `baseline`, by figure."""
+        """Return the number of frames in which ours is better than `baseline`, by figure."""
         counts = {}
         for figure in figures:
             sign = 1.0 if higher_is_better(figure) else -1.0
@@ -181,11 +210,11 @@ class Evaluation:
 
 
 def higher_is_better(figure: str) -> bool:
-    """Whether a larger value of a figure is the better one, as of PSNR and SSIM; errors are better when small."""
+    """Return whether a larger value of a figure is the better one, as of PSNR and SSIM; errors are better when small."""
     return figure.endswith(("psnr", "ssim"))
 
 
 def _octave(level: float) -> tuple[float, float]:
-    """The bounds, a factor of two apart about a power of two, between which a level lies; below 2^-12 all are one."""
+    """Return the bounds, a factor of two apart about a power of two, between which a level lies; below 2^-12 all are one."""
     power = np.rint(np.log2(max(level, 2.0**-12)))
     return float(2.0 ** (power - 0.5)), float(2.0 ** (power + 0.5))

@@ -12,12 +12,12 @@ from l3cli.evaluation.demosaic import interpolate
 Array = NDArray[np.floating]
 # Balanced planes (channel, row, col) of a frame and what each channel was balanced by (channel) → the same for each filter
 Merge = Callable[[Array, TrainingPair, CameraModel, Array], Array]
-CLIPPED = 0.985  # share of full scale from which a sample is clipped …
-TOUCHED = 0.02  # … and share of such samples in what a pixel was interpolated from, from which it is
+CLIPPED = 0.985  # share of full scale from which a sample is clipped
+TOUCHED = 0.02  # share of clipped samples among those that a pixel was interpolated from, above which it is clipped, too
 
 
 def merges(camera: CameraModel) -> dict[str, Merge | None]:
-    """What may be made of the exposures of a camera, by name, "basic" the best of them; nothing where all are alike."""
+    """Return the ways to merge the exposures of a camera, by name, "basic" the best of them; nothing where all are alike."""
     if camera.readout is None or np.ptp(camera.sensitivity) == 0:
         return {"basic": None}
     names = ("long", "short") if np.ptp(camera.readout.channel_exposure) else ("high gain", "low gain")
@@ -25,8 +25,8 @@ def merges(camera: CameraModel) -> dict[str, Merge | None]:
 
 
 def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """All channels of a filter weighed by the inverse of their noise, without those clipped about a pixel; where all are,
-    the least sensitive."""
+    """Return all channels of a filter weighed by the inverse of their noise, without those clipped about a pixel; where all
+    are, the least sensitive."""
     span, channels = camera.white_level - camera.black_level, np.arange(len(camera.channels))
     clipped = interpolate((frame.raw >= camera.black_level + CLIPPED * span).astype(np.float64), camera.cfa) > TOUCHED
     in_dn = (camera.gain * camera.channel_gains / np.where(balance > 0, balance, np.inf))[:, None, None]
@@ -42,12 +42,12 @@ def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Arr
 
 
 def most_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """The longest exposure or highest gain of each filter alone."""
+    """Return the longest exposure or highest gain of each filter alone."""
     return _chosen(planes, camera, np.argmax)
 
 
 def least_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """The shortest exposure or lowest gain of each filter alone."""
+    """Return the shortest exposure or lowest gain of each filter alone."""
     return _chosen(planes, camera, np.argmin)
 
 
@@ -59,7 +59,7 @@ def _chosen(planes: Array, camera: CameraModel, which: Callable[[Array], np.intp
 
 
 def _groups(camera: CameraModel) -> list[NDArray[np.intp]]:
-    """The channels of each filter."""
+    """Return the channels of each filter."""
     assert camera.readout is not None
     first = camera.readout.same_filter
     return [np.flatnonzero(first == one) for one in np.unique(first)]

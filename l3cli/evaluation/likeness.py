@@ -1,4 +1,4 @@
-"""Whether frames are of the camera that a table was learned for: by what reaches the table, not by names or digests.
+"""Comparison of the camera that took frames with that of a table: by their signals, not by names or digests.
 
 A table turns shares of full scale into colours, so what counts is what a camera makes of surfaces: the ratios of its
 channels (colour), the exposure that fills them (sensitivity), and the noise on them. The limits leave room for two
@@ -29,8 +29,8 @@ NOISE_SHARES = (0.0, 0.01, 0.1, 0.5)  # of full scale, at which noise is compare
 
 
 def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
-    """What tells `camera` from another of the same channels, or from that which a table was learned for, in words; "" if
-    nothing does.
+    """Return how `camera` differs from another of the same channels, or from that which a table was learned for, in words;
+    "" if it does not.
 
     Of a table that does not hold its camera, as older ones do not, sensitivity alone is known.
     """
@@ -50,8 +50,9 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
 
 
 def colour_difference(one: CameraModel, other: CameraModel) -> float:
-    """Mean CIEDE2000 between measured reflectances seen by two cameras of the same channels, through the white balance and
-    colour matrix of `one`; whatever factor their sensitivities have in common is left out. Of D65 and A the larger."""
+    """Return the mean CIEDE2000 between measured reflectances seen by two cameras of the same channels, through the white
+    balance and colour matrix of `one`; whatever factor their sensitivities have in common is left out. Of D65 and A the
+    larger."""
     return max(_colour_difference(one, other, named_light(name, one, other)) for name in LIGHTS)
 
 
@@ -70,7 +71,8 @@ def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectru
 
 
 def noise_ratio(one: CameraModel, other: CameraModel) -> float:
-    """The noise of `other` over that of `one`, both as shares of full scale, where over the range they differ most."""
+    """Return the noise of `other` over that of `one`, both as shares of full scale, where over the range they differ
+    most."""
     spreads = []
     for camera in (one, other):
         full = camera.white_level - camera.black_level
@@ -80,5 +82,5 @@ def noise_ratio(one: CameraModel, other: CameraModel) -> float:
 
 
 def _factor(ratio: float) -> float:
-    """A ratio or its inverse, whichever is above 1."""
+    """Return a ratio or its inverse, whichever is above 1."""
     return max(ratio, 1.0 / ratio)

@@ -12,8 +12,8 @@ from l3cli.physics.display import displayed, displayed_delta_e, white_luminance
 Array = NDArray[np.floating]
 Region = tuple[slice, slice]  # rows and columns of a patch
 INNER = 0.5  # of a patch's side, about its middle: what lies nearer to its edges is mixed with what is beside it
-EVEN = 0.01  # of white: largest standard deviation of the target within a patch …
-ALIKE = 0.02  # … and largest difference of its mean from that of the chart
+EVEN = 0.01  # of white: largest standard deviation of the target within a patch
+ALIKE = 0.02  # of white: largest difference of a patch's mean from that of the chart
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,8 @@ class PatchColours:
 
 
 def holds_chart(frame: TrainingPair, light: LightSpectrum | None, regions: list[Region]) -> bool:
-    """Whether the target (XYZ) shows a ColorChecker's patches in `regions` under `light`, under which it is wanted."""
+    """Return whether the target (XYZ) shows a ColorChecker's patches in `regions` under `light`, under which it is
+    wanted."""
     if light is None or any(min(rows.stop - rows.start, cols.stop - cols.start) < 4 for rows, cols in regions):
         return False
     wavelength = light.wavelength
@@ -40,8 +41,8 @@ def holds_chart(frame: TrainingPair, light: LightSpectrum | None, regions: list[
 
 
 def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[Region]) -> PatchColours:
-    """The mean of each patch in the target and in `planes` (XYZ (3, row, col) in the target's unit), shown on the target's
-    scale."""
+    """Return the mean of each patch in the target and in `planes` (XYZ (3, row, col) in the target's unit), shown on the
+    target's scale."""
     scale = white_luminance(frame.target[1])
     ideal = displayed(_means(frame.target, regions), frame.white, scale)
     shown = {name: displayed(_means(of, regions), frame.white, scale) for name, of in planes.items()}
@@ -50,7 +51,7 @@ def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[R
 
 
 def inner(region: Region) -> Region:
-    """The middle of a patch."""
+    """Return the middle of a patch."""
     rows, cols = (
         slice(each.start + round(cut), each.stop - round(cut))
         for each in region

@@ -1,4 +1,5 @@
-"""How near a rendered frame comes to its target: figures of pictures for CIE XYZ, of spectra for any other outputs."""
+"""Figures of the difference between a rendered frame and its target: of pictures for CIE XYZ, of spectra for other
+outputs."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -100,12 +101,12 @@ def band_figures(rendered: Array, target: Array, white: Array, border: int = 0) 
 
 
 def _peaks(target: Array, white: Array) -> Array:
-    """What a linear PSNR takes for 1 of each output (output, 1, 1)."""
+    """Return the value of each output (output, 1, 1) that a linear PSNR takes for 1."""
     return white_luminance(target.mean(axis=0)) * (_positive(white) / white.mean())[:, None, None]
 
 
 def _shares(planes: Array, white: Array) -> Array:
-    """Outputs as shares of white, cut to 0…1."""
+    """Return the outputs as shares of white, cut to 0…1."""
     return np.clip(planes / _positive(white)[:, None, None], 0.0, 1.0)
 
 
@@ -118,5 +119,5 @@ def _rounded(share: Array) -> Array:
 
 
 def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
-    """Planes (…, row, col) without a margin of `border` pixels."""
+    """Return the planes (…, row, col) without a margin of `border` pixels."""
     return planes[..., border : planes.shape[-2] - border, border : planes.shape[-1] - border]

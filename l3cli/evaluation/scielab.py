@@ -30,7 +30,7 @@ def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) ->
 
 
 def blurred(xyz: Array, viewing: float) -> Array:
-    """XYZ (row, col, 3) as blurred by the eye's three opponent filters, each a degree wide in all."""
+    """Return XYZ (row, col, 3) as blurred by the eye's three opponent filters, each a degree wide in all."""
     from scipy.ndimage import correlate1d
 
     opponent = np.einsum("oc,rkc->ork", OPPONENT_FROM_XYZ, xyz)
@@ -46,5 +46,5 @@ def blurred(xyz: Array, viewing: float) -> Array:
 
 
 def half_size(viewing: float) -> int:
-    """Samples from the centre to the end of a filter: a degree in all, made odd downwards as in ISETCam."""
+    """Return the samples from the centre to the end of a filter: a degree in all, made odd downwards as in ISETCam."""
     return (int(np.ceil(viewing)) - 1) // 2

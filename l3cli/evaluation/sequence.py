@@ -1,4 +1,4 @@
-"""How quiet a rendered sequence is, and how near it comes to the ideal one (docs/method.md#quality-of-sequences).
+"""Flicker of a rendered sequence, and its difference from the ideal one (docs/method.md#quality-of-sequences).
 
 Pictures are linear sRGB (row, col, 3), 1 being display white; lightness is CIE L*, from 0 to 100.
 """
@@ -59,10 +59,12 @@ class SequenceEvaluation:
         self._names, self._border = (rendered, ideal), border
         self._frames: list[FrameFigures] = []
         self._cells: list[Array] = []  # of each frame the mean L* of every patch
-        self._steps: list[Array] = []  # … of each but the first the mean square of its change
+        self._steps: list[Array] = []  # of each frame but the first the mean square of its change
         self._motion: Literal["known", "estimated"] | None = None
         self._last: Array | None = None  # L* of the last frame
-        self._ideal: tuple[Array, Array] | None = None  # … of its ideal, and what it is above that
+        self._ideal: tuple[Array, Array] | None = (
+            None  # L* of the last frame's ideal, and the difference of the frame from it
+        )
         self._offset = 0.0  # of the last frame's mean L* from the ideal's, or from 0
         self._sum: Array | float = 0.0
         self._squares: Array | float = 0.0
@@ -97,7 +99,7 @@ class SequenceEvaluation:
     def _figures(
         self, rendered: Array, ideal: Array | None, step: Array | None, wanted: Array | None, warped: float | None
     ) -> FrameFigures:
-        """Of the newest frame what can be said before the end."""
+        """Return the figures of the newest frame that are known before the end."""
         assert self._last is not None
         quality, difference = None, None
         if ideal is not None:
@@ -111,7 +113,7 @@ class SequenceEvaluation:
         return FrameFigures(len(self._frames), mean, jump, None, warped, quality, difference)
 
     def figures(self) -> SequenceFigures:
-        """Figures of all frames counted; ValueError unless there are two."""
+        """Return the figures of all frames counted; ValueError unless there are two."""
         count = len(self._frames)
         if count < 2:
             raise ValueError("a sequence has two frames or more")
@@ -142,8 +144,8 @@ class SequenceEvaluation:
         return float(np.sqrt(_cell_means(variance)[still].mean()))
 
     def _still(self) -> NDArray[np.bool_]:
-        """The patches (row, col) that show the same all the time: by the ideal, or else as far as noise explains it, such as
-        that of the patches that change least."""
+        """Return the patches (row, col) that show the same all the time: by the ideal, or else as far as noise explains it,
+        such as that of the patches that change least."""
         if self._range is not None:
             low, high = self._range
             return np.asarray(_cells(high - low).max(axis=(1, 3)) <= STILL)
@@ -173,7 +175,7 @@ def _warped_error(error: Array, last: Array, motion: Array, border: int) -> floa
 
 
 def _cells(plane: Array) -> Array:
-    """A plane (row, col) as (row of patches, row, column of patches, col); what does not fill a patch is cut off."""
+    """Return a plane (row, col) as (row of patches, row, column of patches, col); what does not fill a patch is cut off."""
     rows, cols = (length // CELL for length in plane.shape)
     return plane[: rows * CELL, : cols * CELL].reshape(rows, CELL, cols, CELL)
 

@@ -11,12 +11,14 @@ STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values in 0…1
 
 
 def psnr(one: Array, other: Array) -> float:
-    """Peak signal-to-noise ratio in dB of two arrays of one shape whose peak is 1; 120 dB where they are equal."""
+    """Return the peak signal-to-noise ratio in dB of two arrays of one shape whose peak is 1; 120 dB where they are
+    equal."""
     return float(-10.0 * np.log10(max(float(np.mean((one - other) ** 2)), LEAST_ERROR)))
 
 
 def ssim(one: Array, other: Array) -> float:
-    """Mean structural similarity of two pictures (row, col) in 0…1 (Wang et al. 2004: 11 × 11 Gaussian window of σ 1.5).
+    """Return the mean structural similarity of two pictures (row, col) in 0…1 (Wang et al. 2004: 11 × 11 Gaussian window of
+    σ 1.5).
 
     Only whole windows count, unless the picture is smaller than one.
     """
@@ -36,7 +38,7 @@ def ssim(one: Array, other: Array) -> float:
 
 
 def spectral_angle(rendered: Array, target: Array) -> Array:
-    """Angle in degrees (row, col) between the spectra of two cubes (band, row, col).
+    """Return the angle in degrees (row, col) between the spectra of two cubes (band, row, col).
 
     NaN where the target has no direction, since its spectrum is zero, or shorter than float32 resolves beside the longest of
     the picture; 90 where only the rendered spectrum is zero (docs/method.md#quality-figures).

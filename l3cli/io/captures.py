@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.curve_file import SUFFIXES, read_table
-from l3cli.curve_table import CurveTable
 from l3cli.errors import InputFileError, L3Error
 from l3cli.io.photos import raw_content
 from l3cli.io.raw.registry import BY_SUFFIX
+from l3cli.spectra.file import SUFFIXES, read_table
+from l3cli.spectra.table import CurveTable
 
 MOST_FILES, DEEPEST = 20_000, 8  # files and folders below one another that are looked at
 DEVELOPED = (".jpg", ".jpeg", ".heic", ".webp", ".bmp", ".gif", ".exr")
@@ -44,7 +44,7 @@ class RawFile:
 
 
 def list_captures(folder: Path) -> CaptureFolder:
-    """What lies in a folder and below it; InputFileError if it is none, or holds more files than are looked at."""
+    """Return the content of a folder and of those below it; InputFileError if it is none, or holds too many files."""
     if not folder.is_dir():
         raise InputFileError(f"{folder} is no folder; give the folder of a lab's captures")
     frames, tables, notes = [], [], Counter[str]()
@@ -85,7 +85,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _is_text(name: str) -> bool:
-    """Whether a name can be written into a measurement file."""
+    """Return whether a name can be written into a measurement file."""
     try:
         name.encode()
     except UnicodeEncodeError:
@@ -94,7 +94,7 @@ def _is_text(name: str) -> bool:
 
 
 def read_capture(path: Path) -> RawFile:
-    """A raw frame as it stands; InputFileError if the file holds none: a developed picture, several frames, something
+    """Return a raw frame as it stands; InputFileError if the file holds none: a developed picture, several frames, something
     damaged."""
     content = raw_content(path)
     values = content["values"]
@@ -109,7 +109,7 @@ def read_capture(path: Path) -> RawFile:
 
 
 def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, CurveTable]]:
-    """The tables of a folder that hold spectra; `notes` gets a line for each that does not."""
+    """Return the tables of a folder that hold spectra; `notes` gets a line for each that does not."""
     found = []
     for name in folder.tables:
         try:
@@ -123,7 +123,7 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
 
 
 def _has_numbers(path: Path) -> bool:
-    """Whether a text has rows of numbers, so that it may be meant for a table."""
+    """Return whether a text has rows of numbers, so that it may be meant for a table."""
     try:
         with open(path, "rb") as stream:
             return len(FIGURES.findall(stream.read(65536))) >= 3

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
-from l3cli.config import Recipe, load_recipe, parse_toml, read_text
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.frames.measurement import Body, Capture, Measurements
 from l3cli.io.measurement_recipe import CaptureRecipe, MeasurementRecipe
 from l3cli.io.raw.files import read_raw
-from l3cli.measurement import Body, Capture, Measurements
+from l3cli.recipes.toml import Recipe, load_recipe, parse_toml, read_text
 
 
 class CorrectionRecipe(Recipe):
@@ -58,12 +58,12 @@ class RawFrames:
 
 
 def has_base(path: Path) -> bool:
-    """Whether a measurement file takes its camera from another file."""
+    """Return whether a measurement file takes its camera from another file."""
     return "base" in parse_toml(read_text(path, CorrectionRecipe.title), str(path))
 
 
 def read_correction_recipe(path: Path) -> CorrectionRecipe:
-    """RecipeError if it names no dark or no white frames, or one without an exposure time."""
+    """Raise RecipeError if it names no dark or no white frames, or one without an exposure time."""
     recipe = load_recipe(path, CorrectionRecipe)
     for table in ("dark", "white"):
         captures: list[CaptureRecipe] = getattr(recipe, table)
@@ -76,7 +76,7 @@ def read_correction_recipe(path: Path) -> CorrectionRecipe:
 
 
 def correction_files(path: Path) -> dict[str, list[Path]]:
-    """Such a file and all that it names, by their role."""
+    """Return such a file and all that it names, by their role."""
     recipe = read_correction_recipe(path)
     names = [name for capture in [*recipe.dark, *recipe.white] for name in capture.frames]
     return {
@@ -87,7 +87,8 @@ def correction_files(path: Path) -> dict[str, list[Path]]:
 
 
 def correction_measurements(path: Path) -> Measurements:
-    """The captures of such a file; frames are read later, one by one. RecipeError or InputFileError as of other ones."""
+    """Return the captures of such a file; frames are read later, one by one. RecipeError or InputFileError as of other
+    ones."""
     recipe = read_correction_recipe(path)
     camera = load_camera(path.parent / recipe.base)
     body = Body(

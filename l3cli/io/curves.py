@@ -1,7 +1,9 @@
 """Files of curves: CSV spectra, tables of sweeps, and the JSON of rawtoaces (camera spectral sensitivities per energy)."""
 
+import csv
+import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.config import LARGEST
-from l3cli.curve_file import other_unit, read_table
-from l3cli.curve_table import CurveTable
 from l3cli.errors import InputFileError
-from l3cli.files import write_whole
-from l3cli.limits import read_bounded
-from l3cli.measurement import FinishedCurves, SweepTable
+from l3cli.frames.measurement import FinishedCurves, SweepTable
 from l3cli.physics import spectra
+from l3cli.recipes.toml import LARGEST
+from l3cli.spectra.file import other_unit, read_table
+from l3cli.spectra.table import CurveTable
+from l3cli.system.files import write_whole
+from l3cli.system.limits import read_bounded
 
 RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, the grid of its database
 DIODE = {  # other names of a sweep's columns
@@ -28,15 +30,19 @@ Array = NDArray[np.float64]
 
 def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> None:
     """Write columns (column, wavelength) as CSV below a heading with the `unit` of all columns, if there is one."""
-    lines = [",".join(["wavelength_nm", *(f"{name} ({unit})" if unit else name for name in names)])]
+    heading = io.StringIO()  # a name may hold what ends a cell
+    csv.writer(heading, lineterminator="").writerow(
+        ["wavelength_nm", *(f"{name} ({unit})" if unit else name for name in names)]
+    )
+    lines = [heading.getvalue()]
     lines += [",".join(f"{value:.8g}" for value in row) for row in np.vstack([wavelength, columns]).T]
     write_whole(path, "\n".join(lines) + "\n")
 
 
 def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: int | str = 0) -> SweepTable:
-    """The table of a sweep: wavelength, light mean of each channel, dark mean of each channel, light and dark reading of the
-    photodiode, in this order or by name; and the response of that photodiode, per energy, in a `column` of its table, by
-    name or by number from 1, 0 for the only one. InputFileError if it does not cover the sweep."""
+    """Return the table of a sweep: wavelength, light mean of each channel, dark mean of each channel, light and dark reading
+    of the photodiode, in this order or by name; and the response of that photodiode, per energy, in a `column` of its table,
+    by name or by number from 1, 0 for the only one. InputFileError if it does not cover the sweep."""
     count = len(channels)
     wanted = [f"{kind} {channel}" for kind in ("light", "dark") for channel in channels] + ["diode light", "diode dark"]
     sweep = read_table(path).ordered(wanted, lambda name: DIODE.get(name.casefold(), name))
@@ -59,17 +65,20 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
     return SweepTable(wavelength, table[:count], table[count : 2 * count], table[-2], table[-1], diode)
 
 
-def read_finished(path: Path, channels: Sequence[str], per_energy: bool) -> FinishedCurves:
-    """Finished responsivities from CSV (wavelength in nm, one column a channel) or from rawtoaces' JSON."""
-    table = _read_json(path) if path.suffix == ".json" else read_table(path)
-    grid, curves = table.wavelength, table.ordered(channels).responses(per_energy, "per_energy")
+def read_finished(
+    path: Path, channels: Sequence[str], per_energy: bool, columns: Mapping[str, str] | None = None
+) -> FinishedCurves:
+    """Finished responsivities from CSV (wavelength in nm, one column a channel, by the name that `columns` gives it) or from
+    rawtoaces' JSON."""
+    table = (_read_json(path) if path.suffix == ".json" else read_table(path)).channel_columns(channels, columns)
+    grid, curves = table.wavelength, table.responses(per_energy, "per_energy")
     if grid.size < 3 or grid[0] <= 0 or curves.min() < 0 or (curves.max(axis=1) <= 0).any():
         raise InputFileError(f"{path}: curves need three wavelengths or more, no negative value, and light in every channel")
-    return FinishedCurves(grid, curves / grid if per_energy else curves)
+    return FinishedCurves(grid, curves / grid if per_energy else curves, table.note)
 
 
 def _read_json(path: Path) -> CurveTable:
-    """The curves of a rawtoaces file, by the names of its index."""
+    """Return the curves of a rawtoaces file, by the names of its index."""
     try:
         content = json.loads(read_bounded(path))["spectral_data"]
         rows, names = content["data"]["main"], content.get("index", {}).get("main")
@@ -91,7 +100,7 @@ def _read_json(path: Path) -> CurveTable:
 
 
 def export_paths(folder: Path) -> tuple[Path, Path]:
-    """The CSV and the JSON that `export_curves` writes."""
+    """Return the CSV and the JSON that `export_curves` writes."""
     return folder / "responsivity.csv", folder / "rawtoaces.json"
 
 

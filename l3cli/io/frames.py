@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frame import shifted_cfa
-from l3cli.io.apart import apart
+from l3cli.frames.frame import shifted_cfa
 from l3cli.io.images import mono_of, opened
+from l3cli.io.isolated import isolated
 from l3cli.io.photos import raw_content
 from l3cli.io.raw.cfa_codes import FilterArray, find_phase
-from l3cli.io.raw.pgm import read_pgm
-from l3cli.io.raw.registry import BY_SUFFIX, PGM, format_of
+from l3cli.io.raw.registry import BY_SUFFIX, format_of
 
 PICTURES = (".tif", ".png")  # of formats whose depth is checked before their pixels are read
 
@@ -35,14 +34,12 @@ class FrameFiles:
 
 
 def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray | None = None) -> NDArray[np.uint16]:
-    """A single-channel 16-bit picture (row, col) in DN, an 8-bit one of a sensor of 8 bits or less, or a raw file's mosaic.
+    """Return a single-channel 16-bit picture (row, col) in DN, an 8-bit one of a sensor of 8 bits or less, or a raw file's
+    mosaic.
 
     InputFileError if it is none, not of `shape`, beyond `bits`, or if it states another `array` or phase.
     """
-    kind = format_of(path)
-    if kind is PGM:
-        values = read_pgm(path)
-    elif path.suffix.lower() in BY_SUFFIX and kind.suffixes[0] not in PICTURES:
+    if path.suffix.lower() in BY_SUFFIX and format_of(path).suffixes[0] not in PICTURES:
         content = raw_content(path)
         values, pattern = content["values"], content.get("pattern")
         if array is not None and pattern is not None:
@@ -55,7 +52,7 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
     return values.astype(np.uint16, copy=False)
 
 
-@apart
+@isolated("OpenImageIO")
 def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
     with opened(path) as (picture, spec):
         _check(path, str(spec.format), spec.nchannels, (spec.height, spec.width), (rows, cols), bits)

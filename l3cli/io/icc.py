@@ -19,7 +19,7 @@ NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # flags, rendering intent
 
 @functools.cache
 def icc_profile(space: Space) -> bytes:
-    """The profile of a space: equal values are white, by relative colorimetry."""
+    """Return the profile of a space: equal values are white, by relative colorimetry."""
     adapted = adaptation_matrix(space.neutral_xyz, D50)
     colorants = (adapted @ space.to_xyz).T
     tags = {
@@ -56,7 +56,7 @@ def _tag(kind: bytes, content: bytes) -> bytes:
 
 
 def _fixed(numbers: NDArray[np.floating]) -> bytes:
-    """Numbers with 16 bits behind the point."""
+    """Return the numbers with 16 bits behind the point."""
     return np.rint(np.asarray(numbers) * 65536).astype(">i4").tobytes()
 
 

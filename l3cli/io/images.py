@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import write_whole
-from l3cli.interrupts import uninterrupted
-from l3cli.io.apart import apart
 from l3cli.io.icc import icc_profile
+from l3cli.io.isolated import isolated
 from l3cli.io.label import NOTHING, Label
 from l3cli.io.names import named_in_utf8
-from l3cli.limits import VALUE_BYTES, require_picture
+from l3cli.io.raw.tiff_tags import UPRIGHT, flip_of
 from l3cli.physics.spaces import SRGB, XYZ, Space
+from l3cli.system.files import write_whole
+from l3cli.system.limits import VALUE_BYTES, require_picture
+from l3cli.system.signals import uninterrupted
 
 PICTURES = {  # bits each may hold; 32: floating point
     ".png": (8, 16),
@@ -51,12 +52,12 @@ EXPOSURE_TIME = "ExposureTime"  # OpenImageIO's name of the Exif tag
 
 
 def is_linear(path: Path, bits: int = 8) -> bool:
-    """Whether a file of this name and depth holds linear values rather than the codes of a picture."""
+    """Return whether a file of this name and depth holds linear values rather than the codes of a picture."""
     return path.suffix.lower() == LINEAR or bits == FLOAT_BITS
 
 
 def check_format(path: Path, bits: int) -> None:
-    """RecipeError if no file of this name can be written, or not with `bits` bits a value."""
+    """Raise RecipeError if no file of this name can be written, or not with `bits` bits a value."""
     if path.suffix.lower() == LINEAR or (path.suffix.lower() == RAW and bits != FLOAT_BITS):
         return
     if path.suffix.lower() == RAW:
@@ -83,7 +84,8 @@ def write_picture(path: Path, picture: NDArray) -> None:
 
 
 def picture_file(path: Path, picture: NDArray, space: Space = SRGB, label: Label = NOTHING) -> bytes:
-    """The file of a picture (row, col, 3), uint8 or uint16, encoded in a space, whose profile it carries, and its label."""
+    """Return the file of a picture (row, col, 3), uint8 or uint16, encoded in a space, whose profile it carries, and its
+    label."""
     import OpenImageIO as oiio
 
     check_format(path, 8 * picture.dtype.itemsize)
@@ -108,7 +110,7 @@ def write_linear(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]
 def linear_file(
     path: Path, pixels: NDArray[np.float32], names: tuple[str, ...], space: Space | None, label: Label = NOTHING
 ) -> bytes:
-    """The EXR or TIFF file of linear values (row, col, value) called `names`; `space`: what they say of colours."""
+    """Return the EXR or TIFF file of linear values (row, col, value) called `names`; `space`: what they say of colours."""
     import OpenImageIO as oiio
 
     rows, cols, outputs = pixels.shape
@@ -159,9 +161,21 @@ def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None 
     write_whole(path, encoded(path.name, spec, values[..., None]))
 
 
+def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
+    """Return the bytes of a JPEG file of sRGB codes (row, col, 3), `quality` 1…100, colour at full resolution."""
+    import OpenImageIO as oiio
+
+    rows, cols, channels = picture.shape
+    spec = oiio.ImageSpec(cols, rows, channels, "uint8")
+    spec.attribute("oiio:ColorSpace", "sRGB")
+    spec.attribute("Compression", f"jpeg:{quality}")
+    spec.attribute("jpeg:subsampling", "4:4:4")
+    return encoded("picture.jpg", spec, picture)
+
+
 @uninterrupted
 def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
-    """The bytes of a file of this name; L3Error if it cannot be encoded.
+    """Return the bytes of a file of this name; L3Error if it cannot be encoded.
 
     They are made in memory: on a full disk the JPEG library ends the whole program, and the PNG library says nothing. Left
     half through by a signal, that one complains on stderr.
@@ -182,14 +196,21 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
 # ------------------------------------------------------------------------------------------------------- reading
 
 
-@apart
+@isolated("OpenImageIO")
 def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
-    """Pixels (row, col, channel) as stored and the channels' names; InputFileError if the file cannot be read."""
+    """Return the pixels (row, col, channel) as stored and the channels' names; InputFileError if the file cannot be read."""
     with opened(path) as (source, spec):
         return pixels_of(path, source, spec), tuple(spec.channelnames)
 
 
-@apart
+@isolated("OpenImageIO")
+def picture_flip(path: Path) -> int:
+    """Return LibRaw's flip code that makes stored pixels upright (tag Orientation). InputFileError if it cannot be read."""
+    with opened(path) as (_, spec):
+        return flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
+
+
+@isolated("OpenImageIO")
 def picture_size(path: Path) -> tuple[int, int]:
     """(rows, cols) of a picture by its header; InputFileError if it has none."""
     with opened(path) as (_, spec):
@@ -197,7 +218,8 @@ def picture_size(path: Path) -> tuple[int, int]:
 
 
 def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[np.uint16], float | None]:
-    """Values as stored (row, col) of the single-channel picture that an input is at, and its exposure time (s)."""
+    """Return the values as stored (row, col) of the single-channel picture that an input is at, and its exposure time
+    (s)."""
     stored = str(spec.format)
     if spec.nchannels != 1 or stored not in ("uint8", "uint16"):
         raise InputFileError(
@@ -236,15 +258,15 @@ def open_image(path: Path, name: str) -> Any:
 
 
 def require_bearable(path: Path, spec: Any) -> None:
-    """InputFileError unless a picture is flat and no larger than inputs may be."""
+    """Raise InputFileError unless a picture is flat and no larger than inputs may be."""
     require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
     if spec.deep or spec.depth != 1:
-        raise InputFileError(f"{path} holds a volume or samples in depth; give a flat picture")
+        raise InputFileError(f"{path} holds a volume or deep samples; give a flat picture")
 
 
 def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
-    """InputFileError if a picture's description counts more frames than there are pages: ImageJ and tifffile may store a
-    stack as a single page, the other frames somewhere behind it."""
+    """Raise InputFileError if a picture's description counts more frames than there are pages: ImageJ and tifffile may store
+    a stack as a single page, the other frames somewhere behind it."""
     text = spec.get_string_attribute("ImageDescription")
     count = re.search(r"^images=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
     shape = re.match(r"""\{.*"shape": \[([0-9, ]{1,99})\]""", text)
@@ -258,7 +280,7 @@ def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
 
 
 def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
-    """Pixels (row, col, channel) of an opened picture."""
+    """Return the pixels (row, col, channel) of an opened picture."""
     pixels = source.read_image(spec.format)
     if pixels is None:
         raise InputFileError(f"{path} is truncated or damaged ({_reason(source.geterror(), str(path))}); give a whole image")
@@ -266,6 +288,6 @@ def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
 
 
 def _reason(message: str, name: str) -> str:
-    """What OpenImageIO says, in one line and without the name that stands before it already."""
+    """Return OpenImageIO's message in one line, without the name at its beginning."""
     line = message.strip().splitlines()[0] if message.strip() else "unknown format"
     return line.removeprefix(f"{name}: ")

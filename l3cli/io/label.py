@@ -1,15 +1,15 @@
-"""What the file of a rendered frame says of itself beside its pixels; nothing of it depends on when or where it was made."""
+"""Metadata of a rendered frame's file; none of it depends on when or where it was made."""
 
 from dataclasses import dataclass
 from fractions import Fraction
 
 from l3cli import __version__
-from l3cli.frame import Shot
+from l3cli.frames.frame import Shot
 
 
 @dataclass(frozen=True)
 class Label:
-    """How the frame was taken, and what its picture was made from."""
+    """Settings of the shot, and the files that its picture was made from."""
 
     shot: Shot = Shot()
     exposure: float | None = None  # s
@@ -57,10 +57,10 @@ NOTHING = Label()
 
 
 def of_file(digest: str) -> str:
-    """The frame that a raw file holds alone, by the file's SHA-256."""
+    """Return the frame that a raw file holds alone, by the file's SHA-256."""
     return f"raw file SHA-256 {digest}"
 
 
 def of_values(digest: str) -> str:
-    """A frame of a stack or stream, by the SHA-256 of its values, row by row, 16 bits, lower byte first."""
+    """Return a frame of a stack or stream, by the SHA-256 of its values, row by row, 16 bits, lower byte first."""
     return f"raw values SHA-256 {digest}"

@@ -16,18 +16,22 @@
 Names of files are relative to the folder of the measurement file.
 """
 
-import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
 import msgspec
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_curves import column_faults
 from l3cli.artifacts.camera_recipe import CfaRecipe, NoiseRecipe, OpticsRecipe
 from l3cli.artifacts.channel_recipe import ChannelRecipe, settings_of
-from l3cli.config import Count, Recipe
-from l3cli.curve_file import SUFFIXES
-from l3cli.files import write_whole
+from l3cli.recipes.faults import Fault, fault
+from l3cli.recipes.toml import Count, Recipe, toml_key, toml_value
+from l3cli.spectra.file import SUFFIXES
+from l3cli.system.files import write_whole
+
+EXPOSURES = ("exposure_s", "exposure_ms", "exposure_us")
 
 
 class BodyRecipe(Recipe):
@@ -71,6 +75,15 @@ class ChartRecipe(CaptureRecipe, kw_only=True):
     unit: str | None = None  # as of [[mono]]
 
 
+class CommonRecipe(Recipe):
+    """Keys common to [[mono]] and [[band]] captures that do not state them themselves."""
+
+    exposure_s: float | None = None  # one of these three
+    exposure_ms: float | None = None
+    exposure_us: float | None = None
+    unit: str | None = None  # of radiances, where the heading states none
+
+
 class ColumnRecipe(Recipe):
     """One column of a table of several."""
 
@@ -94,6 +107,7 @@ class CurvesRecipe(Recipe):
     """Responsivities that somebody measured."""
 
     file: str  # CSV: nm, one column a channel; or the JSON of rawtoaces
+    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → its column, where that has another name
     per_energy: bool = True  # false: per photon
 
 
@@ -120,10 +134,11 @@ class DatasheetRecipe(NoiseRecipe, kw_only=True):
 
 
 class UncertaintyRecipe(Recipe):
-    """How well the lights were known, one standard deviation; it widens the confidence band."""
+    """Uncertainty of the lights, one standard deviation; it widens the confidence band."""
 
     lamp_drift: float = 0.0  # relative, between a light and its measured spectrum, after the monitor's correction
-    wavelength_nm: float = 0.0  # of the spectrometer's scale
+    photodiode: float = 0.0  # relative, of the response of a [sweep]'s photodiode at each wavelength
+    wavelength_nm: float = 0.0  # of the scale of spectrometer or monochromator
 
 
 class MeasurementRecipe(Recipe):
@@ -135,6 +150,7 @@ class MeasurementRecipe(Recipe):
     sensor: BodyRecipe
     cfa: CfaRecipe
     optics: OpticsRecipe
+    common: CommonRecipe | None = None
     mono: list[MonoRecipe] = msgspec.field(default_factory=list)
     sweep: SweepRecipe | None = None
     curves: CurvesRecipe | None = None
@@ -148,21 +164,41 @@ class MeasurementRecipe(Recipe):
     channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # exposed or amplified apart in the captures
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
 
+    def __post_init__(self) -> None:
+        common, captures = self.common or CommonRecipe(), list[MonoRecipe | ChartRecipe]([*self.mono, *self.band])
+        for capture in captures:
+            capture.unit = common.unit if capture.unit is None else capture.unit
+            if all(getattr(capture, key) is None for key in EXPOSURES):
+                for key in EXPOSURES:
+                    setattr(capture, key, getattr(common, key))
+
     @property
     def photos(self) -> list[PhotoRecipe]:
         """[photo], or every [[photo]]."""
         return self.photo if isinstance(self.photo, list) else [self.photo]
 
 
+def key_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
+    """Yield the faults of [uncertainty], and of the columns that [curves] names."""
+    for key, most in (("lamp_drift", 1), ("photodiode", 1), ("wavelength_nm", 100)):
+        if not 0 <= getattr(recipe.uncertainty, key) < most:
+            message = f"uncertainty is a standard deviation: {key} in 0…{most}"
+            yield fault(message, f"uncertainty.{key}")
+    if recipe.uncertainty.photodiode and recipe.sweep is None:
+        yield fault("uncertainty.photodiode is of the photodiode of a [sweep]; leave it out", "uncertainty.photodiode")
+    if recipe.curves is not None:
+        yield from column_faults(recipe.curves.columns, recipe.cfa.channels, "curves.columns")
+
+
 def frame_names(recipe: MeasurementRecipe) -> list[str]:
-    """Every frame a measurement file names, in order."""
+    """Return every frame a measurement file names, in order."""
     captures: list[CaptureRecipe] = [*recipe.mono, *recipe.band, *recipe.chart, *recipe.white, *recipe.dark]
     names = [name for capture in captures for name in capture.frames]
     return names + [name for photo in recipe.photos for name in (*photo.frames, *photo.dark, *photo.white)]
 
 
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
-    """Every file of spectra, tables and curves a measurement file names, each once, in order."""
+    """Return every file of spectra, tables and curves a measurement file names, each once, in order."""
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
     names += [recipe.sweep.table, recipe.sweep.response.file] if recipe.sweep else []
     names += [recipe.curves.file] if recipe.curves else []
@@ -171,12 +207,12 @@ def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
 
 
 def is_table(name: str) -> bool:
-    """Whether a light or a chart is named as a file of spectra."""
+    """Return whether a light or a chart is named as a file of spectra."""
     return name.lower().endswith(SUFFIXES)
 
 
 def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: Any) -> MeasurementRecipe:
-    """The measurement file of captures of a known camera; `captures` are the lists mono, chart, white and dark."""
+    """Return the measurement file of captures of a known camera; `captures` are the lists mono, chart, white and dark."""
     optics = camera.optics
     return MeasurementRecipe(
         name=camera.name,
@@ -195,14 +231,14 @@ def write_measurements(recipe: MeasurementRecipe, path: Path) -> None:
 
 
 def _toml(table: dict[str, Any], prefix: str = "") -> str:
-    """A table of numbers, texts, lists, tables and lists of tables as TOML; JSON writes the plain values alike."""
+    """Return a table of numbers, texts, lists, tables and lists of tables as TOML."""
 
     def is_table(value: Any) -> bool:
         return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
 
     table = {key: value for key, value in table.items() if value is not None and value != []}
-    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items() if not is_table(value)]
-    for key, value in table.items():
+    lines = [f"{toml_key(key)} = {toml_value(value)}" for key, value in table.items() if not is_table(value)]
+    for key, value in ((toml_key(key), value) for key, value in table.items()):
         if isinstance(value, dict):
             lines += ["", f"[{prefix}{key}]", _toml(value, f"{prefix}{key}.").rstrip()]
         elif is_table(value):

@@ -1,4 +1,5 @@
-"""What a measurement file names, read: captures with their frames, spectra and figures (docs/method.md#calibration)."""
+"""Measurements that a measurement file names: captures with their frames, spectra and figures
+(docs/method.md#calibration)."""
 
 import math
 import re
@@ -13,27 +14,8 @@ from l3cli.artifacts.camera import Noise, Optics
 from l3cli.artifacts.camera_recipe import MOST_PRNU, check_lengths, check_share, parse_cfa
 from l3cli.artifacts.channel_recipe import settings_from
 from l3cli.artifacts.schema import Stage
-from l3cli.config import load_recipe, read_text
-from l3cli.curve_file import read_table
-from l3cli.curve_table import RELATIVE, CurveTable
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.files import sha256, stamp
-from l3cli.io.correction_recipe import correction_files, correction_measurements, has_base
-from l3cli.io.curves import read_finished, read_sweep
-from l3cli.io.frames import FrameFiles
-from l3cli.io.measurement_recipe import (
-    CaptureRecipe,
-    ChartRecipe,
-    DatasheetRecipe,
-    MeasurementRecipe,
-    MonoRecipe,
-    frame_names,
-    spectrum_names,
-)
-from l3cli.io.photos import Levels, load_photos, recipe_of_photos
-from l3cli.io.priors import prior_files, read_cameras, shipped
-from l3cli.limits import MEGAPIXELS, most_pixels
-from l3cli.measurement import (
+from l3cli.frames.measurement import (
     PATCH_NAMES,
     PATCHES,
     BandCapture,
@@ -47,13 +29,34 @@ from l3cli.measurement import (
     SensorFigures,
     SweepTable,
 )
+from l3cli.io.correction_recipe import correction_files, correction_measurements, has_base
+from l3cli.io.curves import read_finished, read_sweep
+from l3cli.io.frames import FrameFiles
+from l3cli.io.measurement_recipe import (
+    CaptureRecipe,
+    ChartRecipe,
+    DatasheetRecipe,
+    MeasurementRecipe,
+    MonoRecipe,
+    frame_names,
+    key_faults,
+    spectrum_names,
+)
+from l3cli.io.photos import Levels, load_photos, recipe_of_photos
+from l3cli.io.priors import prior_files, read_cameras, shipped
+from l3cli.recipes.faults import refuse_first
+from l3cli.recipes.toml import load_recipe, read_text
+from l3cli.spectra.file import read_table
+from l3cli.spectra.table import RELATIVE, CurveTable
+from l3cli.system.files import sha256, stamp
+from l3cli.system.limits import MEGAPIXELS, most_pixels
 
 MOST_MONITOR = 10.0  # and its inverse: a lamp that changes more is another lamp
 SITE_PIXELS = 8  # rows and columns of super-pixels from which a local mean can be taken
 
 
 def load_measurements(path: Path) -> Measurements:
-    """The measurements that a measurement file names; frames are read later, one by one.
+    """Return the measurements that a measurement file names; frames are read later, one by one.
 
     RecipeError if the file asks for what cannot be, InputFileError if a spectrum or a frame is missing or broken.
     """
@@ -61,15 +64,13 @@ def load_measurements(path: Path) -> Measurements:
 
 
 def measurements_of(recipe: MeasurementRecipe, path: Path) -> Measurements:
-    """What a measurement file says that lies, or would lie, at `path`; errors as of `load_measurements`."""
+    """Return the measurements of a measurement file that lies, or would lie, at `path`; errors as of `load_measurements`."""
     body = _body(recipe, path)
     _check_sources(recipe, path)
     for name in frame_names(recipe):
         if not (path.parent / name).is_file():
             raise InputFileError(f"{path.parent / name} does not exist; {path.name} names it as a frame")
-    uncertainty = recipe.uncertainty
-    if not (0 <= uncertainty.lamp_drift < 1 and 0 <= uncertainty.wavelength_nm < 100):
-        raise RecipeError(f"{path}: uncertainty is a standard deviation: lamp_drift in 0…1, wavelength_nm in 0…100")
+    refuse_first(key_faults(recipe), path)
     return Measurements(
         body=body,
         mono=_mono(recipe, body, path),
@@ -81,8 +82,8 @@ def measurements_of(recipe: MeasurementRecipe, path: Path) -> Measurements:
         photos=load_photos(recipe.photos, body, _levels(recipe), path),
         cameras=_cameras(recipe, path),
         datasheet=_datasheet(recipe.datasheet, body, path),
-        lamp_drift=uncertainty.lamp_drift,
-        wavelength_uncertainty=uncertainty.wavelength_nm,
+        lamp_drift=math.hypot(recipe.uncertainty.lamp_drift, recipe.uncertainty.photodiode),
+        wavelength_uncertainty=recipe.uncertainty.wavelength_nm,
     )
 
 
@@ -97,13 +98,13 @@ def _check_sources(recipe: MeasurementRecipe, path: Path) -> None:
             f"{path}: give one source of responsivity, [[mono]] [sweep] [curves] [[band]] or [photo]; given: {named}"
         )
     if recipe.prior and not recipe.photos:
-        raise RecipeError(f"{path}: prior is what is known of curves before a [photo] is taken; without one leave it out")
+        raise RecipeError(f"{path}: prior is for a [photo], and there is none; leave it out")
     if bool(recipe.white) == (recipe.datasheet is not None) and (recipe.white or not recipe.photos):
         raise RecipeError(f"{path}: give either [[white]] frames, and measure the sensor, or its [datasheet]")
     if recipe.white and not recipe.dark:
         raise RecipeError(f"{path}: there is no [[dark]] capture; add some")
     if recipe.mono and recipe.datasheet:
-        raise RecipeError(f"{path}: [[mono]] frames need [[white]] and [[dark]] ones beside them, not a [datasheet]")
+        raise RecipeError(f"{path}: [[mono]] frames need [[white]] and [[dark]] frames, not a [datasheet]")
     if recipe.band and recipe.white:
         raise RecipeError(f"{path}: [[band]] captures need a [datasheet], not [[white]] frames")
     if recipe.chart and not recipe.white:
@@ -115,7 +116,7 @@ def _check_sources(recipe: MeasurementRecipe, path: Path) -> None:
 
 
 def _common(capture: CaptureRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:
-    """What every capture has, as keywords."""
+    """Return the keywords that every capture has."""
     if capture.seconds is None:
         raise RecipeError(f"{path}: a [[{table}]] capture needs one of exposure_s, exposure_ms and exposure_us")
     if not capture.frames or not 0 < capture.seconds < math.inf or not 0 < capture.monitor < math.inf:
@@ -144,14 +145,14 @@ def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCaptur
 
 
 def _light(table: CurveTable, step: MonoRecipe, path: Path) -> CurveTable:
-    """The column that a step names."""
+    """Return the column that a step names."""
     if isinstance(step.column, int) and not 1 <= step.column <= len(table.values):
         raise RecipeError(f"{path}: column {step.column} of {step.spectrum} is none of its 1…{len(table.values)}")
     return table.column(step.column)
 
 
 def _chart(chart: ChartRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:
-    """A chart capture as keywords."""
+    """Return a chart capture as keywords."""
     if len(chart.corners) != 4 or not np.isfinite(chart.corners).all():
         raise RecipeError(f"{path}: a [[{table}]] has {len(chart.corners)} corners; give col, row of patches 1, 6, 24, 19")
     measured = read_table(path.parent / chart.radiance).ordered(PATCH_NAMES, patch_name)
@@ -172,7 +173,7 @@ def _chart(chart: ChartRecipe, table: str, body: Body, path: Path) -> dict[str, 
 
 
 def patch_name(heading: str) -> str:
-    """The patch that a heading means: "patch 13", "13", "blue", "white 9.5 (.05 D)"; other headings as they are."""
+    """Return the patch that a heading means: "patch 13", "13", "blue", "white 9.5 (.05 D)"; other headings as they are."""
     number = re.fullmatch(r"(?:patch|p|no|#)?[ ._-]*0*(\d{1,2})", heading.strip(), re.IGNORECASE)
     if number and 1 <= int(number[1]) <= PATCHES:
         return PATCH_NAMES[int(number[1]) - 1]
@@ -186,18 +187,19 @@ def _curve(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves
         paths = path.parent / sweep.table, path.parent / response.file
         return read_sweep(*paths, recipe.cfa.channels, response.column)
     if recipe.curves is not None:
-        return read_finished(path.parent / recipe.curves.file, recipe.cfa.channels, recipe.curves.per_energy)
+        curves = recipe.curves
+        return read_finished(path.parent / curves.file, recipe.cfa.channels, curves.per_energy, curves.columns)
     return None
 
 
 def _levels(recipe: MeasurementRecipe) -> Levels:
-    """Black and white level of raw files that state none."""
+    """Return the black and white level of raw files that state none."""
     declared = recipe.datasheet
     return Levels(None, None) if declared is None else Levels(declared.black_level_dn, declared.white_level_dn)
 
 
 def _cameras(recipe: MeasurementRecipe, path: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
-    """What is known of curves before a photo is taken."""
+    """Return the prior knowledge of curves, before a photo is taken."""
     if not recipe.photos:
         return None
     return shipped() if recipe.prior is None else read_cameras(prior_files(path.parent / recipe.prior))
@@ -256,7 +258,7 @@ class Inputs:
     stamps: dict[Path, tuple[int, ...]]
 
     def history(self, options: dict[str, Any]) -> Stage:
-        """What calibration leaves in the history: options, the measurement file and the SHA-256 of all that it names.
+        """Return the history stage of a calibration: options, the measurement file and the SHA-256 of all that it names.
 
         InputFileError if one is not the file that it was before, so that what was read and what is named are the same.
         """
@@ -268,7 +270,7 @@ class Inputs:
 
 
 def inputs_of(path: Path) -> Inputs:
-    """The measurement file and all files that it names, to be called before they are read."""
+    """Return the measurement file and all files that it names, to be called before they are read."""
     first = stamp(path)
     if has_base(path):
         files = correction_files(path)
@@ -288,11 +290,11 @@ def inputs_of(path: Path) -> Inputs:
 
 
 def inputs_of_photos(photos: Sequence[Path]) -> Inputs:
-    """The raw files of a calibration that has no measurement file, to be called before they are read."""
+    """Return the raw files of a calibration that has no measurement file, to be called before they are read."""
     return Inputs("", {"frames": list(photos)}, {file: stamp(file) for file in photos})
 
 
 def photo_measurements(photos: Sequence[Path], light: str | None) -> Measurements:
-    """What raw files of a chart under one light (None: to be guessed) give without a measurement file; InputFileError if
-    they do not say all that is needed."""
+    """Return the measurements of raw files of a chart under one light (None: to be estimated) without a measurement file;
+    InputFileError if they do not state all that is needed."""
     return measurements_of(recipe_of_photos(photos, light), photos[0])

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+RAW, IDEAL, MOTION = "_raw.tif", "_ideal.png", "_motion.exr"  # ends of the names that a simulation gives
 MOST_DIGITS = 18  # of a number: enough for the time to a microsecond, within 64 bits
 PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # no wider than names are
 DIGITS = re.compile(r"[0-9]+")  # of a number: not those of every script, some of which are no digits to Python
@@ -15,13 +16,13 @@ def natural_order(path: Path) -> tuple[Any, ...]:
 
 
 def last_number(path: Path) -> int | None:
-    """The last number in a file's name."""
+    """Return the last number in a file's name."""
     numbers = DIGITS.findall(path.stem)
     return int(numbers[-1]) if numbers and len(numbers[-1]) <= MOST_DIGITS else None
 
 
 def numbered_name(pattern: Path, number: int) -> Path:
-    """The pattern's file of a number: %d, %04d or a run of # in its name stands for it."""
+    """Return the pattern's file of a number: %d, %04d or a run of # in its name stands for it."""
 
     def digits(field: re.Match[str]) -> str:
         width = len(field[0]) if field[0][0] == "#" else int(field[1] or 0)
@@ -31,7 +32,7 @@ def numbered_name(pattern: Path, number: int) -> Path:
 
 
 def numbered_files(pattern: Path) -> dict[int, Path]:
-    """The files that exist of a pattern, by number, in order."""
+    """Return the files that exist of a pattern, by number, in order."""
     where = PATTERN.search(pattern.name)
     if where is None or not pattern.parent.is_dir():
         return {}

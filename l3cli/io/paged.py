@@ -9,11 +9,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from l3cli.files import atomic_output
 from l3cli.io.icc import icc_profile
 from l3cli.io.label import Label
 from l3cli.io.raw.shot import entries_of
 from l3cli.physics.spaces import Space
+from l3cli.system.files import atomic_output
 
 PAGED = (".tif", ".tiff")
 ROOM = 4_000_000_000  # bytes of pixels in a file of 32-bit offsets
@@ -59,6 +59,6 @@ class Pages:
 
 @contextlib.contextmanager
 def new_pages(path: Path, space: Space | None, count: int | None) -> Iterator[Pages]:
-    """The pages of a new file, which appears whole or not at all."""
+    """Yield the pages of a new file, which appears whole or not at all."""
     with atomic_output(path) as temporary, contextlib.closing(Pages(temporary, space, count)) as pages:
         yield pages

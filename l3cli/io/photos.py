@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, CameraModel
 from l3cli.artifacts.camera_recipe import CfaRecipe, OpticsRecipe
-from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.files import require_regular, write_whole
-from l3cli.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.measurement import Body, Chart, PhotoCapture
 from l3cli.io.measurement_recipe import BodyRecipe, MeasurementRecipe, PhotoRecipe, is_table
 from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, find_phase
 from l3cli.io.raw.content import RawContent, Request
 from l3cli.io.raw.registry import format_of
-from l3cli.limits import require_picture
-from l3cli.measurement import Body, Chart, PhotoCapture
 from l3cli.physics import charts, spectra
+from l3cli.spectra.file import read_table
+from l3cli.system.files import require_regular, write_whole
+from l3cli.system.limits import require_picture
 
 RAW_FILE = "give a raw file of a chart (DNG, CR2, NEF, ARW…)"
 SEEN = (400.0, 700.0)  # nm: what a measured light must cover
@@ -39,8 +39,8 @@ class Levels(NamedTuple):
 
 
 def load_photos(photos: Sequence[PhotoRecipe], body: Body, levels: Levels, path: Path) -> tuple[PhotoCapture, ...]:
-    """The photos of a measurement file. RecipeError if it asks for what cannot be, InputFileError if a file is no raw file
-    of this camera, no light or no chart."""
+    """Return the photos of a measurement file. RecipeError if it asks for what cannot be, InputFileError if a file is no raw
+    file of this camera, no light or no chart."""
     captures = []
     for photo in photos:
         if not photo.frames:
@@ -68,7 +68,7 @@ def load_photos(photos: Sequence[PhotoRecipe], body: Body, levels: Levels, path:
 
 
 def _check_alike(frames: Sequence[RawFrame], darks: Sequence[RawFrame], whites: Sequence[RawFrame]) -> None:
-    """InputFileError unless all frames of a photo have one size and phase."""
+    """Raise InputFileError unless all frames of a photo have one size and phase."""
     first = frames[0]
     for frame in (*frames, *darks, *whites):
         if frame.values.shape != first.values.shape or frame.phase != first.phase:
@@ -76,7 +76,7 @@ def _check_alike(frames: Sequence[RawFrame], darks: Sequence[RawFrame], whites: 
 
 
 def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
-    """A raw file as it stands, at its own levels."""
+    """Return a raw file as it stands, at its own levels."""
     content = raw_content(path)
     black, white = content.get("black_level", levels.black), content.get("white_level", levels.white)
     if black is None:
@@ -96,7 +96,7 @@ def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
 
 
 def raw_content(path: Path) -> RawContent:
-    """What a raw file of one frame holds; InputFileError if it is no mosaic of one channel."""
+    """Return the content of a raw file of one frame; InputFileError if it is no mosaic of one channel."""
     require_regular(path, RAW_FILE)
     kind = format_of(path)
     if not kind.holds_frame or kind.wants_geometry:
@@ -155,8 +155,8 @@ def _chart(photo: PhotoRecipe, path: Path) -> Chart:
 
 
 def recipe_of_photos(paths: Sequence[Path], light: str | None) -> MeasurementRecipe:
-    """The measurement file of raw files that state their own array, levels and size: one camera, a photo each, under one
-    light. Pixel pitch and optics, which no responsivity depends on, are declared. InputFileError if a file does not."""
+    """Return the measurement file of raw files that state their own array, levels and size: one camera, a photo each, under
+    one light. Pixel pitch and optics, which no responsivity depends on, are declared. InputFileError if a file does not."""
     content = raw_content(paths[0])
     stated, white = content.get("pattern"), content.get("white_level")
     if stated is None or white is None or "black_level" not in content:
@@ -179,7 +179,8 @@ def recipe_of_photos(paths: Sequence[Path], light: str | None) -> MeasurementRec
 
 
 def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
-    """The colour filter array of the codes (row, col) that a raw file states, its channels called by their letters."""
+    """Return the colour filter array of the codes (row, col) that a raw file states, its channels called by their
+    letters."""
     pattern = _shortest(codes)
     names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}
     return CfaRecipe(list(names.values()), [" ".join(names[int(code)] for code in row) for row in pattern])
@@ -189,7 +190,7 @@ def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
 
 
 def offset_paths(folder: Path, photos: Sequence[PhotoCapture]) -> list[Path]:
-    """The file of each photo that `export_offsets` writes."""
+    """Return the file of each photo that `export_offsets` writes."""
     numbers = [""] if len(photos) == 1 else [f"_{number + 1}" for number in range(len(photos))]
     return [folder / f"{Path(photo.name).stem}{each}_offsets.tif" for photo, each in zip(photos, numbers, strict=True)]
 
@@ -215,7 +216,7 @@ def export_offsets(camera: CameraModel, photos: Sequence[PhotoCapture], folder: 
 
 
 def _shortest(pattern: NDArray[np.integer]) -> NDArray[np.integer]:
-    """The smallest array that repeats to a pattern."""
+    """Return the smallest array that repeats to a pattern."""
     rows, cols = pattern.shape
     row = next(n for n in range(1, rows + 1) if rows % n == 0 and (pattern == np.roll(pattern, n, axis=0)).all())
     col = next(n for n in range(1, cols + 1) if cols % n == 0 and (pattern == np.roll(pattern, n, axis=1)).all())

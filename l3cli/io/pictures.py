@@ -11,17 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.apart import apart
 from l3cli.io.decoded_video import FORMATS, DecodedVideo, InTurn
 from l3cli.io.images import PICTURES, picture_size, read_image
-from l3cli.io.numbered import PATTERN, natural_order, numbered_files
+from l3cli.io.isolated import isolated
+from l3cli.io.numbered import IDEAL, MOTION, PATTERN, natural_order, numbered_files
 from l3cli.io.scenes import rgb
 from l3cli.io.video import is_video, pyav
 from l3cli.physics.display import srgb_decoded
 
 Linear = NDArray[np.float32]  # (row, col, 3) linear sRGB
 GIVE = 'give a folder of pictures, a pattern such as "out/%04d.png", or a video'
-IDEAL, MOTION = "_ideal.png", "_motion.exr"  # ends of the names that a simulation gives
 KNOWN_MOTION = ("down", "right", "seen")
 
 
@@ -38,49 +37,64 @@ class PictureSequence:
 
 
 def find_pictures(path: Path) -> PictureSequence:
-    """The sequence of a name: a folder (of a simulation its ideal pictures), a numbered pattern, a glob, or a video.
+    """Return the sequence of a name: a folder (of a simulation its ideal pictures), a numbered pattern, a glob, or a video.
     InputFileError if there is none, its pictures differ in size, or a number is missing."""
+    if is_video(path) and not _names_several(path):
+        return _video_sequence(path)
+    return _file_pictures(path, picture_files(path))
+
+
+def picture_files(path: Path) -> list[Path]:
+    """Return the pictures of a folder (of a simulation its ideal ones), a numbered pattern or a glob, in their order, of any
+    sizes. InputFileError if there is none, or a number is missing."""
+    if not _names_several(path):
+        what = "is a single file" if path.exists() else "does not exist"
+        raise InputFileError(f"{path} {what}; {GIVE}")
     if path.is_dir():
-        return _in_folder(path)
-    if not path.exists() and PATTERN.search(path.name):
-        files = numbered_files(path)
-        if lost := [number for number in range(min(files, default=0), max(files, default=0)) if number not in files]:
+        files = _in_folder(path)
+    elif PATTERN.search(path.name):
+        numbered = numbered_files(path)
+        if lost := [
+            number for number in range(min(numbered, default=0), max(numbered, default=0)) if number not in numbered
+        ]:
             raise InputFileError(f"{path}: number {lost[0]} is missing; name what is there with a glob, or render it again")
-        return _of_files(path, list(files.values()))
-    if not path.exists() and any(letter in str(path) for letter in "*?["):
+        files = list(numbered.values())
+    else:
         matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
-        return _of_files(path, sorted((each for each in matches if each.is_file()), key=natural_order))
-    if is_video(path):
-        return _of_video(path)
-    if path.exists():
-        raise InputFileError(f"{path} is a single file; {GIVE}")
-    raise InputFileError(f"{path} does not exist; {GIVE}")
+        files = sorted((each for each in matches if each.is_file()), key=natural_order)
+    if not files:
+        raise InputFileError(f"{path} holds no pictures; {GIVE}")
+    if wrong := next((each for each in files if each.suffix.lower() not in PICTURES), None):
+        raise InputFileError(f"{wrong} is no picture; pictures are {', '.join(PICTURES)}")
+    return files
 
 
 def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
-    """What a frame has moved by since the one before (3, row, col): pixels down, right, and 1 where the same was seen."""
+    """Return the motion of a frame since the one before (3, row, col): pixels down, right, and 1 where the same was seen."""
     planes, names = read_image(path)
     if names != KNOWN_MOTION or planes.shape[:2] != shape or not np.isfinite(planes).all():
         raise InputFileError(f"{path} is no motion of frames of {shape[0]}×{shape[1]}; give what l3 simulate wrote")
     return np.ascontiguousarray(np.moveaxis(planes, -1, 0), np.float32)
 
 
-def _in_folder(folder: Path) -> PictureSequence:
+def _names_several(path: Path) -> bool:
+    """Return whether a name is that of a folder, a numbered pattern or a glob."""
+    several = bool(PATTERN.search(path.name)) or any(letter in str(path) for letter in "*?[")
+    return path.is_dir() or (several and not path.exists())
+
+
+def _in_folder(folder: Path) -> list[Path]:
     simulated = sorted(folder.glob(f"*{IDEAL}"), key=natural_order)
     if simulated:
-        return _of_files(folder, simulated)
+        return simulated
     files = [path for path in folder.iterdir() if path.suffix.lower() in PICTURES and path.name[0] != "."]
     kinds = sorted({path.suffix.lower() for path in files})
     if len(kinds) > 1:
         raise InputFileError(f'{folder} holds {" and ".join(kinds)} files; name one kind, such as "{folder}/*{kinds[0]}"')
-    return _of_files(folder, sorted(files, key=natural_order))
+    return sorted(files, key=natural_order)
 
 
-def _of_files(path: Path, files: list[Path]) -> PictureSequence:
-    if not files:
-        raise InputFileError(f"{path} holds no pictures; {GIVE}")
-    if wrong := next((each for each in files if each.suffix.lower() not in PICTURES), None):
-        raise InputFileError(f"{wrong} is no picture; pictures are {', '.join(PICTURES)}")
+def _file_pictures(path: Path, files: list[Path]) -> PictureSequence:
     shape = picture_size(files[0])
     for each in files[1:]:
         if (size := picture_size(each)) != shape:
@@ -95,7 +109,7 @@ def _of_files(path: Path, files: list[Path]) -> PictureSequence:
 # ------------------------------------------------------------------------------------------------------------ videos
 
 
-def _of_video(path: Path) -> PictureSequence:
+def _video_sequence(path: Path) -> PictureSequence:
     rows, cols = _video_shape(path)
     return PictureSequence(str(path), (rows, cols), None, functools.partial(_video_pictures, path), (path,))
 
@@ -120,13 +134,13 @@ def _require_colours(path: Path, context: Any) -> None:
 _open: dict[Path, InTurn] = {}
 
 
-@apart
+@isolated("av")
 def _video_shape(path: Path) -> tuple[int, int]:
     with contextlib.closing(_video(path)) as video:
         return video.shape
 
 
-@apart
+@isolated("av")
 def _video_picture(path: Path, number: int) -> NDArray | None:
     """Encoded sRGB (row, col, 3) of frame `number`, of 8 or 16 bits; None after the last. Luma and chroma are those of
     BT.709, as `l3 render` writes them."""

@@ -1,4 +1,4 @@
-"""What measured cameras say of curves: the table that comes with l3, or a folder of measured curves
+"""Statistics of measured cameras' curves: the table that comes with l3, or a folder of measured curves
 (docs/method.md#charts-in-photographs)."""
 
 from collections.abc import Sequence
@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from l3cli.config import Recipe, load_recipe
 from l3cli.errors import InputFileError
+from l3cli.frames.measurement import CurveStatistics, FinishedCurves
 from l3cli.io.curves import read_finished
-from l3cli.measurement import CurveStatistics, FinishedCurves
-from l3cli.recipes import recipe_folder
+from l3cli.recipes.builtin import recipe_folder
+from l3cli.recipes.toml import Recipe, load_recipe
 
 ROLES = ("r", "g", "b")  # channels of the table that comes with l3, and of the cameras of a folder
 SUFFIXES = (".csv", ".json")
@@ -33,7 +33,7 @@ class PriorRecipe(Recipe):
 
 
 def shipped() -> CurveStatistics:
-    """The statistics that come with l3, of r, g and b."""
+    """Return the statistics that come with l3, of r, g and b."""
     recipe = load_recipe(recipe_folder() / "priors" / "rgb.toml", PriorRecipe)
     return CurveStatistics(
         np.array(recipe.wavelength_nm),
@@ -45,7 +45,7 @@ def shipped() -> CurveStatistics:
 
 
 def prior_files(folder: Path) -> list[Path]:
-    """The files of curves in a folder; InputFileError if there are too few."""
+    """Return the files of curves in a folder; InputFileError if there are too few."""
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES) if folder.is_dir() else []
     if not LEAST <= len(files) <= MOST:
         raise InputFileError(
@@ -55,5 +55,5 @@ def prior_files(folder: Path) -> list[Path]:
 
 
 def read_cameras(files: Sequence[Path]) -> tuple[FinishedCurves, ...]:
-    """The curves of measured cameras, r g b, per energy in the files; InputFileError names one that holds none."""
+    """Return the curves of measured cameras, r g b, per energy in the files; InputFileError names one that holds none."""
     return tuple(read_finished(path, ROLES, per_energy=True) for path in files)

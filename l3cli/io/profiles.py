@@ -1,4 +1,4 @@
-"""What other software reads of a camera's colours: a DCP profile as JSON, tuning files of libcamera, a data sheet as CSV
+"""Colour profiles of a camera for other software: a DCP profile as JSON, tuning files of libcamera, a data sheet as CSV
 (docs/method.md#colour-matrices). Formats are those of dcamprof's json2dcp and of libcamera's tuning files."""
 
 import json
@@ -16,7 +16,7 @@ Array = NDArray[np.floating]
 
 
 class ProfileMatrices(NamedTuple):
-    """What a DCP holds for one light: AsShotNeutral (n), ColorMatrix (n, 3), ForwardMatrix (3, n)."""
+    """Matrices of a DCP for one light: AsShotNeutral (n), ColorMatrix (n, 3), ForwardMatrix (3, n)."""
 
     neutral: Array
     colour: Array
@@ -24,7 +24,7 @@ class ProfileMatrices(NamedTuple):
 
 
 class Tuning(NamedTuple):
-    """What tuning files of libcamera hold of a Bayer camera, its channels in the order r, g, b."""
+    """Content of libcamera's tuning files for a Bayer camera, its channels in the order r, g, b."""
 
     black_level: int  # of 16 bits
     corrections: Mapping[int, Array]  # temperature in K, rising → (3, 3)
@@ -33,8 +33,8 @@ class Tuning(NamedTuple):
 
 
 def dcp_json(name: str, channels: Sequence[str], lights: Mapping[str, ProfileMatrices]) -> str:
-    """A DCP as dcamprof's json2dcp reads it, for the lights of ILLUMINANTS; beside it the channels in their order, and
-    AsShotNeutral, which belongs into the DNG of a picture, for each light."""
+    """Return a DCP as dcamprof's json2dcp reads it, for the lights of ILLUMINANTS; beside it the channels in their order,
+    and AsShotNeutral, which belongs into the DNG of a picture, for each light."""
     content: dict[str, Any] = {"UniqueCameraModel": name, "ProfileName": "l3", "ProfileEmbedPolicy": "Allow copying"}
     content |= {f"CalibrationIlluminant{i}": code for i, code in enumerate(ILLUMINANTS.values(), 1)}
     for tag, part in (("ColorMatrix", 1), ("ForwardMatrix", 2)):
@@ -45,7 +45,7 @@ def dcp_json(name: str, channels: Sequence[str], lights: Mapping[str, ProfileMat
 
 
 def raspberry_pi_json(name: str, tuning: Tuning) -> str:
-    """A tuning file of libcamera's Raspberry Pi pipelines, version 2.0: JSON, as they name theirs SENSOR.json, and as
+    """Return a tuning file of libcamera's Raspberry Pi pipelines, version 2.0: JSON, as they name theirs SENSOR.json, and as
     picamera2 reads it; libcamera's YAML reader takes it, too."""
     flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # without a lux meter no temperature is likelier
     awb: dict[str, Any] = {"bayes": 0}
@@ -69,7 +69,7 @@ def raspberry_pi_json(name: str, tuning: Tuning) -> str:
 
 
 def _comments(name: str, tuning: Tuning) -> list[str]:
-    """What somebody who installs the Raspberry Pi file has to know."""
+    """Return the notes for whoever installs the Raspberry Pi file."""
     missing = [] if tuning.curve is not None else ["rpi.awb ct_curve: the channels of greys do not follow a temperature"]
     return [
         f"{name}, l3cli {__version__}: black level, noise, white balance and colours of the camera model",
@@ -82,7 +82,8 @@ def _comments(name: str, tuning: Tuning) -> list[str]:
 
 
 def simple_yaml(name: str, tuning: Tuning) -> str:
-    """A tuning file of libcamera's simple pipeline, the software ISP of laptops and phones, which looks for SENSOR.yaml."""
+    """Return a tuning file of libcamera's simple pipeline, the software ISP of laptops and phones, which looks for
+    SENSOR.yaml."""
     known = tuning.black_level <= SIMPLE_DARKEST
     lines = [
         "# " + json.dumps(f"{name}, l3cli {__version__}")[1:-1],

@@ -11,20 +11,21 @@ from fractions import Fraction
 from pathlib import Path
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.dark import DarkFrame, average_dark
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.files import STDIN
-from l3cli.frame import RawFrame
-from l3cli.io.numbered import PATTERN, last_number, natural_order, numbered_files, numbered_name
-from l3cli.io.raw.content import Stack
-from l3cli.io.raw.files import KnownBetter, frame_of, read_raw, read_stack, read_stdin
+from l3cli.frames.dark import DarkFrame, average_dark
+from l3cli.frames.frame import RawFrame
+from l3cli.io.frame_times import Stated, unit_of
+from l3cli.io.numbered import IDEAL, PATTERN, RAW, last_number, natural_order, numbered_files, numbered_name
+from l3cli.io.raw.content import MultiFrameFile
+from l3cli.io.raw.files import RawOverrides, frame_of, read_raw, read_stack, read_stdin
 from l3cli.io.raw.registry import format_of, is_frame
+from l3cli.system.files import STDIN
 
 STDIN_NAME = "stdin"  # in messages
 
 
 @dataclass(frozen=True)
-class Pending:
+class FrameReference:
     """A frame that is still to be read."""
 
     number: int
@@ -32,11 +33,12 @@ class Pending:
     read: Callable[[], RawFrame | None]  # None: there is no such frame, the stream ended before; InputFileError: broken
     source: Path | None = None  # the file that holds it alone
     origin: str | None = None  # what distinguishes it from another frame of its number, once computed
+    inode: tuple[int, ...] | None = None  # time of the last change of its file's inode and that one's number, once known
     identity: str = ""  # what its picture says that it was made from (label.of_file, of_values), once computed
 
 
 @dataclass(frozen=True)
-class Footage:
+class FrameSequence:
     """Frames in their order. Those of a stream go on until one of them reads as None."""
 
     what: str  # its name in messages
@@ -47,20 +49,22 @@ class Footage:
     missing: Sequence[range] = ()  # numbers of those that ought to be and are not, known before reading
     is_stream: bool = False
     wanted: range | None = None  # numbers chosen of a stream
+    unit: int | None = 1  # by how much their numbers grow from frame to frame; None: they do not count frames
+    times: Stated | None = None  # when they are shown, where the file states that of each
     part: range | None = None  # places, from 0, of the frames that are rendered of those that there are; None: all
 
     @property
     def lost(self) -> int:
-        """How many are missing."""
+        """Number of missing frames."""
         return sum(len(numbers) for numbers in self.missing)
 
     @property
     def rendered(self) -> int | None:
-        """How many ought to be rendered; None: as many as a stream has."""
+        """Number of frames to render; None: as many as a stream has."""
         return self.count if self.part is None else len(self.part)
 
     def renders(self, place: int) -> bool:
-        """Whether the frame at a place is rendered; others are only what it depends on."""
+        """Return whether the frame at a place is rendered; others are only what it depends on."""
         return self.part is None or place in self.part
 
     def absent(self, numbers: range) -> InputFileError:
@@ -70,13 +74,13 @@ class Footage:
         return InputFileError(f"{named} not in {self.what}; choose with ‹frames›, or add ‹skip_bad›")
 
     def rest(self, number: int) -> range:
-        """The numbers wanted of a stream from one on, at which it has ended."""
+        """Return the numbers wanted of a stream from one on, at which it has ended."""
         return self.wanted[self.wanted.index(number) :] if self.wanted else range(0)
 
 
 @dataclass(frozen=True)
 class _Series:
-    """What one input holds: which numbers, and how the frame of a number is read."""
+    """Content of one input: its numbers, and a reader of the frame of a number."""
 
     what: str  # its name in messages
     numbers: Collection[int] | None  # in order; None: a stream
@@ -84,18 +88,20 @@ class _Series:
     stem: Callable[[int], str]
     rate: Fraction | None = None
     files: Mapping[int, Path] | None = None  # of those frames that have one each
+    times: Stated | None = None  # of those of a stream
     expected: range | None = None  # numbers that there ought to be; None: those that there are
 
 
 def find_frames(
     inputs: tuple[Path, ...],
     table: TransformTable,
-    known: KnownBetter,
+    known: RawOverrides,
     selection: range | None = None,
     dataset: str | None = None,
-) -> Footage:
-    """The frames of `inputs`: many files of one frame each, or one input of any kind. A file's number is the last number in
-    its name, a stack's frames count from 0; of a pattern every number between its ends is expected, of `selection` all.
+) -> FrameSequence:
+    """Return the frames of `inputs`: many files of one frame each, or one input of any kind. A file's number is the last
+    number in its name, a stack's frames count from 0; of a pattern every number between its ends is expected, of `selection`
+    all.
 
     InputFileError if there are none; RecipeError if several inputs are not all files.
     """
@@ -104,19 +110,22 @@ def find_frames(
         other = next(path for path in inputs if not is_one_file(path))
         raise RecipeError(f"{other} is a sequence; give it alone, or several files of one frame each")
     stills = len(inputs) > 1
-    series = _of_files("the inputs", inputs, table, known) if stills else _series(inputs[0], table, known, dataset)
+    series = _series_of_files("the inputs", inputs, table, known) if stills else _series(inputs[0], table, known, dataset)
     if series.numbers is None:
         count = None if selection is None else len(selection)
         frames = Frames(series, itertools.count() if selection is None else selection)
-        return Footage(series.what, frames, count, count == 1, series.rate, is_stream=True, wanted=selection)
+        step = 1 if selection is None else selection.step
+        about = (series.what, frames, count, count == 1, series.rate)
+        return FrameSequence(*about, is_stream=True, wanted=selection, unit=step, times=series.times)
     chosen = selection if selection is not None else series.expected
     there, missing = (series.numbers, []) if chosen is None else _divided(chosen, series.numbers)
     count = len(series.numbers if chosen is None else chosen)
-    return Footage(series.what, Frames(series, there), count, stills or count == 1, series.rate, missing)
+    unit = None if stills else unit_of(list(there)) if chosen is None else chosen.step
+    return FrameSequence(series.what, Frames(series, there), count, stills or count == 1, series.rate, missing, unit=unit)
 
 
 def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], list[range]]:
-    """Those of the numbers wanted that there are, in order, and the others: either may be too many to list."""
+    """Return those of the numbers wanted that there are, in order, and the others: either may be too many to list."""
     if isinstance(numbers, range):  # of a stack: from 0 on
         there: Sequence[int] = range(wanted.start, min(wanted.stop, len(numbers)), wanted.step)
         return there, [wanted[len(there) :]] if len(there) < len(wanted) else []
@@ -129,12 +138,13 @@ def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], li
     return there, [*missing, wanted[following:]] if following < len(wanted) else missing
 
 
-def read_dark(footage: Footage) -> DarkFrame:
-    """The mean of frames that were exposed without light; InputFileError if one is missing, broken or of another kind."""
-    if footage.what == STDIN_NAME:
+def read_dark(sequence: FrameSequence) -> DarkFrame:
+    """Return the mean of frames that were exposed without light; InputFileError if one is missing, broken or of another
+    kind."""
+    if sequence.what == STDIN_NAME:
         raise RecipeError("dark frames are files, not a stream; save them first")
     # A video says only by its end how many frames it has.
-    return average_dark(_until_none(pending.read() for pending in footage.frames))
+    return average_dark(_until_none(pending.read() for pending in sequence.frames))
 
 
 def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
@@ -145,7 +155,7 @@ def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
 
 
 def frame_files(path: Path) -> list[Path]:
-    """The files that an input, of whatever kind, lies in; InputFileError if there are none."""
+    """Return the files that an input, of whatever kind, lies in; InputFileError if there are none."""
     if path.is_dir():
         return _in_folder(path)
     if not path.exists() and PATTERN.search(path.name):
@@ -153,8 +163,8 @@ def frame_files(path: Path) -> list[Path]:
     return _globbed(path) if not path.exists() and _is_glob(path) else [path]
 
 
-def is_still(path: Path, table: TransformTable, known: KnownBetter) -> bool:
-    """Whether this is a file of one frame."""
+def is_still(path: Path, table: TransformTable, known: RawOverrides) -> bool:
+    """Return whether this is a file of one frame."""
     return is_one_file(path) and not (path.exists() and read_stack(path, table, known))
 
 
@@ -165,18 +175,18 @@ class Frames:
     series: _Series
     wanted: Iterable[int]
 
-    def __iter__(self) -> Iterator[Pending]:
+    def __iter__(self) -> Iterator[FrameReference]:
         return map(self.pending, self.wanted)
 
-    def pending(self, number: int) -> Pending:
-        """The frame of a number."""
+    def pending(self, number: int) -> FrameReference:
+        """Return the frame of a number."""
         series = self.series
         source = series.files.get(number) if series.files else None
-        return Pending(number, series.stem(number), functools.partial(series.read, number), source)
+        return FrameReference(number, series.stem(number), functools.partial(series.read, number), source)
 
 
 def is_one_file(path: Path) -> bool:
-    """Whether this is the name of a file, existing or not, that can hold just one frame."""
+    """Return whether this is the name of a file, existing or not, that can hold just one frame."""
     if path == STDIN or path.is_dir() or not format_of(path).holds_frame:
         return False
     return path.exists() or not (PATTERN.search(path.name) or _is_glob(path))
@@ -186,27 +196,29 @@ def _is_glob(path: Path) -> bool:
     return any(letter in str(path) for letter in "*?[")
 
 
-def _series(path: Path, table: TransformTable, known: KnownBetter, dataset: str | None) -> _Series:
+def _series(path: Path, table: TransformTable, known: RawOverrides, dataset: str | None) -> _Series:
     if dataset is not None and not format_of(path).wants_dataset:
-        raise RecipeError(f"‹dataset› names an array of an HDF5 file; {path} is none")
+        raise RecipeError(f"‹dataset› names an array of an HDF5 file; {path} is not one")
     if path == STDIN:
         return _stdin(table, known)
     if path.is_dir():
-        return _of_files(str(path), _in_folder(path), table, known)
+        return _series_of_files(str(path), _in_folder(path), table, known)
     if not path.exists() and PATTERN.search(path.name):
-        return _of_pattern(path, table, known)
+        return _series_of_pattern(path, table, known)
     if not path.exists() and _is_glob(path):
-        return _of_files(str(path), _globbed(path), table, known)
+        return _series_of_files(str(path), _globbed(path), table, known)
     if path.exists() and (stack := read_stack(path, table, known, dataset)):
-        return _of_stack(str(path), path.stem, stack, table, known)
-    return _of_files(str(path), (path,), table, known)
+        return _series_of_stack(str(path), path.stem, stack, table, known)
+    return _series_of_files(str(path), (path,), table, known)
 
 
 # ---------------------------------------------------------------------------------------------------------- files
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    files = [path for path in folder.iterdir() if is_frame(path) and path.name[0] != "." and path.is_file()]
+    found = [path for path in folder.iterdir() if is_frame(path) and path.name[0] != "." and path.is_file()]
+    ideals = {path.name.removesuffix(RAW) + IDEAL for path in found if path.name.endswith(RAW)}  # what a simulation adds
+    files = [path for path in found if path.name not in ideals]
     kinds = sorted({path.suffix.lower() for path in files})
     if len(kinds) > 1:
         raise InputFileError(f'{folder} holds {" and ".join(kinds)} files; name one kind, such as "{folder}/*{kinds[0]}"')
@@ -223,8 +235,8 @@ def _globbed(path: Path) -> list[Path]:
     return sorted(files, key=natural_order)
 
 
-def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: KnownBetter) -> _Series:
-    """One frame a file. Numbered by the files' names; from 0 if a name has no number or two have the same."""
+def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, known: RawOverrides) -> _Series:
+    """Return one frame a file. Numbered by the files' names; from 0 if a name has no number or two have the same."""
     paths = list(paths)
     named = [number for path in paths if (number := last_number(path)) is not None]
     numbers = named if len(set(named)) == len(paths) else range(len(paths))
@@ -241,11 +253,11 @@ def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: Kn
 
 
 def _film_rate(path: Path) -> Fraction | None:
-    """Frames a second that a file of one frame states, as CinemaDNG does."""
+    """Return the frames a second that a file of one frame states, as CinemaDNG does."""
     return format_of(path).rate(path) if path.is_file() else None
 
 
-def _of_pattern(pattern: Path, table: TransformTable, known: KnownBetter) -> _Series:
+def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides) -> _Series:
     files = numbered_files(pattern)
     if not files:
         raise InputFileError(f"{pattern} matches no file; give the raw frames' pattern, such as frame_%04d.tif")
@@ -256,14 +268,17 @@ def _of_pattern(pattern: Path, table: TransformTable, known: KnownBetter) -> _Se
         return read_raw(files[number], table, known)
 
     rate = _film_rate(next(iter(files.values())))
-    return _Series(str(pattern), files, read, lambda number: numbered_name(pattern, number).stem, rate, files, whole)
+    return _Series(
+        str(pattern), files, read, lambda number: numbered_name(pattern, number).stem, rate, files, expected=whole
+    )  # fmt: skip
 
 
 # ----------------------------------------------------------------------------------------------- stacks and streams
 
 
-def _of_stack(what: str, stem: str, stack: Stack, table: TransformTable, known: KnownBetter) -> _Series:
-    """Frames of one file or of stdin; pictures of them are called by `stem`, where there is one, and their numbers."""
+def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: TransformTable, known: RawOverrides) -> _Series:
+    """Return the frames of one file or of stdin; pictures of them are called by `stem`, where there is one, and their
+    numbers."""
 
     def read(number: int) -> RawFrame | None:
         content = stack.read(number)
@@ -274,10 +289,11 @@ def _of_stack(what: str, stem: str, stack: Stack, table: TransformTable, known: 
             return stem
         return f"{stem}_{number:06d}" if stem else f"{number:06d}"
 
-    return _Series(what, None if stack.count is None else range(stack.count), read, named, stack.rate)
+    numbers = None if stack.count is None else range(stack.count)
+    return _Series(what, numbers, read, named, stack.rate, times=stack.times)
 
 
-def _stdin(table: TransformTable, known: KnownBetter) -> _Series:
+def _stdin(table: TransformTable, known: RawOverrides) -> _Series:
     if known.size is None:
         raise RecipeError("raw frames on stdin have no header with their size; give it with ‹size› ROWSxCOLS")
-    return _of_stack(STDIN_NAME, "", read_stdin(table, known), table, known)
+    return _series_of_stack(STDIN_NAME, "", read_stdin(table, known), table, known)

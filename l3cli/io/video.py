@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import L3Error, RecipeError
-from l3cli.files import atomic_output
+from l3cli.system.files import atomic_output
 
 INSTALL = 'videos need PyAV; install it with: pip install "l3cli[video]"'
 SLOWEST, FASTEST = Fraction(1, 1000), Fraction(1000)  # frames a second
@@ -25,7 +25,8 @@ FINEST = 1_000_000  # denominator of a rate: numerators stay within the 32 bits 
 
 
 def storable_rate(rate: Fraction) -> Fraction | None:
-    """The nearest rate that every container holds: of 29.97002997 a second 30000/1001. None where that is no film's."""
+    """Return the nearest rate that every container holds: of 29.97002997 a second 30000/1001. None where that is no
+    film's."""
     return rate.limit_denominator(FINEST) if SLOWEST <= rate <= FASTEST else None
 
 
@@ -48,7 +49,7 @@ def pyav() -> Any:
 
 @dataclass(frozen=True)
 class Encoding:
-    """How pictures become a video: FFmpeg's encoder, its pixel format by bits a value, the suffixes that can hold it."""
+    """Encoding of pictures as a video: FFmpeg's encoder, its pixel format by bits a value, the suffixes that can hold it."""
 
     encoder: str
     formats: dict[int, str]
@@ -91,22 +92,23 @@ USUAL_RATE = Fraction(30)  # frames a second, where neither the caller nor the i
 
 @dataclass(frozen=True)
 class VideoChoice:
-    """What is asked of a video; None: the usual."""
+    """Choices for a video; None: the default."""
 
     rate: Fraction  # frames a second
     bits: int  # a value of the pictures that come
     codec: str | None = None  # key of ENCODINGS
     crf: float | None = None
     preset: str = "veryfast"
+    tick: Fraction | None = None  # s, of the frames' times; None: that of a frame
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file of this name is a video."""
+    """Return whether a file of this name is a video."""
     return path.suffix.lower() in (*USUAL, Y4M)
 
 
 def check_video(path: Path, choice: VideoChoice) -> None:
-    """RecipeError if such a video cannot be; L3Error without PyAV."""
+    """Raise RecipeError if such a video cannot be; L3Error without PyAV."""
     suffix = path.suffix.lower()
     if suffix == Y4M:
         if choice.codec or choice.crf is not None:
@@ -135,7 +137,7 @@ class _Converter:
         self._bytes = np.empty(0, np.uint8)
 
     def even(self, picture: NDArray) -> NDArray:
-        """The picture with its last row or column doubled where the pixel format needs even numbers."""
+        """Return the picture with its last row or column doubled where the pixel format needs even numbers."""
         if not self.pixel_format.startswith(("yuv420", "yuv422")):
             return picture
         rows, cols = picture.shape[:2]
@@ -150,8 +152,8 @@ class _Converter:
         return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
 
     def _room_for(self, picture: NDArray) -> tuple[NDArray, str]:
-        """A copy of the picture in memory that is used again for each, with what may be read behind it, and its format: a
-        new frame of FFmpeg's for each takes thrice the time."""
+        """Return a copy of the picture in memory that is used again for each, with what may be read behind it, and its
+        format: a new frame of FFmpeg's for each takes thrice the time."""
         widened = picture.dtype == np.uint8 and self.pixel_format.startswith("yuv")
         rows, cols, count = *picture.shape[:2], 4 if widened else picture.shape[2]
         size = rows * cols * count * picture.itemsize
@@ -181,15 +183,16 @@ class VideoWriter:
         self._encoding = _encoding(path, choice)
         self._converter = _Converter(self._encoding.formats[choice.bits])
         self._stream: Any = None
-        self._count = 0
+        self._tick, self._time = choice.tick or 1 / choice.rate, -1
 
-    def write(self, picture: NDArray) -> None:
+    def write(self, picture: NDArray, time: int | None = None) -> None:
+        """Add a picture that is shown at a time in ticks, later than the one before; None: one later."""
         frame = self._converter.frame(picture)
         if self._stream is None:
             self._stream = self._new_stream(frame.height, frame.width)
         self._tag(frame)
-        frame.pts, frame.time_base = self._count, 1 / self._choice.rate
-        self._count += 1
+        self._time = self._time + 1 if time is None else time
+        frame.pts, frame.time_base = self._time, self._tick
         self._container.mux(self._stream.encode(frame))
 
     def finish(self) -> None:
@@ -207,7 +210,7 @@ class VideoWriter:
         stream = self._container.add_stream(encoding.encoder, rate=choice.rate, options=options)
         context = stream.codec_context
         context.width, context.height, context.pix_fmt = cols, rows, self._converter.pixel_format
-        context.time_base = 1 / choice.rate
+        context.time_base = self._tick
         if encoding.frames_at_once:
             context.thread_type, context.thread_count = "FRAME", encoding.frames_at_once
         self._tag(context)
@@ -227,7 +230,7 @@ class VideoWriter:
 
 @contextlib.contextmanager
 def new_video(path: Path, choice: VideoChoice) -> Iterator[VideoWriter]:
-    """A video open for writing, that appears whole or not at all."""
+    """Yield a video open for writing, that appears whole or not at all."""
     av = pyav()
     form = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska"}[path.suffix.lower()]
     with atomic_output(path) as temporary:
@@ -272,7 +275,7 @@ def _write_all(stream: BinaryIO, content: Any) -> None:
 
 @contextlib.contextmanager
 def new_y4m(path: Path | None, choice: VideoChoice) -> Iterator[Y4mWriter]:
-    """A y4m file that appears whole or not at all; None: stdout."""
+    """Yield a y4m file that appears whole or not at all; None: stdout."""
     if path is None:
         # Unbuffered: a thread that waits in a buffered stream would keep the interpreter from ending.
         with open(1, "wb", buffering=0, closefd=False) as stream:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from l3cli.limits import ONE_BLAS_THREAD
+from l3cli.system.limits import ONE_BLAS_THREAD
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -32,17 +32,17 @@ def without_plots() -> None:
 
 
 def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
-    """function(item) of every item, in order, by `jobs` processes (1: in this one).
+    """Yield function(item) of every item, in order, by `jobs` processes (1: in this one).
 
     Processes are spawned, not forked: a fork after an OpenCL context exists hangs. Their BLAS is kept to one thread each.
     At most 2·jobs results wait, so memory is bounded by the workers, not by the number of items.
     """
-    with workers(jobs) as crew:
-        yield from crew(function, items)
+    with workers(jobs) as pool:
+        yield from pool(function, items)
 
 
 @dataclass(frozen=True)
-class Crew:
+class WorkerPool:
     """Workers that are handed items: crew(function, items) gives function(item) of every item, in order."""
 
     size: int  # that work at a time
@@ -53,26 +53,17 @@ class Crew:
 
 
 @contextlib.contextmanager
-def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[Crew]:
-    """`ordered_map` for several calls by the same processes, or by the workers of a scheduler."""
+def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[WorkerPool]:
+    """Offer `ordered_map` for several calls by the same processes, or by the workers of a scheduler."""
     if scheduler is not None:
         from l3cli.parallel.cluster import workers_of
 
-        with workers_of(scheduler) as crew:
-            yield crew
+        with workers_of(scheduler) as pool:
+            yield pool
     elif jobs == 1:
-        yield Crew(1, map)
+        yield WorkerPool(1, map)
     else:
         from l3cli.parallel.processes import several
 
         with several(jobs) as mapped:
-            yield Crew(jobs, mapped)
-
-
-def alone(function: Callable[[T], R], item: T) -> R:
-    """function(item) by a separate process, whose memory nothing else has used."""
-    from l3cli.parallel.processes import several
-
-    with several(1) as mapped:
-        (result,) = mapped(function, [item])
-    return result
+            yield WorkerPool(jobs, mapped)

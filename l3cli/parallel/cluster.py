@@ -22,8 +22,8 @@ from typing import Any, TypeVar
 
 from l3cli import __version__
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.limits import ONE_BLAS_THREAD
-from l3cli.parallel import Crew
+from l3cli.parallel import WorkerPool
+from l3cli.system.limits import ONE_BLAS_THREAD
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -47,7 +47,7 @@ class Scheduler:
     warn: Callable[[str], None] = lambda message: None  # called if the scheduler is open to others
 
     def __post_init__(self) -> None:
-        """RecipeError if that is no address, or files are missing or given in vain."""
+        """Raise RecipeError if that is no address, or files are missing or given in vain."""
         match = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)
         if not match or not 0 < int(match[2]) < 65536:
             raise RecipeError(f'"{self.address}" is no scheduler\'s address; give tcp://HOST:PORT or tls://HOST:PORT')
@@ -64,8 +64,8 @@ class Scheduler:
 
 
 @contextlib.contextmanager
-def workers_of(scheduler: Scheduler) -> Iterator[Crew]:
-    """The workers of a scheduler. L3Error if dask is missing, or the scheduler or every worker stays away.
+def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
+    """Yield the workers of a scheduler. L3Error if dask is missing, or the scheduler or every worker stays away.
 
     What is being done when the block fails is dropped; a worker ends the item it is at.
     """
@@ -87,8 +87,8 @@ def workers_of(scheduler: Scheduler) -> Iterator[Crew]:
             listening = client.scheduler_info()["address"]
             if not (listening.startswith("tls://") or _is_loopback(listening)):
                 scheduler.warn(WITHOUT_TLS)
-            hands = _Hands(client)
-            yield Crew(hands.first(), functools.partial(_sent_out, client, hands))
+            workers = _Workers(client)
+            yield WorkerPool(workers.first(), functools.partial(_sent_out, client, workers))
         finally:
             client.close(timeout=ANSWER)
 
@@ -117,8 +117,8 @@ def _is_loopback(address: str) -> bool:
         return host in ("", "localhost")
 
 
-class _Hands:
-    """How many workers a scheduler has; checked once a PULSE."""
+class _Workers:
+    """Number of a scheduler's workers, checked once a PULSE."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -127,13 +127,13 @@ class _Hands:
         self._count = 0
 
     def first(self) -> int:
-        """Their number, as soon as there is one."""
+        """Return their number, as soon as there is one."""
         while not self.count():
             time.sleep(PULSE / 10)
         return self._count
 
     def count(self) -> int:
-        """Their number. L3Error if there has been none for longer than PATIENCE, or the scheduler is gone."""
+        """Return their number. L3Error if there has been none for longer than PATIENCE, or the scheduler is gone."""
         if time.monotonic() - self._checked >= PULSE:
             try:
                 self._count = len(self._client.nthreads())
@@ -152,7 +152,7 @@ class _Hands:
 _GONE = "the scheduler has gone; start it and its workers again"
 
 
-def _sent_out(client: Any, hands: _Hands, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+def _sent_out(client: Any, workers: _Workers, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     """At most two items a worker are out at a time; results stay with the workers until their turn comes."""
 
     def work(versions: dict[str, str], content: bytes) -> R:
@@ -166,17 +166,17 @@ def _sent_out(client: Any, hands: _Hands, function: Callable[[T], R], items: Ite
     try:
         for item in items:
             waiting.append(client.submit(work, _versions(), pickle.dumps((function, item)), pure=False))
-            if len(waiting) >= 2 * max(1, hands.count()):
-                yield _brought(client, hands, waiting.popleft())
+            if len(waiting) >= 2 * max(1, workers.count()):
+                yield _result(client, workers, waiting.popleft())
         while waiting:
-            yield _brought(client, hands, waiting.popleft())
+            yield _result(client, workers, waiting.popleft())
     finally:
         for future in waiting:
             future.cancel()
 
 
-def _brought(client: Any, hands: _Hands, future: Any) -> Any:
-    """A future's result, worked out again by dask where its worker has died; what `function` raised is raised."""
+def _result(client: Any, workers: _Workers, future: Any) -> Any:
+    """Return a future's result, worked out again by dask where its worker has died; what `function` raised is raised."""
     from distributed import KilledWorker
     from distributed.comm import CommClosedError
 
@@ -185,7 +185,7 @@ def _brought(client: Any, hands: _Hands, future: Any) -> Any:
         while not answer.done():
             with contextlib.suppress(TimeoutError):
                 answer.exception(PULSE)
-            hands.count()
+            workers.count()
         return answer.result()
     except (CancelledError, asyncio.CancelledError, CommClosedError) as error:
         raise L3Error(_GONE) from error
@@ -198,7 +198,7 @@ def _brought(client: Any, hands: _Hands, future: Any) -> Any:
 
 
 def _versions() -> dict[str, str]:
-    """What must be the same here and there for the same bytes."""
+    """Return the versions that must be equal here and there for the same bytes."""
     python = platform.python_version().rpartition(".")[0]
     return {"l3cli": __version__, "numpy": importlib.metadata.version("numpy"), "Python": python}
 

@@ -15,9 +15,9 @@ from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
 from l3cli.errors import L3Error
-from l3cli.interrupts import uninterrupted
-from l3cli.limits import ONE_BLAS_THREAD
 from l3cli.parallel import without_plots
+from l3cli.system.limits import ONE_BLAS_THREAD
+from l3cli.system.signals import uninterrupted
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -25,14 +25,14 @@ R = TypeVar("R")
 
 @contextlib.contextmanager
 def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]]:
-    """`map` by so many processes, whose memory nothing else has used; at most two results for each wait."""
+    """Offer `map` by so many processes, whose memory nothing else has used; at most two results for each wait."""
     with _pool(jobs) as pool:
         yield functools.partial(_pooled, pool, 2 * jobs)
 
 
 @contextlib.contextmanager
 def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that end with the block: at once where it fails or is interrupted."""
+    """Start processes that end with the block: at once where it fails or is interrupted."""
     saved = {name: os.environ.get(name) for name in ONE_BLAS_THREAD}
     os.environ.update(ONE_BLAS_THREAD)
     pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _begin)

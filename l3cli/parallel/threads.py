@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
-from l3cli.interrupts import is_wanted, raise_pending, uninterrupted
+from l3cli.system.signals import is_wanted, raise_pending, uninterrupted
 
 T = TypeVar("T")
 READING, WRITING = 1.0, 25.0  # seconds after an interrupt in which an item that is being read, or written, is finished
@@ -17,8 +17,8 @@ class _End(Exception):
     """Put behind the last item of a queue."""
 
 
-def ahead(items: Iterable[T], depth: int) -> Iterator[T]:
-    """The same items, made by another thread at most `depth` ahead of who takes them."""
+def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
+    """Yield the same items, made by another thread at most `depth` ahead of who takes them."""
     ready: queue.Queue[Any] = queue.Queue()
     room = threading.Semaphore(depth)
     stopped = threading.Event()
@@ -63,7 +63,7 @@ def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threadin
         yield item
 
 
-class Meanwhile:
+class BackgroundTask:
     """Does `work` in another thread while the block runs, and waits for its end. What goes wrong in it is left to whoever
     does the same later: the work only makes something ready."""
 
@@ -83,7 +83,7 @@ class Meanwhile:
             self._work()
 
 
-class Behind:
+class WriteBehind:
     """Calls function(item) in other threads, at most `depth` items behind; in order if there is one thread.
 
     As a context manager it waits for the last item, also when the block fails. What goes wrong is raised by the next
@@ -98,7 +98,7 @@ class Behind:
         self._complete = False  # nothing more will be put
         self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(threads)]
 
-    def __enter__(self) -> "Behind":
+    def __enter__(self) -> "WriteBehind":
         for thread in self._threads:
             thread.start()
         return self

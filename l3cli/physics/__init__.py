@@ -1,1 +1,1 @@
-"""What light does, each formula once: spectra, lenses, displays. Arrays in, arrays out; no camera, no file."""
+"""Physics of light, each formula once: spectra, lenses, displays. Arrays in, arrays out; no camera, no file."""

@@ -51,8 +51,8 @@ def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
     light = spectra.illuminant("D50", wavelength)
     weights = spectra.xyz_weights(wavelength) * light
     weights = weights / weights[1].sum()
-    apart = (wavelength[:, None] - wavelength) / CORRECTION_NM
-    kernel = np.exp(-0.5 * apart**2)
+    isolated = (wavelength[:, None] - wavelength) / CORRECTION_NM
+    kernel = np.exp(-0.5 * isolated**2)
     rows = []
     for patch, xyz in zip(reflectance, target, strict=True):
         design = weights * patch

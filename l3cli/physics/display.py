@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from l3cli.errors import RecipeError, shortened
 from l3cli.physics.spaces import SRGB_CURVE, SRGB_FROM_XYZ, adaptation_matrix
 from l3cli.physics.spectra import colour_science, white_point
-from l3cli.quantities import Quantity
+from l3cli.system.numbers import Quantity
 
 Array = NDArray[np.floating]
 XYZ = ("X", "Y", "Z")  # names of outputs that are CIE 1931 tristimulus values
@@ -118,6 +118,12 @@ def displayed(xyz: Array, white: Array, scale: float) -> Array:
     """The picture in 0…1 of XYZ planes (3, row, col): `white` (3) adapted to D65, Y = `scale` shown as 1."""
     matrix = srgb_from_xyz_matrix() @ adaptation_matrix(white, daylight()) / scale
     return np.clip(np.einsum("oc,crk->rko", matrix, xyz), 0.0, 1.0)
+
+
+def scene_xyz(linear: Array, white: Array, scale: float) -> Array:
+    """XYZ planes (3, row, col) of a picture, the inverse of `displayed` where that does not clip."""
+    matrix = adaptation_matrix(daylight(), white) @ xyz_from_srgb_matrix() * scale
+    return np.einsum("co,rko->crk", matrix, linear)
 
 
 def displayed_xyz(linear: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What a lens does to light: the camera equation, fall-off towards the corners, and blur by diffraction and defocus.
+"""Optics of a lens: the camera equation, fall-off towards the corners, and blur by diffraction and defocus.
 
 The formulas are ISETCam's, against which they are checked (docs/method.md#optics). Lengths are in m unless a
 name says otherwise.

@@ -39,7 +39,7 @@ def radiance(mired: float, green: float, wavelength: Array) -> Array:
 
 
 def _greener(green: float, wavelength: Array) -> Array:
-    """What a light has of each wavelength, as a factor."""
+    """Return the factor of each wavelength by which a light is greener."""
     return np.asarray(np.exp(green * np.exp(-(((wavelength - GREEN_NM) / GREEN_WIDTH) ** 2))))
 
 
@@ -85,11 +85,11 @@ def temperature(xyz: Array) -> tuple[float, float]:
     point = uv(xyz)
     step = np.diff(locus, axis=0)
     along = np.clip(((point - locus[:-1]) * step).sum(axis=1) / (step**2).sum(axis=1), 0.0, 1.0)
-    apart = point - locus[:-1] - along[:, None] * step
-    nearest = int((apart**2).sum(axis=1).argmin())
+    isolated = point - locus[:-1] - along[:, None] * step
+    nearest = int((isolated**2).sum(axis=1).argmin())
     mired = mireds[nearest] + along[nearest] * (mireds[nearest + 1] - mireds[nearest])
-    side = step[nearest][0] * apart[nearest][1] - step[nearest][1] * apart[nearest][0]
-    return float(1e6 / mired), float(np.copysign(np.linalg.norm(apart[nearest]), side))
+    side = step[nearest][0] * isolated[nearest][1] - step[nearest][1] * isolated[nearest][0]
+    return float(1e6 / mired), float(np.copysign(np.linalg.norm(isolated[nearest]), side))
 
 
 def mired_of(xyz: Array) -> float:

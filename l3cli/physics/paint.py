@@ -8,10 +8,10 @@ Array = NDArray[np.floating]
 LARGEST, SMALLEST = 1.0, 0.002  # reflectances
 
 
-def with_saturation(reflectance: Array, saturation: float, visible: int | None = None) -> Array:
-    """reflectance (…, band) drawn towards its geometric mean: 0 is grey, 1 leaves it. The mean is that of the first
-    `visible` bands; None: of all."""
-    grey = np.exp(np.log(reflectance[..., :visible]).mean(axis=-1, keepdims=True))
+def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.bool_] | slice = slice(None)) -> Array:
+    """reflectance (…, band) drawn towards its geometric mean: 0 is grey, 1 leaves it. The mean is that of the
+    bands `drawn`, of all without."""
+    grey = np.exp(np.log(reflectance[..., drawn]).mean(axis=-1, keepdims=True))
     return np.asarray(grey * (reflectance / grey) ** saturation)
 
 

@@ -1,4 +1,4 @@
-"""How much of a frame a table has learned to render: measured on few pixels, so that it costs a millisecond or two."""
+"""Share of a frame that a table has learned to render: measured on few pixels, so that it costs a millisecond or two."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import level
 from l3cli.classes.decide import label_patches
 from l3cli.classes.windows import neighbourhoods
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.exposure import spread_patches
 
 
@@ -31,7 +31,7 @@ class CoverageMeter:
         self._samples = table.first.rule.by_axis(table.first.samples)
 
     def coverage(self, frame: RawFrame) -> Coverage:
-        """How a frame of any size and phase is covered."""
+        """Return the coverage of a frame of any size and phase."""
         rule = self._table.first.rule
         patches, site = spread_patches(frame, self._table)
         labels = label_patches(patches.values, rule, self._near, site)

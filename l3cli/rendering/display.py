@@ -1,4 +1,4 @@
-"""What a renderer makes of XYZ: a picture in a colour space, matrix, clip, curve and rounding (docs/method.md#display)."""
+"""Pictures of XYZ in a colour space: matrix, clip, curve and rounding (docs/method.md#display)."""
 
 from dataclasses import dataclass
 

@@ -10,9 +10,9 @@ import numpy as np
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_patches
 from l3cli.classes.windows import TapOrder, neighbourhoods, tap_order, window_channels
-from l3cli.frame import RawFrame, mirrored_indices
+from l3cli.frames.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import white_percentile
-from l3cli.rendering.balance import WhiteBalance, balanced_patches, followed_share
+from l3cli.rendering.white.balance import WhiteBalance, balanced_patches, followed_share
 
 GRID = (32, 48)  # rows and columns of pixels that are measured, at most
 
@@ -72,7 +72,7 @@ def spread_shape(frame: RawFrame, table: TransformTable) -> tuple[int, int]:
 
 
 def _geometry(frame: RawFrame, table: TransformTable, axis: int) -> tuple[int, int, int, int]:
-    """What `_windows` depend on."""
+    """Return the numbers that `_windows` depends on."""
     return frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]
 
 

@@ -9,7 +9,7 @@ from l3cli.classes.later import mirrored
 from l3cli.classes.planes import FixedPoint, coarse
 from l3cli.classes.ratios import shaded_chroma
 from l3cli.classes.windows import Integers
-from l3cli.frame import RawFrame, pad_mosaic
+from l3cli.frames.frame import RawFrame, pad_mosaic
 
 
 def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:

@@ -17,7 +17,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.kernel import kernel_macros
 from l3cli.classes.planes import FixedPoint, fixed_point
 from l3cli.errors import InputFileError
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 
 Sets = tuple[TransformTable, ...]  # one, or the usual and the quiet
 

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from l3cli.artifacts.further_features import FurtherFeatures
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.features import further_features
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.display import Display
-from l3cli.rendering.kept_table import Layouts
 from l3cli.rendering.renderer import Renderer, make_renderer
 
 
@@ -84,12 +83,10 @@ class QuietRenderer:
             yield from self._of(share).pictures(each for _, each in run)
 
 
-def quiet_renderer(
-    backend: str, table: TransformTable, layouts: Layouts | None = None, **options: str | None
-) -> QuietRenderer:
+def quiet_renderer(backend: str, table: TransformTable, **options: str | None) -> QuietRenderer:
     """The renderer of a backend (renderer.make_renderer) that takes frames of any noise."""
 
     def make(wanted: TransformTable, by_noise: bool) -> Renderer:
-        return make_renderer(backend, wanted, by_noise, layouts if wanted is table else None, **options)
+        return make_renderer(backend, wanted, by_noise, **options)
 
     return QuietRenderer(make(table, False), make)

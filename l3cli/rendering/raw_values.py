@@ -1,4 +1,4 @@
-"""Whether the values of a frame can be those of a table's camera: mistakes about depth, byte order, black level and size."""
+"""Plausibility of a frame's values for a table's camera: mistakes about depth, byte order, black level and size."""
 
 from collections.abc import Iterator
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 
 BEYOND = 1.5  # times the white level: no saturated pixel lies so far above it …
 SHALLOW = 0.55  # of it: nor do pixels of the same depth clip so far below
@@ -21,18 +21,18 @@ LINES = 64  # pairs of rows that are compared
 
 
 def mistaken(frame: RawFrame, table: TransformTable) -> Iterator[str]:
-    """What there is to say of values that the table's camera hardly gives, as the frame's levels and size are taken."""
+    """Yield a warning for values that the table's camera hardly gives, as the frame's levels and size are taken."""
     top = int(frame.values.max())
     too_high = top > BEYOND * frame.white_level
     lower = "" if too_high else _clips_lower(frame, top) or _below_black(frame) or _fog(frame, table)
-    if text := _too_high(frame, table.bits, top) if too_high else lower:
+    if text := _too_high(frame, table.bits, top) if too_high else beyond_converter(frame, table) or lower:
         yield text
     if text := _torn(frame, table.cfa.shape[0]):
         yield text
 
 
 def _too_high(frame: RawFrame, bits: int, top: int) -> str:
-    """Of values beyond the white level."""
+    """Return a warning of values beyond the white level, or nothing."""
     every, most = int(np.bitwise_or.reduce(frame.values, axis=None)), 2**bits - 1
     step = every & -every
     if 0 < every & 0xFF <= most >> 8 and bits < 16:
@@ -50,8 +50,20 @@ def _too_high(frame: RawFrame, bits: int, top: int) -> str:
     )
 
 
+def beyond_converter(frame: RawFrame, table: TransformTable) -> str:
+    """Return what to say of values that the table's converter cannot give, of a frame at the table's levels; else ""."""
+    most = 2**table.bits - 1
+    levels = (frame.black_level, frame.white_level) == (table.black_level, table.white_level)
+    if not levels or frame.values.max() <= most:
+        return ""
+    return (
+        f"some of its values are above {most} DN, the most that the table's {table.bits} bits hold, and are taken for "
+        "clipped: it is of another depth, or not raw; give ‹black_level› and ‹white_level›"
+    )
+
+
 def _clips_lower(frame: RawFrame, top: int) -> str:
-    """Of values that end at all ones of fewer bits."""
+    """Return a warning of values that end at all ones of fewer bits, or nothing."""
     depth = top.bit_length()
     if not (top > frame.black_level and 8 <= depth < 16 and top == 2**depth - 1 and top < SHALLOW * frame.white_level):
         return ""
@@ -65,7 +77,7 @@ def _clips_lower(frame: RawFrame, top: int) -> str:
 
 
 def _below_black(frame: RawFrame) -> str:
-    """Of values that noise does not bring so far below black."""
+    """Return a warning of values further below black than noise explains, or nothing."""
     limit = BELOW * frame.black_level
     share = float((frame.values < limit).mean()) if frame.black_level >= LEAST_BLACK else 0.0
     if share < FEW:
@@ -77,7 +89,7 @@ def _below_black(frame: RawFrame) -> str:
 
 
 def _fog(frame: RawFrame, table: TransformTable) -> str:
-    """Of darkest values where the table's camera has its black, and a black level far below."""
+    """Return a warning of darkest values where the table's camera has its black, and a black level far below, or nothing."""
     black = table.black_level
     other_depth = abs(frame.white_level - table.white_level) > SAME_DEPTH * table.white_level
     if black < LEAST_BLACK or frame.black_level > black / 2 or other_depth:
@@ -92,7 +104,8 @@ def _fog(frame: RawFrame, table: TransformTable) -> str:
 
 
 def _torn(frame: RawFrame, period: int) -> str:
-    """Of rows that would follow one another far more smoothly with rows and columns exchanged."""
+    """Return a warning of rows that would follow one another far more smoothly with rows and columns exchanged, or
+    nothing."""
     rows, cols = frame.values.shape
     if not frame.exchangeable or rows == cols:
         return ""

@@ -12,9 +12,8 @@ from l3cli.classes.decide import label_mosaic
 from l3cli.classes.later import label_planes
 from l3cli.classes.planes import FixedPoint, later_fixed_point, opponent_basis
 from l3cli.classes.windows import Integers
-from l3cli.frame import RawFrame, pad_mosaic
+from l3cli.frames.frame import RawFrame, pad_mosaic
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
-from l3cli.rendering.kept_table import Layouts
 from l3cli.rendering.later import first_planes, later_outputs, later_planes
 from l3cli.rendering.noise_sets import first_fixed_point, first_layer, later_layers, later_rules, quiet_pixels, sets_of
 from l3cli.rendering.smoothing import smoothed_spectra
@@ -23,7 +22,7 @@ from l3cli.rendering.smoothing import smoothed_spectra
 class ReferenceRenderer:
     """Renderer in numpy: slow, exact, without a device. `by_noise`: as make_renderer has it."""
 
-    def __init__(self, table: TransformTable, by_noise: bool = False, layouts: Layouts | None = None) -> None:
+    def __init__(self, table: TransformTable, by_noise: bool = False) -> None:
         require_known_layers(table)
         self.table, self._sets = table, sets_of(table, by_noise)
         self._first, self._later_layers = first_layer(self._sets), later_layers(self._sets)
@@ -60,13 +59,13 @@ class ReferenceRenderer:
         return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
-        """What the last layer of a table of several reads of a frame, (plane, row, col)."""
+        """Return the planes that the last layer of a table of several reads of a frame, (plane, row, col)."""
         levelled = at_table_levels(frame, self.table)
         return self._later(levelled, self._labels(levelled), len(self.table.later))[0]
 
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
-        """Of all layers but the last."""
+        """Fixed-point transforms of all layers but the last."""
         basis = opponent_basis(self.table.white_point)
         return [first_fixed_point(self._sets), *(later_fixed_point(layer, basis) for layer in self._later_layers[:-1])]
 
@@ -80,7 +79,8 @@ class ReferenceRenderer:
         return np.where(quiet, len(self.table.first.weights) + table_labels(levelled, self._sets[1]), labels)
 
     def _later(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
-        """What layer `number` after the first reads of a frame at the table's levels, and the classes it sorts it into."""
+        """Return the planes that layer `number` after the first reads of a frame at the table's levels, and the classes
+        of its pixels."""
         later = self._later_layers
         planes = first_planes(levelled, first_labels, self.table, self._fixed_points[0])
         labels = self._later_labels(planes, first_labels, 0)

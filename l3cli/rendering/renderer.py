@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.display import Display
-from l3cli.rendering.kept_table import Layouts
 
 # A new backend is one class, made from a TransformTable, and one line here; its module is imported when it is asked for.
 BACKENDS = {
-    "opencl": "l3cli.rendering.opencl:OpenCLRenderer",
+    "opencl": "l3cli.rendering.opencl.renderer:OpenCLRenderer",
     "reference": "l3cli.rendering.reference:ReferenceRenderer",
 }
 
@@ -48,21 +47,18 @@ def make_ready(backend: str, **options: str | None) -> None:
     `options` these are."""
     importlib.import_module(BACKENDS[backend].partition(":")[0])
     if backend == "opencl":
-        from l3cli.rendering import opencl_programs
+        from l3cli.rendering.opencl import programs
 
-        opencl_programs.make_ready(**options)
+        programs.make_ready(**options)
 
 
-def make_renderer(
-    backend: str, table: TransformTable, by_noise: bool = False, layouts: Layouts | None = None, **options: str | None
-) -> Renderer:
+def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, **options: str | None) -> Renderer:
     """The renderer called `backend` for a table. RecipeError if there is none, DeviceError if it finds no device.
 
     `by_noise`: pixels of which a filter in time has left little noise are rendered by the table's quiet set, which must be
-    there. `layouts`: what has been made of this table before. `options` are the backend's: of "opencl" `device` and
-    `variant` (OpenCLRenderer).
+    there. `options` are the backend's: of "opencl" `device` and `variant` (OpenCLRenderer).
     """
     if backend not in BACKENDS:
         raise RecipeError(f'backend "{backend}" is unknown; {suggestion(backend, BACKENDS)}')
     module, _, name = BACKENDS[backend].partition(":")
-    return getattr(importlib.import_module(module), name)(table, by_noise=by_noise, layouts=layouts, **options)
+    return getattr(importlib.import_module(module), name)(table, by_noise=by_noise, **options)

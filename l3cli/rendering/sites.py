@@ -1,4 +1,4 @@
-"""Whether a frame has its colour filter array where it is taken to begin: sites of one channel see alike on average."""
+"""Check of where a frame's colour filter array begins: sites of one channel see alike on average."""
 
 import itertools
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame, shifted_cfa
 
 SAMPLES = 128  # super-pixels along either axis that are looked at, at most
 LEAST_SIGNAL = 1e-3  # of full scale: the mean of a frame below which it is dark

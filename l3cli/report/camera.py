@@ -35,8 +35,8 @@ NEARLY = 0.9  # of the variance that a line of photon transfer has: points below
 
 
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
-    """`figures` is what `l3 calibrate --json` says of the camera, and under "shortfall" why not to trust it, if so;
-    `name` is the file it comes from."""
+    """Return the section of a camera model. `figures` is what `l3 calibrate --json` says of the camera, and under
+    "shortfall" why not to trust it, if so; `name` is the file it comes from."""
     light = colours.channel_light(camera.responsivity, camera.wavelength)
     parts = [
         Subsection("Sensor and colour filter array", (Figures((array_figure(camera, light),)), _facts(camera))),
@@ -77,7 +77,7 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
 
 
 def array_figure(camera: CameraModel, light: Array) -> Figure:
-    """One period of the array; `light` is that of its channels (colours.channel_light)."""
+    """Return one period of the array; `light` is that of its channels (colours.channel_light)."""
     rows, cols = camera.cfa.shape
     wide = float(np.clip(GLYPH * max(map(len, camera.channels)) + 8, CELL, WIDEST))
     fits = round((wide - 8) / GLYPH)
@@ -120,10 +120,10 @@ def _facts(camera: CameraModel) -> Table:
 
 
 def responsivity_figures(camera: CameraModel, light: Array) -> tuple[Figure, ...]:
-    """The curves, and where they were measured their confidence bands; `light` as for `array_figure`."""
+    """Return the curves, and where they were measured their confidence bands; `light` as for `array_figure`."""
     label = "quantum efficiency (e⁻/photon)" if camera.absolute else "relative responsivity (1)"
     strokes = colours.strokes(light)
-    upper = camera.responsivity + camera.responsivity_band
+    upper, measured = camera.responsivity + camera.responsivity_band, bool(camera.responsivity_band.any())
     plot = Plot(
         spanning("wavelength (nm)", camera.wavelength), spanning(label, [0.0, HEADROOM * float(upper.max())], zero=True)
     )
@@ -131,20 +131,21 @@ def responsivity_figures(camera: CameraModel, light: Array) -> tuple[Figure, ...
     for channel, name in enumerate(camera.channels):
         curve, half = camera.responsivity[channel], camera.responsivity_band[channel]
         peak = int(curve.argmax())
-        plot.band(camera.wavelength, np.maximum(curve - half, 0), curve + half, strokes[channel])
+        if measured:
+            plot.band(camera.wavelength, np.maximum(curve - half, 0), curve + half, strokes[channel])
         plot.line(camera.wavelength, curve, strokes[channel], mark_of(strokes, channel), series=name)
         if sum(map(len, camera.channels)) <= LABELLED:
             plot.label(float(camera.wavelength[peak]), float(curve[peak]), name)
         peaks.append(f"{name} {tidy(float(curve[peak]))} at {tidy(float(camera.wavelength[peak]), 4)} nm")
     finding = f"Peaks: {', '.join(peaks)}."
     figures = [Figure("Responsivities", plot.svg(finding), finding, channel_keys(camera, strokes), data=plot.data())]
-    if camera.responsivity_band.any():
+    if measured:
         figures.append(_band_figure(camera, strokes))
     return tuple(figures)
 
 
 def _band_figure(camera: CameraModel, strokes: tuple[str, ...]) -> Figure:
-    """Half widths alone, since a good calibration's bands are thinner than its lines."""
+    """Return the half widths alone, since a good calibration's bands are thinner than its lines."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
     for channel, name in enumerate(camera.channels):

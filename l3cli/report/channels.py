@@ -1,4 +1,4 @@
-"""What the figures of a camera share: marks and keys of its channels, tables of numbers by name."""
+"""Marks and keys of channels and tables of numbers by name, shared by the figures of a camera."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ def channel_keys(camera: CameraModel, strokes: tuple[str, ...]) -> tuple[Key, ..
 
 
 def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> Table:
-    """Rows of numbers by name, as calibration's figures hold them."""
+    """Return the rows of numbers by name, as calibration's figures hold them."""
     titles = tuple(next(iter(rows.values())))
     body = tuple((name, *(_cell(title, row[title]) for title in titles)) for name, row in rows.items())
     return Table(caption, (heading, *map(unit, titles)), body)

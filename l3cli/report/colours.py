@@ -12,7 +12,7 @@ SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # the page
 
 
 def channel_light(responsivity: Array, wavelength: Array) -> NDArray[np.float64]:
-    """Linear sRGB (channel, 3), largest value 1, of the daylight that each channel (channel, wavelength) takes in.
+    """Return linear sRGB (channel, 3), largest value 1, of the daylight that each channel (channel, wavelength) takes in.
 
     Light of channels that see nothing visible is grey.
     """
@@ -23,7 +23,7 @@ def channel_light(responsivity: Array, wavelength: Array) -> NDArray[np.float64]
 
 
 def strokes(light: Array) -> tuple[str, ...]:
-    """The same hues at one luminance, to be distinct from white and from black paper."""
+    """Return the same hues at one luminance, to be distinct from white and from black paper."""
     return tuple(hex_colour(_at_luminance(linear)) for linear in light)
 
 
@@ -36,23 +36,23 @@ def _at_luminance(linear: Array) -> Array:
 
 
 def hex_colour(linear: Array) -> str:
-    """Linear sRGB (3) as #rrggbb."""
+    """Return linear sRGB (3) as #rrggbb."""
     return "#" + "".join(f"{code:02x}" for code in srgb_codes(linear))
 
 
 def ink_on(linear: Array) -> str:
-    """Black or white, whichever reads better on linear sRGB (3)."""
+    """Return black or white, whichever reads better on linear sRGB (3)."""
     return "#000000" if float(linear @ LUMA) > LINE_LUMINANCE else "#ffffff"
 
 
 def spectral_locus() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Wavelengths in nm and chromaticities (wavelength, 2) of monochromatic light, CIE 1931."""
+    """Return the wavelengths in nm and chromaticities (wavelength, 2) of monochromatic light, CIE 1931."""
     wavelength = np.arange(400.0, 701.0, 5.0)
     functions = spectra.colour_matching_functions(wavelength).T
     return wavelength, functions[:, :2] / functions.sum(axis=1, keepdims=True)
 
 
 def srgb_primaries() -> NDArray[np.float64]:
-    """Chromaticities (3, 2) of the primaries of sRGB."""
+    """Return the chromaticities (3, 2) of the primaries of sRGB."""
     xyz = xyz_from_srgb_matrix().T
     return xyz[:, :2] / xyz.sum(axis=1, keepdims=True)

@@ -21,7 +21,7 @@ DASHES = {"line": "", "dashed": ' stroke-dasharray="6 4"', "dotted": ' stroke-da
 
 @dataclass(frozen=True)
 class Axis:
-    """What runs along a side of a plot: label with unit, range, scale."""
+    """Axis of a plot: label with unit, range, scale."""
 
     label: str
     low: float
@@ -29,7 +29,7 @@ class Axis:
     log: bool = False
 
     def place(self, values: Array | float) -> Array:
-        """Values as shares of the axis, 0 at its low end."""
+        """Return the values as shares of the axis, 0 at its low end."""
         values = np.asarray(values, dtype=np.float64)
         if not self.log:
             return (values - self.low) / (self.high - self.low)
@@ -37,7 +37,7 @@ class Axis:
         return np.log(least / self.low) / np.log(self.high / self.low)
 
     def ticks(self) -> list[float]:
-        """Round numbers within the axis."""
+        """Return round numbers within the axis."""
         if not self.log:
             return _round_steps(self.low, self.high)
         decades = range(int(np.floor(np.log10(self.low))), int(np.ceil(np.log10(self.high))) + 1)
@@ -49,7 +49,7 @@ class Axis:
 
 
 def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, log: bool = False) -> Axis:
-    """An axis that holds all finite values with a small margin; with `zero` it begins there."""
+    """Return an axis that holds all finite values with a small margin; with `zero` it begins there."""
     array = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=np.float64).ravel()
     array = array[np.isfinite(array) & ((array > 0) | (not log))]
     low, high = (float(array.min()), float(array.max())) if array.size else (0.1 if log else 0.0, 1.0)
@@ -70,7 +70,7 @@ def _round_steps(low: float, high: float) -> list[float]:
 
 
 def tick_text(value: float) -> str:
-    """A tick's number: powers of ten far from one as powers."""
+    """Return a tick's number: powers of ten far from one as powers."""
     if value and not 1e-3 <= abs(value) < 1e5:
         power = int(np.floor(np.log10(abs(value)) + 1e-9))
         factor = value / 10.0**power
@@ -104,7 +104,7 @@ class Plot:
         return self
 
     def steps(self, edges: Array, heights: Array, colour: str, mark: str = "line", series: str | None = None) -> "Plot":
-        """A histogram's outline: heights (bin) between edges (bin + 1). Its data are heights at the lower edges."""
+        """Return a histogram's outline: heights (bin) between edges (bin + 1). Its data are heights at the lower edges."""
         self._keep(series, edges[:-1], heights)
         return self.line(np.repeat(edges, 2)[1:-1], np.repeat(heights, 2), colour, mark, 1.8)
 
@@ -131,7 +131,7 @@ class Plot:
         return self
 
     def cells(self, x: Array, y: Array, width: float, height: float, colour: str, opacity: float) -> "Plot":
-        """Boxes of one size, in units of the axes, whose lower left corners are x, y."""
+        """Add boxes of one size, in units of the axes, whose lower left corners are x, y."""
         corners = list(zip(self._points(x, y), self._points(x + width, y + height), strict=True))
         self._places.take([corner for pair in corners for corner in pair], joined=False)
         path = "".join(f"M{a:.1f},{b:.1f}H{c:.1f}V{d:.1f}H{a:.1f}z" for (a, b), (c, d) in corners)
@@ -139,24 +139,25 @@ class Plot:
         return self
 
     def label(self, x: float, y: float, text: str) -> "Plot":
-        """Text by a point, in the page's ink, where it lies on nothing that is drawn; none where there is no such place."""
+        """Add text by a point, in the page's ink, where it lies on nothing that is drawn; none where there is no such
+        place."""
         ((a, b),) = self._points(np.array([x]), np.array([y]))
         self._labels.append((a, b, text))
         return self
 
     def data(self) -> Data:
-        """The numbers of all series."""
+        """Return the numbers of all series."""
         return Data(("series", self._x.label, self._y.label), tuple(self._rows))
 
     def svg(self, finding: str) -> Markup:
-        """The drawing, which says `finding` to those who cannot see it."""
+        """Return the drawing, which says `finding` to those who cannot see it."""
         width, height = self._inner
         drawn = "".join([*self._items, *self._placed_labels()])
         inner = f'<svg x="{LEFT}" y="{TOP}" width="{width}" height="{height}">{drawn}</svg>'
         return sheet(WIDTH, height + TOP + BOTTOM, self._frame() + inner, finding)
 
     def _placed_labels(self) -> list[str]:
-        """Labels, once all is drawn that they must keep clear of."""
+        """Return the labels, placed once all is drawn that they must keep clear of."""
         placed = ((self._places.place(x, y, text), text) for x, y, text in self._labels)
         return [
             f'<text class="mark" x="{place[0]:.1f}" y="{place[1]:.1f}" text-anchor="{place[2]}">{escape(text)}</text>'
@@ -175,7 +176,7 @@ class Plot:
         return list(zip(across.ravel().tolist(), down.ravel().tolist(), strict=True))
 
     def _frame(self) -> str:
-        """Grid, ticks and labels of both axes."""
+        """Draw grid, ticks and labels of both axes."""
         width, height = self._inner
         bottom, items = TOP + height, []
         for value in self._x.ticks():
@@ -195,14 +196,15 @@ class Plot:
 
 
 def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bool = False) -> Markup:
-    """A drawing of so many pixels, scaled to the page unless of its `fixed_size`; texts `inside` are escaped already."""
+    """Return a drawing of so many pixels, scaled to the page unless of its `fixed_size`; texts `inside` are escaped
+    already."""
     label = escape(finding)
     size = f' width="{width:g}" height="{height:g}"' if fixed_size else ""
     return Markup(f'<svg viewBox="0 0 {width:g} {height:g}"{size} role="img" aria-label="{label}">{inside}</svg>')
 
 
 def box(x: float, y: float, width: float, height: float, colour: str, opacity: float = 1.0, extra: str = "") -> str:
-    """A filled rectangle."""
+    """Return a filled rectangle."""
     return (
         f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" fill="{escape(colour)}"'
         f' fill-opacity="{opacity:g}"{extra}/>'
@@ -210,7 +212,8 @@ def box(x: float, y: float, width: float, height: float, colour: str, opacity: f
 
 
 def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: str, y_label: str, finding: str) -> Markup:
-    """Cells (row, column) as dense as `shares`, 0 (empty) to 1, with a name for each row and, where they fit, column."""
+    """Draw cells (row, column) as dense as `shares`, 0 (empty) to 1, with a name for each row and, where they fit,
+    column."""
     side = max(30.0, 8 + GLYPH * max(map(len, rows)))
     left = 18 + side
     width = (WIDTH - left - RIGHT) / shares.shape[1]

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from l3cli.classes.names import further_headings, heading
-from l3cli.columns import figure as number
 from l3cli.report.colours import SERIES
 from l3cli.report.drawing import Plot, spanning
 from l3cli.report.parts import (
@@ -21,6 +20,7 @@ from l3cli.report.parts import (
     counted,
     tidy,
 )
+from l3cli.system.text import figure as number
 
 OURS = "ours"
 NAMES = {  # figure → heading; unit and meaning
@@ -48,7 +48,8 @@ BAND_MEANINGS = (
 
 
 def evaluation_section(document: dict[str, Any], names: tuple[str, str]) -> Section:
-    """`document` is that of `l3 evaluate --json`, `names` the files of table and frames."""
+    """Return the section of an evaluation. `document` is that of `l3 evaluate --json`, `names` the files of table and
+    frames."""
     figure = next(iter(document["frames"][0][OURS]))
     parts = [
         Subsection("Quality", _quality_blocks(document, figure)),
@@ -62,8 +63,8 @@ def evaluation_section(document: dict[str, Any], names: tuple[str, str]) -> Sect
 def luminance_section(
     curves: dict[str, list[tuple[str, tuple[float, ...], tuple[float, ...]]]], sentences: dict[str, list[str]]
 ) -> Section:
-    """Cameras over the light on the scene: for each figure the name, luminances (cd/m²) and values of every camera, and
-    sentences on where the better one changes."""
+    """Compare cameras over the light on the scene: for each figure the name, luminances (cd/m²) and values of every camera,
+    and sentences on where the better one changes."""
     parts = []
     for figure, cameras in curves.items():
         heading = NAMES.get(figure, figure)
@@ -90,7 +91,7 @@ def luminance_section(
 
 
 def summary(document: dict[str, Any]) -> str:
-    """The evaluation in a sentence."""
+    """Return the evaluation in a sentence."""
     figure = next(iter(document["frames"][0][OURS]))
     count = len(document["frames"])
     means = ", ".join(f"{name} {main_figure(document['mean'][name], figure)}" for name in document["pipelines"])
@@ -99,7 +100,7 @@ def summary(document: dict[str, Any]) -> str:
 
 
 def main_figure(figures: dict[str, float], figure: str) -> str:
-    """The main figure and, of pictures, the PSNR."""
+    """Return the main figure and, of pictures, the PSNR."""
     return figure_text(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
 
 
@@ -173,7 +174,7 @@ def _level_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
 
 
 def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
-    """A level within the bounds of each entry, fit for a logarithmic axis."""
+    """Return a level within the bounds of each entry, fit for a logarithmic axis."""
     return np.array([np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]) for entry in entries])
 
 
@@ -220,5 +221,5 @@ def _kind(entry: dict[str, Any]) -> str:
 
 
 def figure_text(figure: str, value: float) -> str:
-    """A figure of quality as text, without its unit."""
+    """Return a figure of quality as text, without its unit."""
     return number(value, ".4f" if figure == "ssim" else ".2f")

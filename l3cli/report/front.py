@@ -1,4 +1,4 @@
-"""What a page begins with: pictures of a table beside the ideal and the basic ones, the verdict and figures beside them."""
+"""Beginning of a page: pictures of a table beside the ideal and the basic ones, the verdict and figures beside them."""
 
 from typing import Any
 
@@ -20,8 +20,8 @@ Pictures = dict[int, dict[str, Pixels]]  # of some frames by index
 
 
 def shown_frames(document: dict[str, Any]) -> list[int]:
-    """Indices of the frames worth showing, by the main figure of ours: the middle one first, then the others of a few, else
-    the worst and the best."""
+    """Return the indices of the frames worth showing, by the main figure of ours: the middle one first, then the others of a
+    few, else the worst and the best."""
     frames = document["frames"]
     figure = _main(document)
     order = np.argsort([-frame[OURS][figure] for frame in frames], kind="stable").tolist()
@@ -33,8 +33,8 @@ def front_section(
     document: dict[str, Any], pictures: Pictures, title: str, anchor: str, limit: int, jpeg: Jpeg,
     below: tuple[Subsection, ...],
 ) -> Section:  # fmt: skip
-    """`document` is that of `l3 evaluate --json`, `pictures` those of the frames of `shown_frames` in that order, of which
-    `limit` bytes is what they may take; `below` is shown after the first of them."""
+    """Return the first section of a page. `document` is that of `l3 evaluate --json`, `pictures` those of the frames of
+    `shown_frames` in that order, of which `limit` bytes is what they may take; `below` is shown after the first of them."""
     count = len(document["frames"])
     each = limit // sum(len(frame) for frame in pictures.values())
     comparisons = [_comparison(document, index, names, anchor, each, jpeg) for index, names in pictures.items()]
@@ -48,7 +48,7 @@ def front_section(
 
 
 def verdict(document: dict[str, Any]) -> str:
-    """Which pipeline is nearer to the ideal, in words."""
+    """Return the pipeline that is nearer to the ideal, in words."""
     count, figure = len(document["frames"]), _main(document)
     sentences = []
     for baseline, wins in document["better"].items():
@@ -71,7 +71,7 @@ def _in_frames(figure: str, won: int, count: int) -> str:
 
 
 def _main(document: dict[str, Any]) -> str:
-    """The figure that decides."""
+    """Return the figure that decides."""
     return str(next(iter(document["frames"][0][OURS])))
 
 

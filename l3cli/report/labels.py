@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.floating]
-GLYPH = 6.8  # mean width of a 12 px letter …
-WIDE = 7.7  # … and of figures with a unit in a wide font
+GLYPH = 6.8  # px, mean width of a 12 px letter
+WIDE = 7.7  # px, that of figures with a unit in a wide font
 ABOVE, BELOW = 10.0, 3.5  # of a line of text about its baseline
 CLEAR = 2.5  # between a label and what is drawn
 SAMPLED = 1.5  # along curves
@@ -25,14 +25,14 @@ class Places:
         self._taken: list[Array] = []  # points (point, 2)
 
     def take(self, points: list[tuple[float, float]], joined: bool) -> None:
-        """Points that are drawn, `joined`: with straight lines between them."""
+        """Note points that are drawn, `joined`: with straight lines between them."""
         array = np.asarray(points, np.float64).reshape(-1, 2)
         if joined and len(array) > 1:
             array = np.concatenate([_between(start, end) for start, end in itertools.pairwise(array)])
         self._taken.append(array)
 
     def place(self, x: float, y: float, text: str) -> Place | None:
-        """Where `text` is free of all that is drawn, as near the point as can be; None: nowhere near. The place is taken."""
+        """Return the free place for `text` nearest to the point, and take it; None if none is near."""
         for reach in REACH:
             for across, down in SIDES:
                 left, top = self._corner(x, y, text, across * reach, down * reach)
@@ -44,7 +44,7 @@ class Places:
         return None
 
     def _corner(self, x: float, y: float, text: str, across: float, down: float) -> tuple[float, float]:
-        """Upper left corner of a label that lies so far beside and below its point."""
+        """Return the upper left corner of a label that lies so far beside and below its point."""
         width, height = WIDE * len(text), ABOVE + BELOW
         left = x - width / 2 if across == 0 else x + across - (width if across < 0 else 0)
         top = y - height / 2 if down == 0 else y + down - (height if down < 0 else 0)

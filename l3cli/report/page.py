@@ -1,16 +1,22 @@
-"""Sections to one HTML page that needs nothing but itself."""
+"""Sections to one HTML page that needs nothing but itself: drawings offer their data as files, which a script turns into
+pictures, too (downloads.js)."""
 
+import base64
+import csv
+import io
+import re
 from typing import Any
 
 from l3cli.artifacts.schema import Stage
-from l3cli.report.downloads import csv_uri, file_stem
-from l3cli.report.parts import Details, Section, Subsection, Table
+from l3cli.report.parts import Data, Details, Section, Subsection, Table
 
 LIMIT = 10_000_000  # bytes of a page
+FORMULAS = ("=", "+", "-", "@", "\t", "\r")  # with which spreadsheets take a text for something to compute
+LONGEST = 60  # letters of a file's name
 
 
 def render_page(title: str, lead: str, sections: list[Section]) -> str:
-    """The page; every text is escaped, drawings and pictures lie inside."""
+    """Return the page; every text is escaped, drawings and pictures lie inside."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -24,8 +30,27 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
     return environment.get_template("page.html").render(title=title, lead=lead, sections=sections)
 
 
+def file_stem(title: str) -> str:
+    """Return a title as the name of a file on any system."""
+    return re.sub("[^a-z0-9]+", "-", title.lower())[:LONGEST].strip("-") or "figure"
+
+
+def csv_uri(data: Data) -> str:
+    """Return the data of a drawing as a CSV file inside a data URI. Texts that a spreadsheet would compute begin with a
+    space."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    for row in (data.headings, *data.rows):
+        writer.writerow([_harmless(cell) if isinstance(cell, str) else f"{cell:.9g}" for cell in row])
+    return "data:text/csv;charset=utf-8;base64," + base64.b64encode(text.getvalue().encode()).decode()
+
+
+def _harmless(text: str) -> str:
+    return f" {text}" if text.startswith(FORMULAS) else text
+
+
 def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Section:
-    """Where everything comes from: `files` are name, kind, SHA-256 and stages, oldest first."""
+    """Return the origin of everything: `files` are name, kind, SHA-256 and stages, oldest first."""
     given = tuple((name, kind, digest) for name, kind, digest, _ in files)
     parts = [Subsection("Files", (Table("Files of this report", ("file", "kind", "SHA-256"), given),))]
     parts += [_stages(name, stages) for name, _, _, stages in files if stages]
@@ -44,12 +69,12 @@ def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
 
 
 def _option(key: str, value: Any) -> str:
-    """An option as it is given on the command line."""
+    """Return an option as it is given on the command line."""
     return f"--{key.replace('_', '-')}" + ("" if value is True else f" {value}")
 
 
 def _digests(role: str, digests: list[str]) -> str:
-    """A role and its files by the first digits of their SHA-256."""
+    """Return a role and its files by the first digits of their SHA-256."""
     return (
         f"{role} "
         + " ".join(digest[:12] for digest in digests[:4])

@@ -1,4 +1,4 @@
-"""What a report is made of, as plain data: sections of parts of tables, figures and pictures. page.html lays them out."""
+"""Parts of a report as plain data: sections of tables, figures and pictures. page.html lays them out."""
 
 import math
 import re
@@ -163,7 +163,8 @@ class Section:
 
 
 def tidy(value: float, digits: int = 3) -> str:
-    """A number to so many significant digits, without exponent where it can be read without; a dash where there is none."""
+    """Return a number to so many significant digits, without exponent where it can be read without; a dash where there is
+    none."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -179,15 +180,15 @@ def tidy(value: float, digits: int = 3) -> str:
 
 
 def superscript(number: int) -> str:
-    """An integer as an exponent is written."""
+    """Return an integer as an exponent is written."""
     return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def counted(number: int, what: str) -> str:
-    """A number and what it counts, such as "1 frame" or "2 frames"."""
+    """Return a number and what it counts, such as "1 frame" or "2 frames"."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def unit(text: str) -> str:
-    """A unit as ASCII artifacts write it, as print does."""
+    """Return a unit as ASCII artifacts write it, as print does."""
     return text.replace("e-", "e⁻").replace("m^2", "m²").replace("^2", "²")

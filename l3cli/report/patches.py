@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit
 from l3cli.errors import RecipeError
-from l3cli.measurement import PATCH_NAMES
+from l3cli.frames.measurement import PATCH_NAMES
 from l3cli.physics import spectra
 from l3cli.physics.display import displayed, displayed_delta_e
 from l3cli.report.colours import hex_colour
@@ -20,8 +20,8 @@ GAP, LINE = 10.0, 18.0  # between patches, and below them for their ΔE00
 
 
 def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array], errors: dict[str, Array]) -> Figure:
-    """Patches of a chart, row by row, each in two halves: `pair` are linear sRGB (patch, 3) of what `names` call them, the
-    first on the left; `errors` (patch) are ΔE00 of the second from the first, and below it of others."""
+    """Return the patches of a chart, row by row, each in two halves: `pair` are linear sRGB (patch, 3) of what `names` call
+    them, the first on the left; `errors` (patch) are ΔE00 of the second from the first, and below it of others."""
     side = (WIDTH - 2 - GAP * (COLUMNS - 1)) / COLUMNS
     main, items = errors[names[1]], []
     for patch, error in enumerate(main.tolist()):
@@ -50,14 +50,14 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
 
 
 def patches_table(errors: dict[str, Array]) -> Table:
-    """ΔE00 (patch) of every pipeline, patch by patch."""
+    """Return ΔE00 (patch) of every pipeline, patch by patch."""
     rows = tuple((name, *(f"{float(of[patch]):.2f}" for of in errors.values())) for patch, name in enumerate(PATCH_NAMES))
     return Table("ΔE00 of each patch", ("patch", *errors), rows)
 
 
 def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...]:
-    """The patches of the first of a calibration's charts as measured beside as the model predicts them, in the colours into
-    which one matrix turns the channels; none of charts under lights without a standard's name."""
+    """Return the patches of the first of a calibration's charts as measured beside as the model predicts them, in the
+    colours into which one matrix turns the channels; none of charts under lights without a standard's name."""
     figures = []
     for light, measured, predicted in zip(fit.illuminants[:CHARTS], fit.measured, fit.predicted, strict=False):
         try:

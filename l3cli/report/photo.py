@@ -1,4 +1,5 @@
-"""Of a camera model made from photos of a chart: the photos, what to rely on, and how the patches are explained."""
+"""Sections on a camera model made from photos of a chart: the photos, their reliability, and how the patches are
+explained."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,7 +24,8 @@ Array = NDArray[np.floating]
 def photo_subsections(
     camera: CameraModel, fit: PhotoFit, figures: dict[str, Any], strokes: Sequence[str], keys: tuple[Key, ...]
 ) -> tuple[Subsection, ...]:
-    """`figures` is what `l3 calibrate --json` says of the camera; `strokes` and `keys` are the channels' in all figures."""
+    """Return the parts of a camera made from photos. `figures` is what `l3 calibrate --json` says of the camera; `strokes`
+    and `keys` are the channels' in all figures."""
     return (
         Subsection("Photos of a chart", (_photos(figures), _lights(figures), *_left_out(figures))),
         Subsection("What to rely on", (_bands(camera, figures), *_reading(figures))),
@@ -32,7 +34,7 @@ def photo_subsections(
 
 
 def photo_lead(fit: PhotoFit, figures: dict[str, Any]) -> str:
-    """What is uncertain, in a sentence."""
+    """Return the uncertainties in a sentence."""
     curve, colours = (max(row[title] for row in figures["channels"].values()) for title in BANDS)
     many = "a photo" if len(fit.names) == 1 else f"{len(fit.names)} photos"
     return (
@@ -42,12 +44,12 @@ def photo_lead(fit: PhotoFit, figures: dict[str, Any]) -> str:
 
 
 def declared_from(camera: CameraModel) -> str:
-    """Where the figures come from that were not measured: photos leave dark frames' figures at 0."""
+    """Return the origin of the figures that were not measured: photos leave dark frames' figures at 0."""
     return "not measured, taken as 0" if "dark current" in camera.declared else "taken from the data sheet"
 
 
 def without_bands(rows: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    """The figures of each channel that the bands are not among; none where there are no others."""
+    """Return the figures of each channel that the bands are not among; none where there are no others."""
     others = {name: {title: value for title, value in row.items() if title not in BANDS} for name, row in rows.items()}
     return others if any(others.values()) else {}
 
@@ -71,7 +73,7 @@ def _photos(figures: dict[str, Any]) -> Table:
 
 
 def _lights(figures: dict[str, Any]) -> Text:
-    """Whether the lights are those that the patches look like."""
+    """Return whether the stated lights are those that the patches look like, in words."""
     words = []
     for name, photo in figures["photos"].items():
         if photo["guessed"]:
@@ -116,7 +118,7 @@ def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
 
 
 def _patches(fit: PhotoFit, index: int, strokes: Sequence[str], keys: tuple[Key, ...]) -> tuple[Figure, Figure]:
-    """Measured against predicted, and what is left of each patch, of one photo."""
+    """Draw measured against predicted patches of one photo, and the difference of each."""
     used = fit.used[index]
     brightest = np.where(used, fit.measured[index], 0.0).max(axis=0)
     brightest = np.where(brightest > 0, brightest, 1.0)

@@ -16,14 +16,14 @@ THUMBNAIL = 160  # px, longest side
 
 
 def thumbnail(target: Array, white: Array) -> Pixels:
-    """sRGB (row, col, 3), at most THUMBNAIL long, of XYZ planes (3, row, col), `white` (3) adapted to D65."""
+    """Return sRGB (row, col, 3), at most THUMBNAIL long, of XYZ planes (3, row, col), `white` (3) adapted to D65."""
     step = max(1, -(-max(target.shape[1:]) // THUMBNAIL))
     small = reduced(np.moveaxis(target, 0, -1), step)
     return srgb_codes(displayed(np.moveaxis(np.asarray(small, np.float64), -1, 0), white, white_luminance(target[1])))
 
 
 def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
-    """Means (row, col, channel) of squares of `step` pixels; what does not fill a square is cut off."""
+    """Return the means (row, col, channel) of squares of `step` pixels; what does not fill a square is cut off."""
     rows, cols = (max(1, length // step) for length in pixels.shape[:2])
     if step == 1 or min(pixels.shape[:2]) < step:
         return pixels
@@ -31,7 +31,7 @@ def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
 
 
 def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]]:
-    """A data URI of at most about `limit` bytes and the size (rows, cols) of its picture."""
+    """Return a data URI of at most about `limit` bytes and the size (rows, cols) of its picture."""
     for step, quality in TRIED:
         small = np.rint(reduced(pixels, step)).astype(np.uint8)
         coded = base64.b64encode(jpeg(small, quality))

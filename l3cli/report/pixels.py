@@ -40,7 +40,7 @@ class Layer:
 
     @property
     def cropped(self) -> int:
-        """How many classes occur in the crop."""
+        """Number of classes in the crop."""
         return int(self.labels.max()) + 1
 
 
@@ -63,7 +63,8 @@ class Sites:
 
 
 def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, int]:
-    """The corner of the crop of at most `size` that shows most classes of `labels` (row, col), the first of equal ones."""
+    """Return the corner of the crop of at most `size` that shows most classes of `labels` (row, col), the first of equal
+    ones."""
     best, most = (0, 0), -1
     room = [max(0, whole - part) for whole, part in zip(labels.shape, size, strict=True)]
     tops, lefts = (sorted({length * step // PLACES for step in range(PLACES + 1)}) for length in room)
@@ -76,7 +77,7 @@ def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, in
 
 
 def packed(crop: Crop, sites: Sites, outputs: tuple[str, ...]) -> str:
-    """All of it as text."""
+    """Return all of it as text."""
     head: dict[str, Any] = {
         "corner": crop.corner,
         "size": crop.layers[0].labels.shape,
@@ -114,7 +115,7 @@ def _numbers(layer: Layer) -> bytes:
 
 
 def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scene: str, jpeg: Jpeg) -> PixelPicker:
-    """The block of a page: `pictures` of the whole frame by name, `text` what `packed` has made of the crop."""
+    """Return the block of a page: `pictures` of the whole frame by name, `text` what `packed` has made of the crop."""
     (top, left), (rows, cols) = crop.corner, crop.layers[0].labels.shape
     where = f"{cols} × {rows} pixels from row {top}, column {left}"
     shown = []

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.columns import figure as number
 from l3cli.report.colours import SERIES
 from l3cli.report.drawing import Plot, spanning
 from l3cli.report.parts import Figure, Figures, Key, Section, Subsection, Table, Text, tidy
+from l3cli.system.text import figure as number
 
 Documents = dict[str, dict[str, Any]]  # by the name of its file what `l3 evaluate --sequence` printed as JSON
 WHOLE = {  # of a sequence: heading with unit
@@ -21,7 +21,7 @@ WHOLE = {  # of a sequence: heading with unit
     "psnr": "PSNR (dB)",
     "mean_delta_e": "mean ΔE00",
 }
-OF_FRAMES = {  # figure of a frame: title, axis, whether that begins at 0
+FRAME_FIGURES = {  # figure of a frame: title, axis, whether that begins at 0
     "step_sigma": ("Noise over time", "σ of the change of L* on still patches", True),
     "jump": ("Flicker over time", "jump of mean L* since the frame before", False),
     "warped_error": ("Error along the motion", "warped error (L*)", True),
@@ -38,13 +38,13 @@ MEANINGS = (
 
 
 def sequence_section(documents: Documents) -> Section:
-    """All sequences side by side: one line for each in every plot, the table of their figures before."""
+    """Return all sequences side by side: one line for each in every plot, the table of their figures before."""
     rows = tuple(
         (name, str(len(document["frames"])), *(_cell(figure, document[figure]) for figure in WHOLE))
         for name, document in documents.items()
     )
     table = Table("Whole sequences", ("evaluation", "frames", *WHOLE.values()), rows)
-    drawn = tuple(_curves(documents, figure) for figure in OF_FRAMES if _known(documents, figure))
+    drawn = tuple(_curves(documents, figure) for figure in FRAME_FIGURES if _known(documents, figure))
     parts = (Subsection("Whole sequences", (table, Text(MEANINGS))), Subsection("Over the frames", (Figures(drawn),)))
     lead = (
         "How much the lightness of what stands still changes from frame to frame, and how far pictures are from ideal ones."
@@ -53,7 +53,7 @@ def sequence_section(documents: Documents) -> Section:
 
 
 def summary(documents: Documents) -> str:
-    """Noise and largest jump of every sequence in a sentence."""
+    """Return the noise and largest jump of every sequence in a sentence."""
     return " ".join(_sentence(name, document) for name, document in documents.items())
 
 
@@ -76,8 +76,8 @@ def _known(documents: Documents, figure: str) -> bool:
 
 
 def _curves(documents: Documents, figure: str) -> Figure:
-    """A figure of a frame over the frames of every sequence that has it."""
-    title, label, zero = OF_FRAMES[figure]
+    """Return a figure of a frame over the frames of every sequence that has it."""
+    title, label, zero = FRAME_FIGURES[figure]
     series = {name: _series(document, figure) for name, document in documents.items()}
     longest = max(float(at.max(initial=1.0)) for at, _ in series.values())
     y = spanning(label, np.concatenate([values for _, values in series.values()]), zero=zero)

@@ -8,6 +8,7 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import equal
+from l3cli.frames.scene import shown_alike
 from l3cli.report.camera import array_figure, responsivity_figures
 from l3cli.report.colours import SERIES, channel_light
 from l3cli.report.drawing import Plot, spanning
@@ -29,7 +30,9 @@ from l3cli.report.parts import (
 from l3cli.report.pictures import Jpeg, Pixels, fitted
 
 CAVEAT = "Scenes and lights are the same; each camera exposes them as its own training set says."
-Place = tuple[str, str, str]  # scene, light and luminance: frames of several sets that show the same
+UNKNOWN = "Scenes and lights have the same names; frames of older versions, and real ones, do not say what they show."
+OTHERS = "frames of one name show other scenes or lights; simulate all with one recipe and seed"
+Place = tuple[str, str, str]  # scene, light and luminance: frames of several sets that are called alike
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class Side:
 
     @property
     def places(self) -> dict[Place, int]:
-        """Number of each frame by what it shows, the first of equal ones."""
+        """Number of each frame by what it is called, the first of equal ones."""
         places: dict[Place, int] = {}
         for index, frame in enumerate(self.document["frames"]):
             places.setdefault((frame["scene"], frame["illuminant"], f"{frame['luminance']:.6g}"), index)
@@ -51,14 +54,30 @@ class Side:
 
 
 def shared_places(sides: list[Side]) -> list[Place]:
-    """What frames of all sides show, in the order of the first side."""
+    """Return the scenes and lights that frames of all sides show, in the order of the first side."""
+    return [place for place in _alike(sides) if _one_scene(_shown(sides, place))]
+
+
+def _alike(sides: list[Side]) -> list[Place]:
+    """Return the scenes and lights that frames of all sides name, in the order of the first side."""
     others = [side.places for side in sides[1:]]
     return [place for place in sides[0].places if all(place in other for other in others)]
 
 
+def _shown(sides: list[Side], place: Place) -> list[Any]:
+    """Return the fingerprints of the scenes of the sides at a place; None where there are none."""
+    return [side.document["frames"][side.places[place]]["shown"] for side in sides]
+
+
+def _one_scene(shown: list[Any]) -> bool:
+    """Return whether all known fingerprints are of one scene."""
+    known = [each for each in shown if each]
+    return all(shown_alike(known[0], each) for each in known[1:])
+
+
 def shared_frame(sides: list[Side]) -> list[int] | None:
-    """Number in each side of the frame that all sides have, of several the one of median quality in the first side; None if
-    there is none, or if the outputs are no pictures."""
+    """Return the number in each side of the frame that all sides have, of several the one of median quality in the first
+    side; None if there is none, or if the outputs are no pictures."""
     figures = {_main(side) for side in sides}
     places = shared_places(sides)
     if figures != {"mean_delta_e"} or not places:
@@ -70,8 +89,8 @@ def shared_frame(sides: list[Side]) -> list[int] | None:
 
 
 def side_by_side_section(sides: list[Side], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Section:
-    """`pictures` are those of `shared_frame` of every side, none if there is none, of which `limit` bytes is what they may
-    take."""
+    """Return the section of several tables. `pictures` are those of `shared_frame` of every side, none if there is none, of
+    which `limit` bytes is what they may take."""
     parts = []
     if pictures:
         parts.append(Subsection("The same frame", (_frame_block(sides, pictures, limit, jpeg),)))
@@ -87,7 +106,7 @@ def _main(side: Side) -> str:
 
 
 def _frames(side: Side, places: list[Place]) -> list[dict[str, Any]]:
-    """The figures of the frames that show `places`; of all frames if there are none."""
+    """Return the figures of the frames that show `places`; of all frames if there are none."""
     frames = side.document["frames"]
     return [frames[side.places[place]] for place in places] if places else list(frames)
 
@@ -99,28 +118,32 @@ def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float:
 def _verdict(sides: list[Side], shared: list[Place]) -> str:
     if len({_main(side) for side in sides}) > 1:
         return "The tables have different outputs: their figures are not comparable."
+    others = len(_alike(sides)) - len(shared)
     if not shared:
-        return "The tables were evaluated on different frames: their figures are not comparable."
+        cause = f" ({OTHERS})" if others else ""
+        return f"The tables were evaluated on different frames{cause}: their figures are not comparable."
     figure = _main(sides[0])
     ranked = sorted(sides, key=lambda side: _mean(side, shared, OURS, figure))
     values = ", ".join(f"{_title(side, sides)} {figure_text(figure, _mean(side, shared, OURS, figure))}" for side in ranked)
     errors = np.array([[frame[OURS][figure] for frame in _frames(side, shared)] for side in ranked])
     won = int((errors[0] <= errors.min(axis=0)).sum())
     frames = "the frame" if len(shared) == 1 else f"{counted(len(shared), 'frame')}"
-    caveat = f" {CAVEAT}" if any(not equal(side.camera, sides[0].camera) for side in sides) else ""
+    known = all(all(_shown(sides, place)) for place in shared)
+    caveat = f" {CAVEAT if known else UNKNOWN}" if any(not equal(side.camera, sides[0].camera) for side in sides) else ""
+    caveat += f" Left out are {counted(others, 'frame')}: {OTHERS}." if others else ""
     often = "" if len(shared) == 1 else f", in {won} of {len(shared)} frames"
     best = f"{_title(ranked[0], sides)} is nearest to the ideal{often}."
     return f"{best} {NAMES[figure][0].upper()}{NAMES[figure][1:]} over {frames} that all have: {values}.{caveat}"
 
 
 def _title(side: Side, sides: list[Side]) -> str:
-    """A side's table, with its frames where the same table stands on several sets."""
+    """Return a side's table, with its frames where the same table stands on several sets."""
     alone = [each.name for each in sides].count(side.name) == 1
     return side.name if alone else f"{side.name} on {side.frames}"
 
 
 def _frame_block(sides: list[Side], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
-    """Ours of every side and the ideal: one upon another if they are of one size."""
+    """Show ours of every side and the ideal: one upon another if they are of one size."""
     shown = {_title(side, sides): of[OURS] for side, of in zip(sides, pictures, strict=True)}
     shown["ideal"] = pictures[0]["ideal"]
     index = shared_frame(sides)
@@ -162,7 +185,7 @@ def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:
 
 
 def _level_figure(sides: list[Side]) -> Figure | None:
-    """Error of ours over the class's level, a line for each side."""
+    """Return the error of ours over the class's level, a line for each side."""
     classes = [side.document["by_class"].get("level", []) for side in sides]
     if min(map(len, classes)) < 2:
         return None
@@ -184,18 +207,19 @@ def _level_figure(sides: list[Side]) -> Figure | None:
 
 
 def _cameras(sides: list[Side]) -> tuple[Figure, ...]:
-    """Array and responsivities of every camera, once each."""
-    figures: list[Figure] = []
-    drawn: list[bytes] = []
+    """Return the array and responsivities of every camera, once each."""
+    drawn: dict[bytes, Side] = {}
     for side in sides:
+        drawn.setdefault(side.camera.cfa.tobytes() + side.camera.responsivity.tobytes(), side)
+    names = [side.camera.name for side in drawn.values()]
+    figures: list[Figure] = []
+    for side in drawn.values():
         camera = side.camera
-        key = camera.cfa.tobytes() + camera.responsivity.tobytes()
-        if key not in drawn:
-            drawn.append(key)
-            light = channel_light(camera.responsivity, camera.wavelength)
-            figures += [_named(array_figure(camera, light), camera), _named(responsivity_figures(camera, light)[0], camera)]
+        name = camera.name if names.count(camera.name) == 1 else f"{camera.name} ({side.name})"
+        light = channel_light(camera.responsivity, camera.wavelength)
+        figures += [_named(array_figure(camera, light), name), _named(responsivity_figures(camera, light)[0], name)]
     return tuple(figures)
 
 
-def _named(figure: Figure, camera: CameraModel) -> Figure:
-    return Figure(f"{figure.title}: {camera.name}", figure.svg, figure.finding, figure.legend, figure.narrow, figure.data)
+def _named(figure: Figure, name: str) -> Figure:
+    return Figure(f"{figure.title}: {name}", figure.svg, figure.finding, figure.legend, figure.narrow, figure.data)

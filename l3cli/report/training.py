@@ -40,7 +40,7 @@ DARKEST = 1e-4  # share of white's luminance below which a chromaticity is not c
 
 @dataclass
 class Survey:
-    """What one pass over the frames gathers."""
+    """Statistics gathered in one pass over the frames."""
 
     pictures: list[tuple[str, str, NDArray[np.uint8]]] = field(default_factory=list)  # caption, alt, sRGB (row, col, 3)
     levels: list[Array] = field(default_factory=list)  # (channel, bin) counts
@@ -54,7 +54,8 @@ class Survey:
 
 
 def training_section(reader: TrainingSetReader, name: str, role: str, limit: int, jpeg: Jpeg) -> Section:
-    """`role` says what the set was used for; `name` is the file it comes from, `limit` bytes what its pictures may take."""
+    """Return the section of a training set. `role` says what the set was used for; `name` is the file it comes from, `limit`
+    bytes what its pictures may take."""
     head = reader.head
     survey = survey_of(reader)
     about = f"{counted(len(reader), 'frame')}, {survey.pixels / 1e6:.3g} million pixels, of {head.camera.name}."
@@ -66,7 +67,7 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
 
 
 def survey_of(reader: TrainingSetReader) -> Survey:
-    """Counts over all frames of a set, read one by one."""
+    """Return counts over all frames of a set, read one by one."""
     head, survey = reader.head, Survey()
     chosen = set(np.unique(np.linspace(0, len(reader) - 1, min(SHOWN, len(reader))).round().astype(int)).tolist())
     survey.levels = [np.zeros(len(LEVEL_EDGES) - 1) for _ in head.camera.channels]
@@ -160,7 +161,7 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
 
 
 def _chromaticity_figure(survey: Survey) -> Figure:
-    """Where the targets lie between the spectral locus; the denser, the darker, a step for each factor of ten."""
+    """Return the figure of the targets within the spectral locus; the denser, the darker, a step for each factor of ten."""
     plot = Plot(Axis("CIE 1931 x (1)", -0.04, 0.84), Axis("CIE 1931 y (1)", 0, 0.9), height=434)
     wavelength, locus = colours.spectral_locus()
     closed = np.concatenate([locus, locus[:1]])
@@ -202,7 +203,7 @@ def _chromaticity_figure(survey: Survey) -> Figure:
 
 
 def _cover(shares: Array, triangle: Array) -> tuple[float, float]:
-    """Share of pixels inside a triangle (3, 2), and share of its cells that hold any pixel."""
+    """Return the share of pixels inside a triangle (3, 2), and share of its cells that hold any pixel."""
     centre = (np.arange(CELLS) + 0.5) * GRID
     points = np.stack(np.meshgrid(centre, centre, indexing="ij"), axis=-1)
     sides = np.roll(triangle, -1, axis=0) - triangle

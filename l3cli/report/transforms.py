@@ -22,8 +22,9 @@ MAPS = 3  # outputs drawn of a transform
 def transform_section(
     table: TransformTable, light: Array | None, insight: dict[str, Any], class_name: Callable[[int], str], name: str
 ) -> Section:
-    """`insight` is what `l3 info --json` says of the table, `class_name` says where a class applies, `light` (channel, 3) is
-    linear sRGB of the channels, None where no camera is given; `name` is the file the table comes from."""
+    """Return the section of a transform table. `insight` is what `l3 info --json` says of the table, `class_name` says where
+    a class applies, `light` (channel, 3) is linear sRGB of the channels, None where no camera is given; `name` is the file
+    the table comes from."""
     classes = insight["classes"]
     lead = (
         f"{classes['all']} classes of {table.first.rule.patch} × {table.first.rule.patch} patches; "
@@ -43,7 +44,7 @@ def transform_section(
 
 
 def _later_table(insight: dict[str, Any]) -> Table:
-    """A row for each layer after the first."""
+    """Return a row for each layer after the first."""
     gains = tuple(f"noise gain {output}, median" for output in insight["noise_gain"])
     rows = tuple(
         (
@@ -61,14 +62,14 @@ def _later_table(insight: dict[str, Any]) -> Table:
 
 
 def _structures(layer: dict[str, Any]) -> str:
-    """What a later layer tells apart where nothing is saturated."""
+    """Return the features by which a later layer distinguishes pixels where nothing is saturated."""
     if "leaves" in layer:
         return f"leaves of a tree, depth {layer['depth']}: {layer['leaves']}"
     return f"flat, {layer['strengths']} strengths × (none + {layer['directions']} directions): {layer['structures']}"
 
 
 def level_middles(table: TransformTable) -> Array:
-    """A level of each class of the rule, share of full scale, fit for a logarithmic axis."""
+    """Return a level of each class of the rule, share of full scale, fit for a logarithmic axis."""
     bounds = level.bounds(table)
     lower = np.maximum(bounds[:-1], bounds[1:] / 2)
     return np.sqrt(np.maximum(lower * bounds[1:], 1e-8))
@@ -101,7 +102,7 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
 
 
 def kind_names(insight: dict[str, Any]) -> list[str]:
-    """Names of the kinds, with a number before each where some are too long to stand beside a drawing."""
+    """Return the names of the kinds, with a number before each where some are too long to stand beside a drawing."""
     names = [kind["name"] for kind in insight["kinds"]]
     return [f"{number}: {name}" for number, name in enumerate(names)] if max(map(len, names)) > LONGEST else names
 
@@ -156,8 +157,8 @@ def _transform_blocks(table: TransformTable, light: Array | None, class_name: Ca
 
 
 def chosen_classes(table: TransformTable) -> list[int]:
-    """Classes worth showing: of the commonest channel's first site dark and bright, flat and textured; then a textured class
-    of middling level for each other channel. Of each the unsaturated kind of most patches."""
+    """Return the classes worth showing: of the commonest channel's first site dark and bright, flat and textured; then a
+    textured class of middling level for each other channel. Of each the unsaturated kind of most patches."""
     rule = table.first.rule
     sites = table.cfa.ravel()
     common = int(np.bincount(sites).argmax())
@@ -178,7 +179,7 @@ def chosen_classes(table: TransformTable) -> list[int]:
 
 
 def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> Figure:
-    """Filters under a patch and, for each of the first outputs, its weights: blue below zero, orange above."""
+    """Return filters under a patch and, for each of the first outputs, its weights: blue below zero, orange above."""
     patch, outputs = table.first.rule.patch, min(MAPS, len(table.outputs))
     gap, top = 8.0, 18.0
     side = (WIDTH - gap * outputs) / (outputs + 1)
@@ -209,7 +210,7 @@ def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> 
 
 
 def _weights_data(table: TransformTable, index: int) -> Data:
-    """Every weight of a class with its place in the patch."""
+    """Return every weight of a class with its place in the patch."""
     patch, channel = table.first.rule.patch, taps(table, index)
     rows = tuple(
         (table.outputs[output], str(tap // patch), str(tap % patch), table.channels[channel[tap]], float(weight))
@@ -232,7 +233,7 @@ def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[st
 
 
 def taps(table: TransformTable, index: int) -> Integers:
-    """Channel of each tap of a class's patch."""
+    """Return the channel of each tap of a class's patch."""
     return window_channels(table.cfa, table.first.rule.patch)[table.first.rule.split(index).site]
 
 
@@ -240,7 +241,7 @@ def taps(table: TransformTable, index: int) -> Integers:
 
 
 def _noise_figures(table: TransformTable) -> Figures:
-    """Noise gain over level: median over trained unsaturated classes."""
+    """Return the noise gain over level: median over trained unsaturated classes."""
     rule, gains = table.first.rule, np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
     gain = rule.by_axis(gains)[..., rule.kinds_of(0), :]
     trained = rule.by_axis(table.first.samples)[..., rule.kinds_of(0)] > 0
@@ -273,8 +274,8 @@ def _noise_figures(table: TransformTable) -> Figures:
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
-    """Median over sites, further features and kinds of (site, level, further, kind) where chosen; NaN for levels without
-    any."""
+    """Return the median over sites, further features and kinds of (site, level, further, kind) where chosen; NaN for levels
+    without any."""
     return np.array(
         [np.median(values[:, at][chosen[:, at]]) if chosen[:, at].any() else np.nan for at in range(values.shape[1])]
     )

@@ -1,4 +1,4 @@
-"""How well a camera model predicts its charts, and the choice of its smoothing."""
+"""Predictions of charts by a camera model, and the choice of its smoothing."""
 
 from typing import Any
 
@@ -17,7 +17,8 @@ Array = NDArray[np.floating]
 
 
 def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any], light: Array) -> tuple[Block, ...]:
-    """Plots and tables of a camera's `fit`; `figures` as for `camera_section`, `light` (channel, 3) of its channels."""
+    """Return plots and tables of a camera's `fit`; `figures` as for `camera_section`, `light` (channel, 3) of its
+    channels."""
     graphs: list[Figure] = []
     if fit.validation is not None:
         graphs += _prediction_figures(camera, fit, light)

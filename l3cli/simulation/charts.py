@@ -18,7 +18,7 @@ FINER = 8  # samples a pixel's side that edges are averaged from
 
 
 def colorchecker(size: tuple[int, int], wavelength: Array) -> Cube:
-    """Reflectance (row, col, band) of the classic ColorChecker: 24 patches on a dark board that fills `size`."""
+    """Return the reflectance (row, col, band) of the classic ColorChecker: 24 patches on a dark board that fills `size`."""
     _, reflectance = spectra.colorchecker(wavelength)
     cube = np.full((*size, wavelength.size), BOARD, np.float32)
     for patch, (rows, cols) in zip(reflectance, colorchecker_patches(size), strict=True):
@@ -27,7 +27,8 @@ def colorchecker(size: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
-    """Rows and columns of the 24 patches, row by row, on a board of `size` (rows, cols): squares a fifth apart."""
+    """Return the rows and columns of the 24 patches, row by row, on a board of `size` (rows, cols): squares a fifth
+    apart."""
     pitch = min(size[0] / 4.2, size[1] / 6.2)
     side = max(1, int(pitch / 1.2))
     corners = [
@@ -39,7 +40,7 @@ def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
 
 
 def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
-    """Patches (patch, band), row by row in `rows` rows, filling `size`; where there is room, with dark rims."""
+    """Return the patches (patch, band), row by row in `rows` rows, filling `size`; where there is room, with dark rims."""
     cols = len(reflectance) // rows
     row = np.arange(size[0]) * rows // size[0]
     col = np.arange(size[1]) * cols // size[1]
@@ -53,13 +54,13 @@ def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
 def material_patches(
     kind: str, rng: np.random.Generator, patches: tuple[int, int], size: tuple[int, int], wavelength: Array
 ) -> Cube:
-    """A chart of `patches` (rows, cols) draws of one kind of material, "skin" or "leaf", no two alike."""
+    """Return a chart of `patches` (rows, cols) draws of one kind of material, "skin" or "leaf", no two alike."""
     drawn = materials(kind, rng, surfaces(tuple(wavelength)), patches[0] * patches[1])
     return patch_grid(drawn, patches[0], size)
 
 
 def surface_patches(rng: np.random.Generator, patches: tuple[int, int], size: tuple[int, int], wavelength: Array) -> Cube:
-    """A chart of `patches` (rows, cols) dyed surfaces, vivid and pale, no two alike."""
+    """Return a chart of `patches` (rows, cols) dyed surfaces, vivid and pale, no two alike."""
     return patch_grid(dyed(rng, surfaces(tuple(wavelength)), patches[0] * patches[1]), patches[0], size)
 
 
@@ -67,7 +68,7 @@ MUNSELL_HUES, MUNSELL_VALUES, MUNSELL_CHROMAS = 20, (30, 50, 70, 85), (8, 20, 35
 
 
 def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
-    """Colours in equal steps of hue (across), lightness and chroma (down) of CIE LCh under D65, as the smoothest
+    """Return the colours in equal steps of hue (across), lightness and chroma (down) of CIE LCh under D65, as the smoothest
     reflectances; a colour outside sRGB is drawn towards grey until it is inside."""
     hue = np.arange(MUNSELL_HUES) * (2 * np.pi / MUNSELL_HUES)
     value, chroma, hue = (axis.ravel() for axis in np.meshgrid(MUNSELL_VALUES, MUNSELL_CHROMAS, hue, indexing="ij"))
@@ -84,7 +85,7 @@ def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def slanted_edge(size: tuple[int, int], wavelength: Array, angle: float, dark: float, bright: float) -> Cube:
-    """A straight edge through the middle, `angle` degrees from the vertical, `dark` on its left (ISO 12233)."""
+    """Return a straight edge through the middle, `angle` degrees from the vertical, `dark` on its left (ISO 12233)."""
     down, across = _centred(size, FINER)
     side = across + np.tan(np.radians(angle)) * down > 0
     share = side.reshape(size[0], FINER, size[1], FINER).mean(axis=(1, 3))
@@ -92,15 +93,15 @@ def slanted_edge(size: tuple[int, int], wavelength: Array, angle: float, dark: f
 
 
 def zone_plate(size: tuple[int, int], wavelength: Array, highest: float) -> Cube:
-    """Rings about the middle whose frequency grows to `highest` cycles a pixel at the shorter sides."""
+    """Return the rings about the middle whose frequency grows to `highest` cycles a pixel at the shorter sides."""
     down, across = _centred(size)
     phase = np.pi * highest * (down**2 + across**2) / (min(size) / 2)
     return _grey(0.475 + 0.425 * np.cos(phase), wavelength)
 
 
 def frequencies(size: tuple[int, int], wavelength: Array, orders: int) -> Cube:
-    """Columns of gratings, each of twice the frequency of the one to its left up to 0.5 cycles a pixel; their contrast
-    falls from 1 at the top to 1/100 at the bottom."""
+    """Return the columns of gratings, each of twice the frequency of the one to its left up to 0.5 cycles a pixel; their
+    contrast falls from 1 at the top to 1/100 at the bottom."""
     across = np.arange(size[1])
     order = across * orders // size[1]
     wave = np.cos(2 * np.pi * across * 0.5 ** (orders - order))
@@ -109,7 +110,7 @@ def frequencies(size: tuple[int, int], wavelength: Array, orders: int) -> Cube:
 
 
 def grey_ramp(size: tuple[int, int], wavelength: Array, octaves: float) -> Cube:
-    """Greys from 2^-octaves on the left to 1: continuous in the upper half, in steps of half an octave below."""
+    """Return greys from 2^-octaves on the left to 1: continuous in the upper half, in steps of half an octave below."""
     position = np.arange(size[1]) / (size[1] - 1)
     steps = max(1, round(2 * octaves))
     stepped = np.floor(np.minimum(position, 1 - 1e-9) * (steps + 1)) / steps
@@ -121,7 +122,7 @@ def grey_ramp(size: tuple[int, int], wavelength: Array, octaves: float) -> Cube:
 
 
 def ramp_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Greys from 1 % to 100 %: continuous above, 16 steps below."""
+    """Return greys from 1 % to 100 %: continuous above, 16 steps below."""
     position = (np.arange(shape[1]) + 0.5) / shape[1]
     smooth, steps = 0.01 ** (1 - position), 0.01 ** (1 - np.floor(position * 16) / 15)
     panel = np.where((np.arange(shape[0]) < shape[0] // 2)[:, None], smooth, steps)
@@ -129,7 +130,7 @@ def ramp_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def zone_plate_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Rings that grow finer towards the rim, up to 0.4 cycles a pixel: what any mosaic has trouble with."""
+    """Return the rings that grow finer towards the rim, up to 0.4 cycles a pixel: what any mosaic has trouble with."""
     down, across = _centred(shape)
     radius = min(shape) / 2
     phase = np.pi * 0.4 * (down**2 + across**2) / radius
@@ -138,7 +139,7 @@ def zone_plate_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Five-degree slanted black and white bars, narrower from left to right (edges for an ISO 12233 reading)."""
+    """Draw five-degree slanted black and white bars, narrower from left to right (edges for an ISO 12233 reading)."""
     down, across = _centred(shape, 4)
     position = (across + np.tan(np.radians(5)) * down) / shape[1] + 0.5
     bars = np.sin(2 * np.pi * (1.5 * position + 8 * position**3)) > 0
@@ -147,7 +148,7 @@ def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def _centred(shape: tuple[int, int], finer: int = 1) -> tuple[Array, Array]:
-    """Pixel coordinates down and across from the centre of `shape`, sampled `finer` times."""
+    """Return pixel coordinates down and across from the centre of `shape`, sampled `finer` times."""
     down, across = ((np.arange(length * finer) + 0.5) / finer - length / 2 for length in shape)
     return down[:, None], across[None]
 

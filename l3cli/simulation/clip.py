@@ -30,7 +30,7 @@ class Sprite:
 
 
 def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]) -> list[Sprite]:
-    """The leaves of a course, of these colours (leaf, band)."""
+    """Return the leaves of a course, of these colours (leaf, band)."""
     drawn = []
     for number, (radius, colour) in enumerate(zip(course.radius, colours, strict=True)):
         rng = np.random.default_rng([*seed, number])
@@ -45,7 +45,7 @@ def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]
 
 
 def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], number: int) -> Cube:
-    """Frame `number` (row, col, band) of a clip on a canvas (row, col, band) with `scale` pixels a sample."""
+    """Return the frame `number` (row, col, band) of a clip on a canvas (row, col, band) with `scale` pixels a sample."""
     moments = course.moments()
     total = np.zeros((*course.motion.size, canvas.shape[2]), np.float32)
     for moment in moments:
@@ -62,8 +62,9 @@ def sampled(
     cube: Cube, view: View, size: tuple[int, int], place: tuple[float, float], scale: float, top: tuple[int, int] = (0, 0),
     window: tuple[int, int] | None = None,
 ) -> Cube:  # fmt: skip
-    """A `window` (rows, cols) from the pixel `top` on of a frame of `size` that shows a cube (row, col, band) whose middle
-    is at `place`, with `scale` pixels a sample: each pixel is the mean over its area of the cube between its samples."""
+    """Return a `window` (rows, cols) from the pixel `top` on of a frame of `size` that shows a cube (row, col, band) whose
+    middle is at `place`, with `scale` pixels a sample: each pixel is the mean over its area of the cube between its
+    samples."""
     down, across = (
         _resampling(
             length=cube.shape[axis],
@@ -78,8 +79,9 @@ def sampled(
 
 
 def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
-    """Sparse M (pixel, sample): means over first + pixel · step … + step of straight lines between samples, which lie at
-    0.5, 1.5, …; beyond the ends their values go on. Exact, so that what moves by a fraction of a pixel keeps its light."""
+    """Return sparse M (pixel, sample): means over first + pixel · step … + step of straight lines between samples, which lie
+    at 0.5, 1.5, …; beyond the ends their values go on. Exact, so that what moves by a fraction of a pixel keeps its
+    light."""
     from scipy.sparse import csr_array
 
     start = first + step * np.arange(pixels)[:, None]
@@ -110,7 +112,7 @@ def _lay(seen: Cube, thing: Sprite, view: View, place: Array) -> None:
 
 
 def _window(thing: Sprite, view: View, place: Array, size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First pixel and size of the part of a frame that a leaf may show in."""
+    """Return the first pixel and size of the part of a frame that a leaf may show in."""
     half = np.array(thing.cover.shape[:2]) * thing.step / 2
     middle = np.array(size) / 2
     low = np.clip(np.floor((place - half - view.centre) * view.zoom + middle) - 1, 0, size).astype(int)
@@ -122,8 +124,8 @@ def _window(thing: Sprite, view: View, place: Array, size: tuple[int, int]) -> t
 
 
 def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray[np.float32]:
-    """What frame `number` has moved by since the frame before (3, row, col): pixels down, pixels right, and 1 where the same
-    thing was seen then and its edge is not near. Of the first frame all is 0."""
+    """Return the motion of frame `number` since the frame before (3, row, col): pixels down, pixels right, and 1 where
+    the same thing was seen then and its edge is not near. Of the first frame all is 0."""
     size = course.motion.size
     if number == 0:
         return np.zeros((3, *size), np.float32)
@@ -142,7 +144,7 @@ def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray
 
 
 def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp]:
-    """The leaf that each pixel (row, col) of a frame shows, -1 for the scene itself."""
+    """Return the leaf that each pixel (row, col) of a frame shows, -1 for the scene itself."""
     size = course.motion.size
     view, shown = course.view(number), np.full(course.motion.size, -1)
     for leaf, place in reversed(list(enumerate(course.leaves(number)))):
@@ -156,7 +158,7 @@ def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp
 
 
 def _sure(shown: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Where (row, col) nothing else is shown near by."""
+    """Return the mask (row, col) of pixels near which nothing else is shown."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     side = 2 * UNSURE + 1

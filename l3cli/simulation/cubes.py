@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from l3cli.frames.scene import NO_ILLUMINANT, Scene, SpectralCube
 from l3cli.physics import spectra
-from l3cli.scene import NO_ILLUMINANT, Scene, SpectralCube
 from l3cli.simulation.light import Light
 from l3cli.simulation.sources import Spectral
 
@@ -15,7 +15,7 @@ STRIP = 128  # rows converted at once
 
 
 def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | None) -> Scene:
-    """The scene of a cube under `light` (None: not known, for radiance).
+    """Return the scene of a cube under `light` (None: not known, for radiance).
 
     Reflectance is stored value / white. Radiance is divided by that of a perfect white under `light`, whose level, like the
     cube's own, only `white` can tell; without a light the brightest pixels are taken as a white under equal photons, and
@@ -53,7 +53,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
 
 
 def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
-    """Photons of one unit of what the cube holds, (wavelength), up to a factor that is the same for all."""
+    """Return the photons of one unit of what the cube holds, (wavelength), up to a factor that is the same for all."""
     one = np.ones(wavelength.size)
     return spectra.photons_from_energy(wavelength, one) if source.holds == "radiance" else one
 
@@ -67,8 +67,8 @@ def _normalise(reflectance: np.ndarray) -> None:
 
 
 def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray]:
-    """The bands' wavelengths in nm, increasing, and values (row, col, band): the wavelengths are the recipe's, else the
-    file's."""
+    """Return the bands' wavelengths in nm, increasing, and values (row, col, band): the wavelengths are the recipe's, else
+    the file's."""
     if source.wavelengths_nm is not None:
         wavelength = np.array(source.wavelengths_nm)
     elif source.wavelength_range_nm is not None:

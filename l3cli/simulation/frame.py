@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import TrainingFrame
+from l3cli.artifacts.training_set import Shown, TrainingFrame
+from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.physics.lens import relative_illumination
-from l3cli.scene import ChannelPicture, Scene
 from l3cli.simulation import optics, sensor
 from l3cli.simulation.light import Light, electron_weights, white_rates
 from l3cli.simulation.recipe import Lens
@@ -39,7 +39,8 @@ def simulate(
     target: Target = XYZ,
     noises: str = "all",
 ) -> TrainingFrame:
-    """What the camera collects of `scene` under `light` in `exposure` seconds, and the picture without lens or noise.
+    """Return the signals that the camera collects of `scene` under `light` in `exposure` seconds, and the picture without
+    lens or noise.
 
     One scene sample is one pixel: its average over the pixel's area, so that frame and target are registered. The chain is
     linear up to the noise, so the bands are first projected on outputs and channels in one product: a wavelength-dependent
@@ -61,20 +62,21 @@ def simulate(
         exposure=seconds,
         light=light.spectrum,
         seed=seed,
+        shown=Shown(scene.fingerprint, light.measured),
     )
 
 
 def exposure_time(
     camera: CameraModel, scene: Scene | ChannelPicture, light: Light, exposure: Saturating | Averaging, lens: Lens
 ) -> float:
-    """Seconds of an automatic exposure, as `simulate` takes them of this scene; ValueError as there."""
+    """Return the seconds of an automatic exposure, as `simulate` takes them of this scene; ValueError as there."""
     return _seconds(camera, _seen(camera, scene, light, lens, XYZ)[1], exposure)
 
 
 def _seen(
     camera: CameraModel, scene: Scene | ChannelPicture, light: Light, lens: Lens, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """As `_collected`, and the target (output) of a perfect white."""
+    """Return as `_collected` does, and the target (output) of a perfect white."""
     if isinstance(scene, ChannelPicture):
         return _signalled(camera, scene, light)
     ideal, rates = _collected(camera, scene, light, lens, target)
@@ -84,7 +86,8 @@ def _seen(
 def _collected(
     camera: CameraModel, scene: Scene, light: Light, lens: Lens, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The picture without lens or noise (output, row, col), and what the channels collect (channel, row, col) e-/s."""
+    """Return the picture without lens or noise (output, row, col), and what the channels collect (channel, row, col)
+    e-/s."""
     bands, pitch = scene.wavelength, camera.pixel_pitch
     wanted = output_weights(target, camera, light, bands)
     collected = electron_weights(camera, light, bands)
@@ -110,8 +113,8 @@ def _collected(
 def _signalled(
     camera: CameraModel, picture: ChannelPicture, light: Light
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Of a picture of channel signals the target (channel, row, col) in the unit of the camera's bands, what the channels
-    collect (channel, row, col) e-/s, and the target's white (channel)."""
+    """Return, of a picture of channel signals, the target (channel, row, col) in the unit of the camera's bands, the
+    signals that the channels collect (channel, row, col) e-/s, and the target's white (channel)."""
     full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)
@@ -122,7 +125,7 @@ def _signalled(
 
 
 def _seconds(camera: CameraModel, rates: NDArray[np.float32], exposure: float | Saturating | Averaging) -> float:
-    """The exposure in seconds."""
+    """Return the exposure in seconds."""
     if isinstance(exposure, Saturating):
         return sensor.saturating_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
     if isinstance(exposure, Averaging):

@@ -1,4 +1,4 @@
-"""How a scene lies on the sensor: cropped, mirrored, turned, scaled."""
+"""Framing of a scene on the sensor: cropped, mirrored, turned, scaled."""
 
 import math
 from dataclasses import replace
@@ -8,23 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.scene import ChannelPicture, Scene
+from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.simulation.motion import Motion, room
 from l3cli.simulation.sources import Framing
 
 
 def framed(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
-    """The scene as `framing` lays it on the sensor of `camera`; ValueError if the crop reaches beyond the scene."""
+    """Return the scene as `framing` lays it on the sensor of `camera`; ValueError if the crop reaches beyond the scene."""
     return replace(scene, reflectance=_framed(scene.reflectance, framing, camera))
 
 
 def framed_picture(picture: ChannelPicture, framing: Framing, camera: CameraModel) -> ChannelPicture:
-    """As `framed`, for a picture of channel signals."""
+    """Frame as `framed` does, for a picture of channel signals."""
     return replace(picture, signal=_framed(picture.signal, framing, camera))
 
 
 def _framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> NDArray[np.float32]:
-    """Samples (row, col, band) as they lie on the sensor."""
+    """Return the samples (row, col, band) as they lie on the sensor."""
     cube = turned(cube, framing)
     scale = scale_of(framing, camera, cube.shape[1])
     if scale is not None:
@@ -33,7 +33,8 @@ def _framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) ->
 
 
 def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
-    """Samples (row, col, band) of what is used of a scene, the right way up; ValueError if the crop reaches beyond it."""
+    """Return the samples (row, col, band) of what is used of a scene, the right way up; ValueError if the crop reaches
+    beyond it."""
     top, left, rows, cols = _cropped(cube.shape, framing)
     cube = cube[top : top + rows, left : left + cols]
     if framing.flip is not None:
@@ -42,8 +43,8 @@ def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
 
 
 def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:
-    """(rows, cols) that `framed` makes of a scene of `size`, or of each frame of its clip; ValueError if the crop reaches
-    beyond the scene, or the camera moves beyond it."""
+    """Return the size (rows, cols) that `framed` makes of a scene of `size`, or of each frame of its clip; ValueError if the
+    crop reaches beyond the scene, or the camera moves beyond it."""
     _, _, rows, cols = _cropped(size, framing)
     if framing.rotate % 180:
         rows, cols = cols, rows
@@ -57,7 +58,7 @@ def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) ->
 
 
 def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, int]:
-    """First row, first column, rows and columns of what is used of a scene."""
+    """Return the first row, first column, rows and columns of what is used of a scene."""
     if framing.crop is None:
         return 0, 0, size[0], size[1]
     top, left, rows, cols = framing.crop
@@ -67,7 +68,7 @@ def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, in
 
 
 def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
-    """ValueError unless the camera sees nothing beyond a scene of `size` at `scale` pixels a sample."""
+    """Raise ValueError unless the camera sees nothing beyond a scene of `size` at `scale` pixels a sample."""
     rows, cols = (math.ceil(min(length / scale - 1e-6, 1e9)) for length in room(motion))
     if rows > size[0] or cols > size[1]:
         raise ValueError(
@@ -77,7 +78,7 @@ def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
 
 
 def scale_of(framing: Framing, camera: CameraModel, cols: int) -> float | None:
-    """Pixels a sample of a scene that is `cols` wide; None: as many."""
+    """Return the pixels a sample of a scene that is `cols` wide; None: as many."""
     if framing.field_of_view_deg is None:
         return framing.scale
     width = 2.0 * camera.optics.image_distance * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
@@ -105,7 +106,7 @@ def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.f
 
 
 def _resampling(length: int, scale: float, most: int) -> Any:
-    """Sparse M (pixel, sample): linear interpolation of samples at their centres, averaged over pixels larger than a
+    """Return sparse M (pixel, sample): linear interpolation of samples at their centres, averaged over pixels larger than a
     sample."""
     from scipy.sparse import csr_array
 

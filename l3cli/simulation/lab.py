@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.measurement import CHART_COLS, CHART_ROWS, PATCHES
+from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES
 from l3cli.physics import spectra
 from l3cli.physics.lens import relative_illumination
-from l3cli.simulation.lab_recipe import SPARE, LabRecipe, MonoRecipe, check, slit_centres
+from l3cli.simulation.lab_recipe import SPECTROMETER_MARGIN, LabRecipe, MonoRecipe, check, slit_centres
 from l3cli.simulation.sensor import FixedPattern, fixed_pattern, read_out
 from l3cli.simulation.sensor_defects import DefectRecipe, defects_of
 
@@ -49,11 +49,12 @@ class _Response:
     per_radiance: Array  # (channel, wavelength) e-/s for a radiance of 1 photon/s/sr/m²/nm in one sample
 
     def electrons(self, radiance: Array) -> Array:
-        """(spectrum, channel) e-/s of radiance (spectrum, wavelength)."""
+        """Return e-/s (spectrum, channel) of radiance (spectrum, wavelength)."""
         return radiance @ self.per_radiance.T
 
     def exposure_for(self, level: float, radiance: Array) -> float:
-        """Seconds, to three digits, in which the brightest channel and spectrum reach `level` of full scale; may be inf."""
+        """Return seconds, to three digits, in which the brightest channel and spectrum reach `level` of full scale; may be
+        inf."""
         with np.errstate(divide="ignore"):
             signals = self.electrons(radiance) * self.camera.channel_gains
             return float(f"{level * self.camera.full_scale / signals.max():.3g}")
@@ -99,7 +100,7 @@ class _Session:
         )
 
     def _next_light(self) -> tuple[float, float]:
-        """The lamp's light over that of its measured spectrum, and what the monitor says of it."""
+        """Return the lamp's light over that of its measured spectrum, and what the monitor says of it."""
         fresh = self.recipe.lamp_drift * np.sqrt(1.0 - MEMORY**2) * self.rng.standard_normal()
         self.drift = MEMORY * self.drift + fresh
         light = 1.0 + self.drift
@@ -108,7 +109,7 @@ class _Session:
 
 
 def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture, ...]:
-    """Every capture the lab takes of `camera`, in order; RecipeError if the recipe cannot be carried out."""
+    """Return every capture the lab takes of `camera`, in order; RecipeError if the recipe cannot be carried out."""
     check(recipe, camera)
     mono, chart, white, dark = recipe.mono, recipe.chart, recipe.white, recipe.dark
     response = _response_of(camera, mono, recipe.spectrometer_step_nm)
@@ -136,17 +137,17 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
 
 
 def _response_of(camera: CameraModel, mono: MonoRecipe, step: float) -> _Response:
-    """The camera on the spectrometer's grid, which reaches over the responsivity and every slit."""
+    """Return the camera on the spectrometer's grid, which reaches over the responsivity and every slit."""
     centres = slit_centres(camera, mono)
-    first = min(camera.wavelength[0], centres[0] - mono.bandwidth_nm) - SPARE
-    last = max(camera.wavelength[-1], centres[-1] + mono.bandwidth_nm) + SPARE
+    first = min(camera.wavelength[0], centres[0] - mono.bandwidth_nm) - SPECTROMETER_MARGIN
+    last = max(camera.wavelength[-1], centres[-1] + mono.bandwidth_nm) + SPECTROMETER_MARGIN
     wavelength = np.arange(first, last + step / 2, step)
     # By the hats of the responsivity, as frames are simulated: the outermost ones reach half a step beyond its ends.
     return _Response(camera, wavelength, camera.electron_weights @ spectra.sampling_matrix(wavelength, camera.wavelength))
 
 
 def _slit(wavelength: Array, centre: float, mono: MonoRecipe) -> Array:
-    """A triangle of the recipe's full width at half maximum on its stray light, with its integral."""
+    """Return a triangle of the recipe's full width at half maximum on its stray light, with its integral."""
     shape = np.maximum(0.0, 1.0 - np.abs(wavelength - centre) / mono.bandwidth_nm) + mono.stray_light
     return np.asarray(shape * (mono.radiance / (shape @ spectra.bin_widths(wavelength))), dtype=np.float64)
 
@@ -157,14 +158,14 @@ def _light(name: str, wavelength: Array, luminance: float) -> Array:
 
 
 def chart_corners(camera: CameraModel) -> list[tuple[float, float]]:
-    """Col, row in pixels of the outer corners of patches 1, 6, 24, 19."""
+    """Return col, row in pixels of the outer corners of patches 1, 6, 24, 19."""
     margin = round(MARGIN * camera.rows)
     right, bottom = camera.cols - 1.0 - margin, camera.rows - 1.0 - margin
     return [(margin, margin), (right, margin), (right, bottom), (margin, bottom)]
 
 
 def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
-    """(row, col) patch that each pixel sees, 24 for the mount."""
+    """Return the patch (row, col) that each pixel sees, 24 for the mount."""
     (left, top), _, (right, bottom), _ = chart_corners(camera)
     x = (np.arange(camera.cols) - left) / (right - left) * CHART_COLS
     y = (np.arange(camera.rows) - top) / (bottom - top) * CHART_ROWS
@@ -175,7 +176,7 @@ def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
 
 
 def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe: DefectRecipe) -> NDArray[np.uint16]:
-    """Frame number `trial` of a capture, (row, col) DN: the same for the same seed whoever takes it."""
+    """Return the frame number `trial` of a capture, (row, col) DN: the same for the same seed whoever takes it."""
     rng = np.random.default_rng([seed, 1 + capture.first + trial])
     defects, pattern = defects_of(camera, recipe), fixed_pattern(camera)
     rows, cols = camera.cfa.shape
@@ -192,12 +193,12 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
 
 
 def falloff(y: Array, x: Array, missing: float) -> Array:
-    """Light at y, x from −1 to 1 across the frame over that in its middle, `missing` of it in the corners."""
+    """Return the light at y, x from −1 to 1 across the frame over that in its middle, `missing` of it in the corners."""
     return np.asarray(1.0 - missing * (y**2 + x**2) / 2.0, dtype=np.float64)
 
 
 def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
-    """(patch) light in the middle of each chart patch over that in the middle of the frame."""
+    """Return the light (patch) in the middle of each chart patch over that in the middle of the frame."""
     (left, top), _, (right, bottom), _ = chart_corners(camera)
     row, col = np.divmod(np.arange(PATCHES), CHART_COLS)
     x = left + (col + 0.5) / CHART_COLS * (right - left)

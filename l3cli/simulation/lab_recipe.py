@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, CameraModel
-from l3cli.config import Count, CountOrNone, Positive, Recipe
-from l3cli.faults import Fault, fault, refuse_first
+from l3cli.recipes.faults import Fault, fault, refuse_first
+from l3cli.recipes.toml import Count, CountOrNone, Positive, Recipe
 from l3cli.simulation.sensor_defects import DefectRecipe, defect_faults
 
-SPARE = 5.0  # nm that the spectrometer sees beyond camera and slits
+SPECTROMETER_MARGIN = 5.0  # nm that the spectrometer sees beyond camera and slits
 MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # beyond, a slit is no slit and a lamp no lamp
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class DarkRecipe(Recipe):
 
 
 class LabRecipe(Recipe):
-    """What the lab measures; every key has the default that configs/lab/default.toml spells out."""
+    """Measurements of the lab; every key has the default that configs/lab/default.toml spells out."""
 
     title: ClassVar[str] = "a lab recipe"
 
@@ -77,12 +77,12 @@ class LabRecipe(Recipe):
 
 
 def check(recipe: LabRecipe, camera: CameraModel) -> None:
-    """RecipeError if a lab cannot measure `camera` so."""
+    """Raise RecipeError if a lab cannot measure `camera` so."""
     refuse_first(lab_faults(recipe, camera))
 
 
 def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """All that a lab cannot do, of `camera` if there is one."""
+    """Yield all that a lab cannot do, of `camera` if there is one."""
     mono = recipe.mono
     steps = mono.step_nm > 0 and mono.bandwidth_nm > recipe.spectrometer_step_nm > 0
     if not steps:
@@ -114,10 +114,10 @@ def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]
 
 
 def _step_faults(recipe: LabRecipe, camera: CameraModel) -> Iterator[Fault]:
-    """Of a monochromator or spectrometer that is to take more steps than any does, or too few."""
+    """Yield the faults of a monochromator or spectrometer with more steps than any takes, or too few."""
     mono, ends = recipe.mono, ("mono.first_nm", "mono.last_nm")
     first, last = mono.first_nm or camera.wavelength[0], mono.last_nm or camera.wavelength[-1]
-    reach = last - first + 2 * (mono.bandwidth_nm + SPARE)
+    reach = last - first + 2 * (mono.bandwidth_nm + SPECTROMETER_MARGIN)
     if not (0 < first < last <= LONGEST and mono.bandwidth_nm <= LONGEST):
         message = f"mono: first_nm and last_nm must lie in 0…{LONGEST}, and bandwidth_nm below"
         yield fault(message, *ends, "mono.bandwidth_nm")
@@ -133,7 +133,7 @@ def _step_faults(recipe: LabRecipe, camera: CameraModel) -> Iterator[Fault]:
 
 
 def slit_centres(camera: CameraModel, mono: MonoRecipe) -> Array:
-    """Wavelengths (step) nm that the monochromator is set to."""
+    """Return the wavelengths (step) nm that the monochromator is set to."""
     first = camera.wavelength[0] + mono.bandwidth_nm if mono.first_nm is None else mono.first_nm
     last = camera.wavelength[-1] - mono.bandwidth_nm if mono.last_nm is None else mono.last_nm
     return np.arange(first, last + mono.step_nm / 2, mono.step_nm)

@@ -49,12 +49,13 @@ class Drawn:
     slimness: NDArray[np.float64]
 
     def of(self, which: NDArray[Any]) -> "Drawn":
-        """Those that an index or a mask says."""
+        """Return those that an index or a mask says."""
         return Drawn(**{name: values[which] for name, values in vars(self).items()})
 
 
 def dead_leaves(rng: np.random.Generator, shape: tuple[int, int], smallest: float, largest: float) -> Leaves:
-    """Leaves of five shapes with radii in `smallest`…`largest` pixels laid from front to back over `shape` (rows, cols).
+    """Draw leaves of five shapes with radii in `smallest`…`largest` pixels laid from front to back over `shape` (rows,
+    cols).
 
     Each pixel shows the leaf of the lowest number that covers it, so that leaves may be laid in any order, many at once."""
     room = int(2 * min(SMALL, largest) * WIDER) + 3  # about the picture, for windows that reach beyond it
@@ -74,14 +75,14 @@ def dead_leaves(rng: np.random.Generator, shape: tuple[int, int], smallest: floa
 
 
 def _mean_square(smallest: float, largest: float) -> float:
-    """Mean of r² for radii of density r^-3, pixels²."""
+    """Return the mean of r² for radii of density r^-3, pixels²."""
     return float(2 * np.log(largest / smallest) / (smallest**-EXPONENT - largest**-EXPONENT)) or smallest**2
 
 
 def _drawn(
     rng: np.random.Generator, first: int, count: int, shape: tuple[int, int], smallest: float, largest: float
 ) -> Drawn:
-    """`count` leaves that show, or lie just beyond, a picture of `shape` (rows, cols), numbered from `first` on."""
+    """Return `count` leaves that show, or lie just beyond, a picture of `shape` (rows, cols), numbered from `first` on."""
     radius = _radii(rng, count, smallest, largest)
     return Drawn(
         number=np.arange(first, first + count, dtype=np.int32),
@@ -95,15 +96,15 @@ def _drawn(
 
 
 def _radii(rng: np.random.Generator, count: int, smallest: float, largest: float) -> NDArray[np.float64]:
-    """`count` radii of density ∝ r^-3 between `smallest` and `largest`."""
+    """Return `count` radii of density ∝ r^-3 between `smallest` and `largest`."""
     share = rng.random(count)
     near, far = smallest**-EXPONENT, largest**-EXPONENT
     return (near + share * (far - near)) ** (-1.0 / EXPONENT)
 
 
 def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.bool_]:
-    """Whether a block of pixels that the square about each leaf touches holds an uncovered one: most leaves drawn late are
-    hidden. The canvas has `room` pixels about the picture."""
+    """Return whether a block of pixels that the square about each leaf touches holds an uncovered one: most leaves drawn
+    late are hidden. The canvas has `room` pixels about the picture."""
     free = (canvas == FREE).view(np.uint64)  # BLOCK pixels of a row in each
     blocks = functools.reduce(np.bitwise_or, (free[row::BLOCK] for row in range(BLOCK))) != 0
     count = np.zeros((blocks.shape[0] + 1, blocks.shape[1] + 1), np.int32)
@@ -114,7 +115,7 @@ def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.
 
 
 def _span(centre: NDArray, radius: NDArray, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First block and one past the last that the square about each leaf touches."""
+    """Return the first block and one past the last that the square about each leaf touches."""
     first = np.clip((centre - radius) // BLOCK, 0, blocks).astype(np.intp)
     last = np.clip((centre + radius) // BLOCK + 1, 0, blocks).astype(np.intp)
     return first, last
@@ -138,8 +139,8 @@ def _lay(label: NDArray[np.int32], drawn: Drawn, leaf: int) -> None:
 
 
 def _lay_small(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> None:
-    """As `_lay` for many leaves on a canvas with `room` pixels about the picture: those of one shape and about one size
-    have windows of one size, and are laid together."""
+    """Lay as `_lay` does, for many leaves on a canvas with `room` pixels about the picture: those of one shape and about one
+    size have windows of one size, and are laid together."""
     if not drawn.number.size:
         return
     smallest = drawn.radius.min()
@@ -154,7 +155,7 @@ def _lay_small(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> None:
 
 
 def _lay_alike(canvas: NDArray[np.int32], room: int, drawn: Drawn, side: int) -> None:
-    """As `_lay` for leaves of one shape that fit windows of `side` × `side` pixels."""
+    """Lay as `_lay` does, for leaves of one shape that fit windows of `side` × `side` pixels."""
 
     def each(values: NDArray[Any]) -> Field:
         return values.astype(np.float32)[:, None, None]
@@ -174,7 +175,7 @@ def _lay_alike(canvas: NDArray[np.int32], room: int, drawn: Drawn, side: int) ->
 
 
 def _seen(label: NDArray[np.int32], batches: list[Drawn]) -> Leaves:
-    """The leaves that show a pixel, numbered anew, and the ground after them."""
+    """Return the leaves that show a pixel, numbered anew, and the ground after them."""
     row, col, radius = (np.concatenate([getattr(one, name) for one in batches]) for name in ("row", "col", "radius"))
     ground = len(radius)
     label = np.where(label == FREE, np.int32(ground), label)
@@ -189,7 +190,7 @@ def _seen(label: NDArray[np.int32], batches: list[Drawn]) -> Leaves:
 
 
 def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: Size) -> NDArray[np.bool_]:
-    """Mask of a disc, an ellipse, a rectangle, a triangle or a lobed leaf about (0, 0) within `radius`."""
+    """Return the mask of a disc, an ellipse, a rectangle, a triangle or a lobed leaf about (0, 0) within `radius`."""
     if shape == 0:
         return x**2 + y**2 < radius**2
     cosine, sine = np.cos(angle, dtype=np.float32), np.sin(angle, dtype=np.float32)
@@ -206,8 +207,8 @@ def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: 
 
 
 def _lobed(along: Field, across: Field, radius: Size, angle: Size) -> NDArray[np.bool_]:
-    """Mask of a leaf whose edge is at radius · (0.7 + 0.15 sin(3θ + angle) + 0.12 sin(5θ + 9 angle)) in direction θ; the
-    sines are those of powers of along + i across, without an arc tangent for each pixel."""
+    """Return the mask of a leaf whose edge is at radius · (0.7 + 0.15 sin(3θ + angle) + 0.12 sin(5θ + 9 angle)) in direction
+    θ; the sines are those of powers of along + i across, without an arc tangent for each pixel."""
     squared = along * along + across * across
     squared += np.float32(1e-12)  # the middle has no direction
     re, im = along * along - across * across, np.float32(2) * along * across  # of the square

@@ -1,5 +1,7 @@
 """The light on a scene, and what a camera makes of it in each band (docs/method.md#spectra-on-other-grids)."""
 
+import hashlib
+import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -10,8 +12,9 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics import spectra
-from l3cli.scene import NO_ILLUMINANT, Scene
+from l3cli.physics.matrices import fit_through
 
 Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # wavelength (sample) nm, values (curve, sample)
@@ -30,19 +33,21 @@ class Light:
     luminance: float  # cd/m² of a perfect white
     wavelength: Array  # (sample) nm
     radiance: Array  # (sample) photons/s/sr/m²/nm
+    measured: str = ""  # digest of the spectra it is made of, beside those that its name says
 
     def at(self, luminance: float) -> "Light":
-        """The same light at another luminance."""
+        """Return the same light at another luminance."""
         return replace(self, luminance=luminance, radiance=self.radiance * (luminance / self.luminance))
 
     @property
     def spectrum(self) -> LightSpectrum:
-        """What a training set keeps of the light."""
+        """Return the light as a training set stores it."""
         return LightSpectrum(self.wavelength.astype(np.float64), (self.radiance / self.luminance).astype(np.float32))
 
 
-def parts(text: str) -> list[tuple[float, str]]:
-    """A recipe's light "0.7 D65 + 0.3 lamp.csv" as shares of luminance and names; RecipeError if a share is not above 0."""
+def mixture(text: str) -> list[tuple[float, str]]:
+    """Return a recipe's light "0.7 D65 + 0.3 lamp.csv" as shares of luminance and names; RecipeError if a share is not above
+    0."""
     weighted_parts = []
     for term in re.split(r"\s+\+\s+", text.strip()):
         weighted = re.fullmatch(r"(\d*\.?\d+)\s+(?!K$)(.+)", term)
@@ -53,7 +58,7 @@ def parts(text: str) -> list[tuple[float, str]]:
 
 
 def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
-    """The light a recipe calls `text`, at 1 cd/m²: a name that spectra.illuminant knows, a measured light (a key of
+    """Return the light a recipe calls `text`, at 1 cd/m²: a name that spectra.illuminant knows, a measured light (a key of
     `measured`, power per nm), or a mixture of several by their shares of luminance.
 
     It is tabulated every nm over what the observer and a camera with wavelengths `seen` see; what a measured light holds
@@ -61,7 +66,7 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     grid stays on it: all sums then run over that grid, as in ISETCam.
     RecipeError if a name is unknown or the light cannot be seen.
     """
-    names = parts(text)
+    names = mixture(text)
     wavelength = spectra.light_grid(seen)
     if all(name in measured and np.array_equal(measured[name][0], seen) for _, name in names):
         wavelength = np.asarray(seen)
@@ -76,17 +81,18 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
             radiance += share * spectra.at_luminance(one, wavelength, 1.0)
     if not (np.isfinite(radiance).all() and radiance.any()):
         raise RecipeError(f'illuminant "{text}" gives no light that can be seen')
-    return Light(text, 1.0, wavelength, radiance / sum(share for share, _ in names))
+    digest = _digest(*itertools.chain(*(measured[name] for _, name in names if name in measured)))
+    return Light(text, 1.0, wavelength, radiance / sum(share for share, _ in names), digest)
 
 
 def recorded_under(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
-    """As make_light, for the light that a scene was recorded under: one measured light stays on its own grid, for the bands
-    of the scene are often the same."""
+    """Make a light as make_light does, for the light that a scene was recorded under: one measured light stays on its own
+    grid, for the bands of the scene are often the same."""
     return make_light(text, measured, measured[text][0] if text in measured else seen)
 
 
 def check_measured(curve: Curve, name: str) -> None:
-    """InputFileError if a measured light has gaps, is negative, or ends while it still shines in the visible."""
+    """Raise InputFileError if a measured light has gaps, is negative, or ends while it still shines in the visible."""
     wavelength, power = curve[0], curve[1][0]
     if len(curve[1]) != 1:
         raise InputFileError(f"{name} holds {len(curve[1])} curves; give wavelength and power of one light")
@@ -102,19 +108,22 @@ def check_measured(curve: Curve, name: str) -> None:
 
 
 def scene_light(scene: Scene, luminance: float) -> Light:
-    """The light the scene came with, at another luminance; nothing is known of it outside the scene's wavelengths.
+    """Return the light the scene came with, at another luminance; nothing is known of it outside the scene's wavelengths.
 
     RecipeError if it has no light of its own, or none that an eye can see.
     """
     if scene.illuminant is NO_ILLUMINANT or spectra.xyz_weights(scene.wavelength)[1] @ scene.illuminant <= 0:
         raise RecipeError(f'scene {scene.name} has no visible light of its own; leave "{SCENE_LIGHT}" out of illuminants')
-    return Light(
-        SCENE_LIGHT, luminance, scene.wavelength, spectra.at_luminance(scene.illuminant, scene.wavelength, luminance)
-    )
+    radiance = spectra.at_luminance(scene.illuminant, scene.wavelength, luminance)
+    return Light(SCENE_LIGHT, luminance, scene.wavelength, radiance, _digest(scene.wavelength, scene.illuminant))
+
+
+def _digest(*arrays: Array) -> str:
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
 def electron_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
-    """Photo-electrons a second (channel, band) of unit reflectance in each band.
+    """Return the photo-electrons a second (channel, band) of unit reflectance in each band.
 
     The responsivity is taken as linear between its samples, so each sample sees the light's mean under its own hat.
     """
@@ -123,23 +132,47 @@ def electron_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
 
 
 def matching_weights(functions: Array, light: Light, bands: Array) -> Array:
-    """W (output, band) of unit reflectance in each band, for matching functions (output, sample of the light) per watt."""
+    """Return W (output, band) of unit reflectance in each band, for matching functions (output, sample of the light) per
+    watt."""
     weights = spectra.matching_weights(functions, light.wavelength) * light.radiance
     return weights @ spectra.held_interpolation(bands, light.wavelength)
 
 
 def white_rates(camera: CameraModel, light: Light) -> Array:
-    """Photo-electrons a second (channel) of a perfect white."""
+    """Return the photo-electrons a second (channel) of a perfect white."""
     return electron_weights(camera, light, light.wavelength).sum(axis=1)
 
 
+def colour_matrix(camera: CameraModel, light: Light) -> Array:
+    """Return M (channel, 3): channels = M @ XYZ of surfaces under `light`, whose white has Y = 1 and 1 in its brightest
+    channel.
+
+    Least squares over measured reflectances, with the white met exactly: developers find the white balance by it.
+    """
+    library = spectra.reflectance_library(light.wavelength)
+    weights = electron_weights(camera, light, light.wavelength)
+    white = weights.sum(axis=1)
+    channels = library @ weights.T / white.max()
+    to_xyz = spectra.xyz_weights(light.wavelength) * light.radiance
+    xyz_white = to_xyz.sum(axis=1)
+    xyz = library @ to_xyz.T / xyz_white[1]
+    return fit_through(xyz, channels, xyz_white / xyz_white[1], white / white.max())
+
+
+def neutral(camera: CameraModel, light: Light) -> Array:
+    """Return the channels (channel) of a grey surface under `light`, 1 in the brightest."""
+    rates = white_rates(camera, light)
+    return rates / rates.max()
+
+
 def automatic_exposure(camera: CameraModel, light: Light, share: float) -> float:
-    """Seconds until a perfect white fills its brightest channel to `share` of full scale."""
+    """Return the seconds until a perfect white fills its brightest channel to `share` of full scale."""
     return float(share * camera.full_scale / (white_rates(camera, light) * camera.channel_gains).max())
 
 
 def uncovered_share(camera: CameraModel, bands: Array) -> float:
-    """Share of a white of equal photons's electrons from outside the scene's bands, in the channel where it is largest."""
+    """Return the share of a white of equal photons's electrons from outside the scene's bands, in the channel where it is
+    largest."""
     weights = camera.electron_weights
     outside = (camera.wavelength < bands[0]) | (camera.wavelength > bands[-1])
     every = weights.sum(axis=1)

@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.config import Count, Recipe, Share
-from l3cli.faults import Fault, fault
+from l3cli.recipes.faults import Fault, fault
+from l3cli.recipes.toml import Count, Recipe, Share
 
 Array = NDArray[np.float64]
 Zoom = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
@@ -47,7 +47,7 @@ class Motion(Recipe):
 
 @dataclass(frozen=True)
 class View:
-    """What the camera looks at in a moment."""
+    """View of the camera in a moment."""
 
     centre: tuple[float, float]  # the place in the middle of the frame
     zoom: float  # pixels of the frame in one of an unzoomed one
@@ -55,7 +55,7 @@ class View:
 
 @dataclass(frozen=True)
 class Course:
-    """How the camera and the leaves of one clip move: the same for the same seed."""
+    """Course of the camera and the leaves of one clip: the same for the same seed."""
 
     motion: Motion
     shake: Array  # (frame, 2) pixels
@@ -64,18 +64,18 @@ class Course:
     radius: Array  # (leaf) pixels
 
     def view(self, frame: int, moment: float = 0.0) -> View:
-        """The view of a frame, `moment` frames after its middle."""
+        """Return the view of a frame, `moment` frames after its middle."""
         since = self._since_middle(frame) + moment
         pan, shake = self.motion.pan_pixels_per_frame, self.shake[frame]
         centre = tuple(speed * since + float(aside) for speed, aside in zip(pan, shake, strict=True))
         return View((centre[0], centre[1]), self.motion.zoom_per_frame**since)
 
     def leaves(self, frame: int, moment: float = 0.0) -> Array:
-        """Places (leaf, 2) of the leaves."""
+        """Return the places (leaf, 2) of the leaves."""
         return self.start + self.velocity * (self._since_middle(frame) + moment)
 
     def moments(self) -> list[float]:
-        """Times after a frame's middle at which it collects light, in frames."""
+        """Return the times after a frame's middle at which it collects light, in frames."""
         if self.motion.shutter == 0:
             return [0.0]
         return [self.motion.shutter * ((step + 0.5) / SUBFRAMES - 0.5) for step in range(SUBFRAMES)]
@@ -85,7 +85,7 @@ class Course:
 
 
 def course(motion: Motion, seed: tuple[int, ...]) -> Course:
-    """The course of a clip. Shake and leaves are drawn apart, so that neither changes the other."""
+    """Return the course of a clip. Shake and leaves are drawn apart, so that neither changes the other."""
     shaking, flying = np.random.default_rng(seed).spawn(2)
     shake = np.clip(shaking.standard_normal((motion.frames, 2)), -FARTHEST_SHAKE, FARTHEST_SHAKE) * motion.shake_pixels
     leaves = motion.leaves
@@ -98,7 +98,8 @@ def course(motion: Motion, seed: tuple[int, ...]) -> Course:
 
 
 def room(motion: Motion) -> tuple[float, float]:
-    """Rows and columns, in pixels of an unzoomed frame, of what some frame of a clip may see, whatever its seed."""
+    """Return the rows and columns, in pixels of an unzoomed frame, of what some frame of a clip may see, whatever its
+    seed."""
     last = (motion.frames - 1) / 2 + motion.shutter / 2
     widest = max(min(motion.zoom_per_frame, 1 / motion.zoom_per_frame) ** last, LEAST_ZOOM)
     shake, pan = FARTHEST_SHAKE * motion.shake_pixels, motion.pan_pixels_per_frame
@@ -107,8 +108,8 @@ def room(motion: Motion) -> tuple[float, float]:
 
 
 def before(view: View, earlier: View, size: tuple[int, int], moved: Array | float = 0.0) -> Array:
-    """Where (2, row, col) in the frame of an `earlier` view, in its pixels, lay what the pixels of a view show, if it has
-    `moved` (2, row, col) pixels of an unzoomed frame since."""
+    """Return the places (2, row, col) in the frame of an `earlier` view, in its pixels, of what the pixels of a view
+    show, if it has `moved` (2, row, col) pixels of an unzoomed frame since."""
     middle = (np.array(size) - 1) / 2
     pixel = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1]), indexing="ij")) - middle[:, None, None]
     place = pixel / view.zoom + np.array(view.centre)[:, None, None] - moved
@@ -116,7 +117,7 @@ def before(view: View, earlier: View, size: tuple[int, int], moved: Array | floa
 
 
 def motion_faults(motion: Motion, name: str) -> Iterator[Fault]:
-    """All that cannot be of a clip of the scene called `name`."""
+    """Yield all that cannot be of a clip of the scene called `name`."""
     leaves = motion.leaves
     for key in ("radius_pixels", "speed_pixels_per_frame") if leaves is not None else ():
         low, high = getattr(leaves, key)

@@ -26,7 +26,8 @@ class LowRankTransfer:
 
 @functools.lru_cache(maxsize=4)
 def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: float) -> LowRankTransfer:
-    """The diffraction MTF up to `highest` cycles/m within LOW_RANK_ERROR in as few terms as that takes (singular values)."""
+    """Return the diffraction MTF up to `highest` cycles/m within LOW_RANK_ERROR in as few terms as that takes (singular
+    values)."""
     frequency = np.linspace(0.0, highest, RADIAL_SAMPLES)
     exact = diffraction_transfer(frequency, np.array(wavelength), f_number)
     left, strength, right = np.linalg.svd(exact, full_matrices=False)
@@ -39,8 +40,8 @@ def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: f
 def lens_transfer(
     optics: Optics, pixel_pitch: float, wavelength: Array, diffraction: bool, defocus: float
 ) -> LowRankTransfer | None:
-    """What the lens blurs each wavelength by: diffraction and a Gaussian of standard deviation `defocus` in m on the
-    sensor; None if it blurs nothing."""
+    """Return the blur of each wavelength by the lens: diffraction and a Gaussian of standard deviation `defocus` in m on
+    the sensor; None if it blurs nothing."""
     highest = float(np.sqrt(0.5) / pixel_pitch)
     if diffraction:
         transfer = low_rank_transfer(highest, tuple(wavelength), optics.f_number)

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.frame import RawFrame, as_taken
+from l3cli.frames.frame import RawFrame, as_taken
 from l3cli.physics import spectra
 from l3cli.simulation.light import make_light, white_rates
 from l3cli.simulation.recipe import Pair
@@ -17,7 +17,7 @@ BRIGHT = 0.9  # of full scale and of picture white: brighter pixels do not tell 
 def make_pair(
     raw: RawFrame, picture: NDArray[np.float32], outputs: tuple[str, ...], camera: CameraModel, pair: Pair, name: str
 ) -> TrainingPair:
-    """The pair of `raw` and a linear `picture` (row, col, output) that is upright as the camera was held.
+    """Return the pair of `raw` and a linear `picture` (row, col, output) that is upright as the camera was held.
 
     Both are cut so that they begin with CFA site (0, 0). The picture's values times `pair.scale` are shares of full scale of
     a white as bright; without it the scale is that of a grey world. ValueError if the picture reaches beyond the raw frame.
@@ -53,7 +53,7 @@ def make_pair(
 
 
 def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], camera: CameraModel) -> float:
-    """Share of full scale per picture value, from the means of both, were the scene grey under D65."""
+    """Return the share of full scale per picture value, from the means of both, were the scene grey under D65."""
     share = (values - camera.black_level) / (camera.white_level - camera.black_level)
     bright = picture[1] if len(picture) == 3 else picture.mean(axis=0)
     usable = (share < BRIGHT) & (bright < BRIGHT)

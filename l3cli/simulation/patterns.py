@@ -24,7 +24,7 @@ LINES = (2.0, 3.5)  # distance of lines of lettering, in strokes
 
 @dataclass(frozen=True)
 class Patterns:
-    """What covers which share of each leaf, where; lengths in samples. Arrays of one value a leaf but where said."""
+    """Patterns that cover shares of each leaf; lengths in samples. Arrays of one value a leaf but where said."""
 
     present: NDArray[np.bool_]  # whether a leaf has a pattern
     first: NDArray[np.float32]  # (leaf, band) reflectance between the strokes, or all over
@@ -42,18 +42,18 @@ def draw_patterns(
     materials: Array,
     reflectance: Array,
     oversampling: int,
-    visible: int | None = None,
+    drawn: NDArray[np.bool_] | slice = slice(None),
 ) -> Patterns:
-    """Patterns on `share` of the leaves of `reflectance` (leaf, band), their second colours from `materials` (material,
-    band), the first `visible` bands of which are no infrared; scenes are drawn with `oversampling` samples a pixel."""
+    """Draw patterns on `share` of the leaves of `reflectance` (leaf, band), their second colours from `materials` (material,
+    band), whose bands `drawn` say how saturated they are; scenes are drawn with `oversampling` samples a pixel."""
     count = len(reflectance)
     first, second = reflectance.copy(), materials[rng.integers(len(materials), size=count)]
     present = rng.random(count) < share
     pale = present & (rng.random(count) < NEUTRAL)
     saturation = rng.uniform(0.0, PALE, count)
     for leaf in np.flatnonzero(pale):
-        first[leaf] = with_saturation(first[leaf], saturation[leaf], visible)
-        second[leaf] = with_saturation(second[leaf], saturation[leaf], visible)
+        first[leaf] = with_saturation(first[leaf], saturation[leaf], drawn)
+        second[leaf] = with_saturation(second[leaf], saturation[leaf], drawn)
     second = np.minimum(second * np.exp(CONTRAST * rng.standard_normal(count))[:, None], 1.0)
     across = oversampling * np.exp(rng.uniform(math.log(PERIODS[0]), math.log(PERIODS[1]), count))
     kind = rng.choice(len(KINDS), size=count, p=list(KINDS.values()))
@@ -74,8 +74,8 @@ def draw_patterns(
 
 
 def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across: Array) -> NDArray[np.float32]:
-    """Share of each sample (row, col) that the strokes on its leaf `label` cover: 0…1, 0 on leaves without a pattern. `down`
-    (row, 1) and `across` (col) are the samples' positions."""
+    """Return the share of each sample (row, col) that the strokes on its leaf `label` cover: 0…1, 0 on leaves without a
+    pattern. `down` (row, 1) and `across` (col) are the samples' positions."""
     cosine, sine = np.cos(patterns.angle)[label], np.sin(patterns.angle)[label]
     u, v = across * cosine + down * sine, down * cosine - across * sine
     stroke, place = _strokes(patterns, 0, label, u)
@@ -90,7 +90,8 @@ def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across
 def _strokes(
     patterns: Patterns, axis: int, label: NDArray[np.integer], position: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Share of each sample that strokes across `axis` cover, as if these lay along the samples, and their numbers."""
+    """Return the share of each sample that strokes across `axis` cover, as if these lay along the samples, and their
+    numbers."""
     period, width = patterns.period[axis][label], patterns.width[axis][label]
     turns = position / period + patterns.phase[axis][label]
     number = np.floor(turns)
@@ -100,6 +101,6 @@ def _strokes(
 
 
 def _coin(one: NDArray[np.int64], other: NDArray[np.int64], label: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Heads or tails for each pair of numbers on a leaf, without a generator: a multiplicative hash."""
+    """Return heads or tails for each pair of numbers on a leaf, without a generator: a multiplicative hash."""
     mixed = (one * 73856093) ^ (other * 19349663) ^ (label.astype(np.int64) * 83492791)
     return ((mixed * 2654435761) >> 16) & 1 == 1

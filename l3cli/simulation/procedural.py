@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli.simulation import charts, fields, leaves
 from l3cli.simulation.patterns import Patterns, coverage, draw_patterns
-from l3cli.simulation.reflectances import palette, surfaces, visible_bands
+from l3cli.simulation.reflectances import DRAWN, drawn_bands, palette, surfaces
 from l3cli.simulation.textures import TEXTURES, Textures, draw_textures, sampled
 
 Array = NDArray[np.floating]
@@ -22,9 +22,10 @@ STRIP = 8  # rows drawn at once, which stay in the cache
 
 
 def grid(wavelength: Array) -> NDArray[np.float64]:
-    """Wavelengths (band) in nm that a procedural scene has for a camera: 400–700 by 10, farther where the camera sees."""
-    first = np.floor(min(wavelength[0], 400.0) / 10.0) * 10.0
-    last = np.ceil(max(wavelength[-1], 700.0) / 10.0) * 10.0
+    """Return the wavelengths (band) in nm that a procedural scene has for a camera: DRAWN, and farther by 10 where the
+    camera sees."""
+    first = max(np.floor(min(wavelength[0], DRAWN[0]) / 10.0) * 10.0, 10.0)  # materials are formulas of 1/wavelength
+    last = np.ceil(max(wavelength[-1], DRAWN[-1]) / 10.0) * 10.0
     return np.arange(first, last + 5.0, 10.0)
 
 
@@ -33,7 +34,7 @@ def grid(wavelength: Array) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Coat:
-    """How each leaf looks: what it is made of, how light falls on it. Positions are relative to centre and radius."""
+    """Appearance of each leaf: its material, and the light on it. Positions are relative to centre and radius."""
 
     reflectance: NDArray[np.float32]  # (leaf, band)
     brightness: NDArray[np.float32]  # (leaf) logarithm
@@ -46,8 +47,8 @@ class Coat:
 
 
 def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array, patterned: float = 0.0) -> Cube:
-    """Reflectance (row, col, band) of leaves that hide each other, in light, shadow and gloss; a share `patterned` of them
-    carries fine patterns, drawn apart, so that all else is the same with and without."""
+    """Return the reflectance (row, col, band) of leaves that hide each other, in light, shadow and gloss; a share
+    `patterned` of them carries fine patterns, drawn apart, so that all else is the same with and without."""
     fine = (size[0] * OVERSAMPLING, size[1] * OVERSAMPLING)
     materials = palette(rng, surfaces(tuple(wavelength)))
     smallest = SMALLEST_RADIUS * (4.0 if rng.random() < 0.5 else 1.0)  # half the frames are of larger things
@@ -58,7 +59,7 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     patterns = None
     if patterned > 0:
         drawn = rng.spawn(1)[0], patterned, materials, coat.reflectance, OVERSAMPLING
-        patterns = draw_patterns(*drawn, visible_bands(wavelength))
+        patterns = draw_patterns(*drawn, drawn_bands(wavelength))
     cube = np.empty((*size, wavelength.size), np.float32)
     for top in range(0, size[0], STRIP):
         rows = slice(top * OVERSAMPLING, min(top + STRIP, size[0]) * OVERSAMPLING)
@@ -67,7 +68,7 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
 
 
 def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
-    """Each of `count` leaves is one of the materials (material, band) or, in 40 %, a mixture of two."""
+    """Return the coats of `count` leaves, each one of the materials (material, band) or, in 40 %, a mixture of two."""
     one, other = materials[rng.integers(len(materials), size=(2, count))]
     share = np.where(rng.random(count) < 0.4, rng.random(count), 1.0)[:, None]
     angle = rng.uniform(0, 2 * np.pi, count)
@@ -86,7 +87,7 @@ def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
 
 
 def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Relative light (row, col): uneven everywhere, in 30 % of the frames with shadows of soft, ragged edges."""
+    """Return the relative light (row, col): uneven everywhere, in 30 % of the frames with shadows of soft, ragged edges."""
     logarithm = 0.4 * fields.pink(rng, shape, 1.8)
     shadows = rng.poisson(1.0) if rng.random() < 0.3 else 0
     down, across = np.ogrid[: shape[0], : shape[1]]
@@ -130,7 +131,7 @@ def _draw(
 
 
 def _block_mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Mean over each OVERSAMPLING × OVERSAMPLING block of samples (row, col)."""
+    """Return the mean over each OVERSAMPLING × OVERSAMPLING block of samples (row, col)."""
     step = OVERSAMPLING
     samples = [values[row::step, col::step] for row in range(step) for col in range(step)]
     return functools.reduce(np.add, samples) / np.float32(step**2)
@@ -139,8 +140,8 @@ def _block_mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
 def _shading(
     cover: leaves.Leaves, coat: Coat, label: NDArray[np.intp], place: tuple[Array, Array], textures: Textures
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Of leaves (row, col) at a place (rows, columns): by how much each is brighter than what it is made of, and the light
-    that it reflects as a mirror does."""
+    """Return, for leaves (row, col) at a place (rows, columns), the factor by which each is brighter than its material,
+    and the light that it reflects as a mirror does."""
 
     def of(values: NDArray[Any]) -> NDArray[Any]:
         return np.take(values, label, mode="clip")
@@ -176,8 +177,8 @@ def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integ
 
 
 def _blurred(cube: Cube, sigma: float) -> Cube:
-    """A lens is never perfect: Gaussian blur of `sigma` pixels; below 0.2 it would change nothing. Beyond its border the
-    picture is mirrored. In place and row by row, so that all is in the cache: a fifth of the time of scipy.ndimage."""
+    """Blur by a Gaussian of `sigma` pixels, since no lens is perfect; below 0.2 it would change nothing. Beyond its border
+    the picture is mirrored. In place and row by row, so that all is in the cache: a fifth of the time of scipy.ndimage."""
     if sigma <= 0.2:
         return cube
     reach = int(4 * sigma + 0.5)
@@ -211,8 +212,8 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
 
 
 def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Array) -> Cube:
-    """Reflectance (row, col, band) of a demonstration picture: before dead leaves stand a ColorChecker, a grey ramp, a zone
-    plate and slanted bars."""
+    """Return the reflectance (row, col, band) of a demonstration picture: before dead leaves stand a ColorChecker, a grey
+    ramp, a zone plate and slanted bars."""
     cube = dead_leaves(rng, size, wavelength)
     for units, centre, panel in (
         (*CHART_PANEL, charts.colorchecker),
@@ -231,15 +232,15 @@ CHART_PANEL = (8, 12), (0.66, 0.25)  # of a composition: rows and columns of its
 def _placed(
     size: tuple[int, int], units: tuple[int, int], centre: tuple[float, float]
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Upper left corner and shape in pixels of a panel of a composition of `size`."""
+    """Return the upper left corner and shape in pixels of a panel of a composition of `size`."""
     unit = min(size[0] // 18, size[1] // 32)
     height, width = units[0] * unit, units[1] * unit
     return (round(size[0] * centre[0] - height / 2), round(size[1] * centre[1] - width / 2)), (height, width)
 
 
 def chart_places(size: tuple[int, int]) -> list[list[tuple[slice, slice]]]:
-    """Where a picture of `size` (rows, cols) may show the 24 patches of a ColorChecker: where one fills it, and that
-    of a composition."""
+    """Return the regions of a picture of `size` (rows, cols) that may show the 24 patches of a ColorChecker: those of one
+    that fills it, and those of one in a composition."""
     (top, left), shape = _placed(size, *CHART_PANEL)
     within = [
         (slice(rows.start + top, rows.stop + top), slice(cols.start + left, cols.stop + left))

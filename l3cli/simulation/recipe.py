@@ -10,12 +10,12 @@ import msgspec
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel, Optics
-from l3cli.config import Recipe
 from l3cli.errors import RecipeError, suggestion
-from l3cli.faults import Fault, fault, inside, refuse_first
 from l3cli.physics import spectra
-from l3cli.simulation.light import MEASURED, SCENE_LIGHT, Curve, parts
-from l3cli.simulation.sensor import with_analog_gain
+from l3cli.recipes.faults import Fault, fault, inside, refuse_first
+from l3cli.recipes.toml import Recipe
+from l3cli.simulation.light import MEASURED, SCENE_LIGHT, Curve, mixture
+from l3cli.simulation.sensor import noise_plugin, with_analog_gain
 from l3cli.simulation.sources import (
     FileSource,
     IsetScenes,
@@ -47,6 +47,7 @@ class Lens(Recipe):
 
 class SensorSetting(Recipe):
     noise: Literal["all", "shot", "none"] = "all"  # shot: of light and dark current only; none: only rounding
+    noise_model: str | None = None  # of an installed package, in place of the camera's noise (docs/python.md#a-noise-model)
     analog_gain: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0  # on top of the camera's gain
 
 
@@ -82,7 +83,7 @@ class SceneRecipe(Recipe):
     target: TargetRecipe = msgspec.field(default_factory=TargetRecipe)
 
     def exposures(self) -> tuple[str, list[float]]:
-        """How exposures are given (a key of `units`) and their values; RecipeError unless just one is."""
+        """Return the kind of the exposures (a key of `units`) and their values; RecipeError unless exactly one is given."""
         units = {
             "share": self.exposure_share,
             "saturated": self.exposure_saturated,
@@ -97,15 +98,15 @@ class SceneRecipe(Recipe):
 
 
 def recorded_lights(recipe: SceneRecipe) -> list[str]:
-    """The lights that scenes of the recipe were recorded under, where it names them."""
+    """Return the lights that scenes of the recipe were recorded under, where it names them."""
     return [source.light for source in recipe.scene if isinstance(source, Spectral | IsetScenes) and source.light]
 
 
 def curve_files(recipe: SceneRecipe) -> dict[str, str]:
-    """Every CSV file that the recipe names, relative to it, and its part: light, transmittance or functions."""
+    """Return every CSV file that the recipe names, relative to it, and its part: light, transmittance or functions."""
     lights = [*recipe.illuminants, *filter(None, [recipe.target.illuminant])]
     lights += recorded_lights(recipe)
-    curves = {name: "light" for text in lights for _, name in parts(text) if name.endswith(MEASURED)}
+    curves = {name: "light" for text in lights for _, name in mixture(text) if name.endswith(MEASURED)}
     if isinstance(recipe.lens.transmittance, str):
         curves[recipe.lens.transmittance] = "transmittance"
     if recipe.target.outputs.endswith(MEASURED):
@@ -114,7 +115,8 @@ def curve_files(recipe: SceneRecipe) -> dict[str, str]:
 
 
 def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]) -> CameraModel:
-    """The camera with the recipe's lens and analog gain: what the training set is of. RecipeError if they cannot be."""
+    """Return the camera with the recipe's lens and analog gain: what the training set is of. RecipeError if they cannot
+    be."""
     lens, optics = recipe.lens, camera.optics
     focal = optics.focal_length if lens.focal_length_mm is None else lens.focal_length_mm * 1e-3
     f_number = optics.f_number if lens.f_number is None else lens.f_number
@@ -137,12 +139,12 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
 
 
 def check(recipe: SceneRecipe, camera: CameraModel) -> None:
-    """RecipeError if the recipe asks for what cannot be."""
+    """Raise RecipeError if the recipe asks for what cannot be."""
     refuse_first(scene_faults(recipe, camera))
 
 
 def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """All that cannot be of a scene recipe, with `camera` if there is one."""
+    """Yield all that cannot be of a scene recipe, with `camera` if there is one."""
     if not (recipe.scene or recipe.pair):
         yield fault("scene or pair must have an entry", "scene", "pair")
     if recipe.scene:
@@ -156,6 +158,8 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
         if recipe.illuminants != [SCENE_LIGHT] and not can_be_relit(source):
             message = f'{name} holds radiance without its light; give light, or illuminants = ["{SCENE_LIGHT}"]'
             yield fault(message, (*key, "light"), "illuminants")
+    if recipe.sensor.noise_model is not None:
+        yield from _noise_faults(recipe.sensor, recipe.sensor.noise_model)
     outputs = recipe.target.outputs
     if any(map(holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
         message = f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant'
@@ -173,6 +177,17 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
     if recipe.pair and outputs == CAMERA:
         message = "the target of a pair is a picture; target.outputs cannot be the camera's bands"
         yield fault(message, "target.outputs", "pair")
+
+
+def _noise_faults(setting: SensorSetting, model: str) -> Iterator[Fault]:
+    if setting.noise != "all":
+        yield fault(
+            f'sensor.noise = "{setting.noise}" is of the camera\'s own noise; leave it or noise_model out', "sensor.noise"
+        )
+    try:
+        noise_plugin(model)
+    except RecipeError as error:
+        yield fault(str(error), "sensor.noise_model")
 
 
 def _exposure_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fault]:
@@ -210,7 +225,7 @@ class Shot:
 
 
 def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[WantedScene, list[Shot]]]:
-    """Every scene of the recipe with its frames; `files` are those of each of its sources, none where it has none."""
+    """Yield every scene of the recipe with its frames; `files` are those of each of its sources, none where it has none."""
     index = itertools.count()
     for source, paths in zip(recipe.scene, files, strict=True):
         for scene in wanted_scenes(source, paths):
@@ -220,5 +235,5 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[Wanted
 
 
 def patterns(recipe: SceneRecipe) -> list[str | None]:
-    """The file or glob of each source; None for built-in scenes."""
+    """Return the file or glob of each source; None for built-in scenes."""
     return [source.file if isinstance(source, FileSource) else None for source in recipe.scene]

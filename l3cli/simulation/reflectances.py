@@ -10,13 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.frames.scene import SHOWN
 from l3cli.physics import spectra
 from l3cli.physics.paint import LARGEST, SMALLEST, kubelka_munk, with_saturation, with_titanium_white
 
 Array = NDArray[np.floating]
 
 COMPONENTS = 8  # of the Gaussian in logit space
-LAST_VISIBLE = 710.0  # nm: colours are drawn from what is seen up to here, so that cameras of more infrared have them, too
+DRAWN = np.arange(
+    SHOWN[0], SHOWN[1] + 1.0, 10.0
+)  # nm: colours are drawn here for every camera; what lies beyond follows them
 
 # Share of each kind of material (docs/method.md#procedural-scenes).
 KINDS = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
@@ -46,31 +49,38 @@ class Surfaces:
     measured: Array  # (sample, band) reflectance
     mean: Array  # (band) logit
     components: Array  # (component, band) logit, each scaled to one standard deviation
-    visible: int  # bands up to LAST_VISIBLE
+    drawn: NDArray[np.bool_]  # (band) those of DRAWN
 
 
 @functools.lru_cache(maxsize=2)
 def surfaces(wavelength: tuple[float, ...]) -> Surfaces:
-    """The measured surfaces of colour-science on a grid in nm, no ColorChecker among them. The Gaussian is that of their
-    visible part, which infrared follows as it does among them, so that a draw has the same colour on any longer grid."""
+    """Return the measured surfaces of colour-science on a grid in nm, no ColorChecker among them. The Gaussian is that of
+    DRAWN, which other wavelengths follow as they do among them, so that a draw has the same colour on any grid."""
     grid = np.array(wavelength)
-    visible = visible_bands(grid)
-    measured = spectra.reflectance_library(grid)
-    logit = np.log(measured / (1.0 - measured))
+    every = np.union1d(DRAWN, grid)
+    library = spectra.reflectance_library(every)
+    drawn = _logit(np.compress(drawn_bands(every), library, axis=1))
+    scores, spread, directions = np.linalg.svd(drawn - drawn.mean(axis=0), full_matrices=False)
+    measured = np.compress(np.isin(every, grid), library, axis=1)
+    logit = _logit(measured)
     mean = logit.mean(axis=0)
-    scores, spread, directions = np.linalg.svd((logit - mean)[:, :visible], full_matrices=False)
-    components = (spread[:, None] * directions)[:COMPONENTS] / np.sqrt(len(logit))
-    beyond = scores.T[:COMPONENTS] @ (logit - mean)[:, visible:] / np.sqrt(len(logit))
-    return Surfaces(grid, measured, mean, np.concatenate([components, beyond], axis=1), visible)
+    components = scores.T[:COMPONENTS] @ (logit - mean) / np.sqrt(len(logit))
+    own = (spread[:, None] * directions)[:COMPONENTS] / np.sqrt(len(logit))
+    components[:, drawn_bands(grid)] = own[:, np.isin(DRAWN, grid)]
+    return Surfaces(grid, measured, mean, components, drawn_bands(grid))
 
 
-def visible_bands(wavelength: Array) -> int:
-    """How many bands at rising `wavelength` (band) in nm lie up to LAST_VISIBLE."""
-    return int(np.searchsorted(wavelength, LAST_VISIBLE, side="right"))
+def _logit(reflectance: Array) -> Array:
+    return np.asarray(np.log(reflectance / (1.0 - reflectance)))
+
+
+def drawn_bands(wavelength: Array) -> NDArray[np.bool_]:
+    """Return whether colours are drawn on each `wavelength` (band) in nm."""
+    return np.isin(wavelength, DRAWN)
 
 
 def palette(rng: np.random.Generator, of: Surfaces) -> Array:
-    """The materials of one frame: 6–60 reflectances (material, band). Half the frames have one dominant kind."""
+    """Return the materials of one frame: 6–60 reflectances (material, band). Half the frames have one dominant kind."""
     count = int(np.exp(rng.uniform(np.log(6), np.log(60))))
     shares = np.array(list(KINDS.values()))
     if rng.random() < 0.5:
@@ -81,12 +91,12 @@ def palette(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def materials(kind: str, rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """`count` reflectances (material, band) of one of KINDS."""
+    """Return `count` reflectances (material, band) of one of KINDS."""
     return np.array([_material(rng, of, kind, 1.0) for _ in range(count)])
 
 
 def dyed(rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """`count` dyed reflectances (material, band) as vivid as measured ones are."""
+    """Return `count` dyed reflectances (material, band) as vivid as measured ones are."""
     shares = np.array([KINDS[kind] for kind in DYED])
     kinds = rng.choice(DYED, size=count, p=shares / shares.sum())
     return np.array([_dye(rng, of, kind, rng.uniform(*VIVID)) for kind in kinds])
@@ -99,7 +109,7 @@ def _material(rng: np.random.Generator, of: Surfaces, kind: str, saturation: flo
 
 
 def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -> Array:
-    reflectance = np.clip(with_saturation(_DRAW[kind](rng, of), saturation, of.visible), SMALLEST, LARGEST)
+    reflectance = np.clip(with_saturation(_DRAW[kind](rng, of), saturation, of.drawn), SMALLEST, LARGEST)
     return _painted(rng, reflectance, of.wavelength) if rng.random() < PAINTED else reflectance
 
 
@@ -114,18 +124,22 @@ def _library(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _mixture(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Two measured surfaces side by side (arithmetic mean) or one over the other (geometric mean)."""
+    """Return two measured surfaces side by side (arithmetic mean) or one over the other (geometric mean)."""
     one, other = of.measured[rng.integers(0, len(of.measured), 2)]
     share = rng.random()
     return one * share + other * (1 - share) if rng.random() < 0.5 else one**share * other ** (1 - share)
 
 
 def _gaussian(rng: np.random.Generator, of: Surfaces) -> Array:
-    return 1.0 / (1.0 + np.exp(-(of.mean + rng.standard_normal(COMPONENTS) @ of.components)))
+    scores = rng.standard_normal(COMPONENTS)
+    logit = of.mean + scores @ of.components
+    # By a product of its own, which rounds alike on every grid.
+    logit[of.drawn] = of.mean[of.drawn] + scores @ np.compress(of.drawn, of.components, axis=1)
+    return 1.0 / (1.0 + np.exp(-logit))
 
 
 def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Skin: a dermis with blood under an epidermis with melanin.
+    """Return skin: a dermis with blood under an epidermis with melanin.
 
     Absorption in cm⁻¹: whole blood of 150 g/l haemoglobin (64 500 g/mol), the blood-free baseline and melanin ∝ λ^−3.33
     of S. Jacques, "Skin optics" (omlc.org, 1998); scattering 46 (λ/500)^−b cm⁻¹.
@@ -143,7 +157,7 @@ def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
-    """A leaf: chlorophyll and carotenoid bands as Gaussians over a clear tissue, a quarter with anthocyanin."""
+    """Return a leaf: chlorophyll and carotenoid bands as Gaussians over a clear tissue, a quarter with anthocyanin."""
 
     def band(centre: float, width: float) -> Array:
         return np.exp(-0.5 * ((of.wavelength - centre) / width) ** 2)
@@ -158,7 +172,7 @@ def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _hair(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Hair and fur: a grey gloss over a melanin slope, dark brown to blond."""
+    """Return hair and fur: a grey gloss over a melanin slope, dark brown to blond."""
     slope = (of.wavelength / 680.0) ** rng.uniform(0.3, 5.0)
     return rng.uniform(0.01, 0.04) + np.exp(rng.normal(np.log(0.06), 0.8)) * slope
 

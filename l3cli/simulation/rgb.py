@@ -5,10 +5,11 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import srgb_from_xyz_matrix
-from l3cli.scene import NO_ILLUMINANT, Scene
 from l3cli.simulation.light import make_light, matching_weights
+from l3cli.simulation.reflectances import DRAWN
 
 Array = NDArray[np.floating]
 
@@ -16,32 +17,35 @@ EXACTNESS = 1e4  # weight of the colour equations against roughness
 
 
 def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64], name: str) -> Scene:
-    """The scene of a linear sRGB picture (row, col, 3): reflectance = red · R + green · G + blue · B.
+    """Return the scene of a linear sRGB picture (row, col, 3): reflectance = red · R + green · G + blue · B.
 
     The three spectra are at least 0 and sum to 1 at every wavelength, so that values in 0…1 give reflectances in 0…1.
+    `wavelength` (band) in nm are some of DRAWN and any beyond, where spectra are held.
     """
-    basis = primaries(tuple(wavelength)).astype(np.float32)
-    return Scene(name, wavelength, np.maximum(linear, np.float32(0.0)) @ basis, NO_ILLUMINANT)
+    cube = np.maximum(linear, np.float32(0.0)) @ primaries().astype(np.float32)
+    if not np.array_equal(wavelength, DRAWN):  # taken of one product, so that every camera is shown the same values
+        cube = cube[..., abs(np.subtract.outer(wavelength, DRAWN)).argmin(axis=1)]
+    return Scene(name, wavelength, cube, NO_ILLUMINANT)
 
 
 def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:
-    """A linear picture (row, col, 3) with each `by` × `by` pixels averaged to one; what is left over at the end is cut."""
+    """Return a linear picture (row, col, 3) with each `by` × `by` pixels averaged to one; what is left over at the end is
+    cut."""
     rows, cols = (length // by * by for length in linear.shape[:2])
     return linear[:rows, :cols].reshape(rows // by, by, cols // by, by, 3).mean(axis=(1, 3))
 
 
-@functools.lru_cache(maxsize=2)
-def primaries(wavelength: tuple[float, ...]) -> Array:
-    """Reflectances (3, wavelength) whose colours under D65 are the sRGB primaries: the smoothest that are not negative and
-    sum to 1 (after Mallett and Yuksel, "Spectral primary decomposition", 2019)."""
+@functools.cache
+def primaries() -> Array:
+    """Return reflectances (3, band) at DRAWN whose colours under D65 are the sRGB primaries: the smoothest that are not
+    negative and sum to 1 (after Mallett and Yuksel, "Spectral primary decomposition", 2019)."""
     from scipy.optimize import lsq_linear
 
-    grid = np.array(wavelength)
-    count = grid.size
+    count = DRAWN.size
     rough = np.diff(np.eye(count), axis=0)
-    light = make_light("D65", {}, grid)
+    light = make_light("D65", {}, DRAWN)
     observer = spectra.colour_matching_functions(light.wavelength)
-    to_rgb = srgb_from_xyz_matrix() @ matching_weights(observer, light, grid)
+    to_rgb = srgb_from_xyz_matrix() @ matching_weights(observer, light, DRAWN)
     rows = [
         np.kron(np.eye(3), rough),
         EXACTNESS * np.kron(np.eye(3), to_rgb),

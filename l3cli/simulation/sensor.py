@@ -2,12 +2,15 @@
 
 import functools
 from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.errors import RecipeError, shortened, suggestion
+from l3cli.system.plugins import NOISE, blamed, plugins
 
 MOST_ELECTRONS = 1e15  # beyond any well, within what a Poisson generator takes
 
@@ -17,14 +20,14 @@ NOISES = ("all", "shot", "none")  # shot: only that of light and dark current; n
 
 @dataclass(frozen=True)
 class FixedPattern:
-    """What a camera's pixels differ by, the same in every frame."""
+    """Differences between a camera's pixels, the same in every frame."""
 
     prnu: NDArray[np.float32]  # (row, col) relative deviation of the response
     dsnu: NDArray[np.float32]  # (row, col) e-, offset, that of the column included
 
 
 def fixed_pattern(camera: CameraModel) -> FixedPattern:
-    """The PRNU and DSNU maps of the whole sensor, drawn from the camera's own seed."""
+    """Return the PRNU and DSNU maps of the whole sensor, drawn from the camera's own seed."""
     noise = camera.noise
     return _fixed_pattern(camera.fixed_pattern_seed, camera.rows, camera.cols, noise.prnu, noise.dsnu, noise.column_noise)
 
@@ -39,7 +42,7 @@ def _fixed_pattern(seed: int, rows: int, cols: int, prnu: float, dsnu: float, co
 
 
 def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The (row, col) mosaic of full-resolution electrons (channel, row, col), CFA phase (0, 0)."""
+    """Return the (row, col) mosaic of full-resolution electrons (channel, row, col), CFA phase (0, 0)."""
     down, across = cfa.shape
     values = np.empty(electrons.shape[1:], electrons.dtype)
     for row, col in np.ndindex(cfa.shape):
@@ -48,12 +51,13 @@ def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np
 
 
 def signals(camera: CameraModel, rates: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Rates (row, col) e-/s as electrons that would give as many DN at the gain of the camera."""
+    """Return rates (row, col) e-/s as electrons that would give as many DN at the gain of the camera."""
     return rates if camera.readout is None else rates * camera.channel_gains[camera.channel_map(rates.shape)]
 
 
 def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
-    """Seconds after which `share` of the pixels with `rates` (row, col) e-/s reach full scale; ValueError if all is dark."""
+    """Return the seconds after which `share` of the pixels with `rates` (row, col) e-/s reach full scale; ValueError if all
+    is dark."""
     rate = float(np.quantile(signals(camera, rates), 1.0 - share)) + camera.noise.dark_current
     if rate <= 0:
         raise ValueError("the scene is too dark for an exposure by its saturated pixels")
@@ -61,8 +65,8 @@ def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share:
 
 
 def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
-    """Seconds after which pixels with `rates` (row, col) e-/s hold `share` of full scale on average, were nothing clipped;
-    ValueError if all is dark."""
+    """Return the seconds after which pixels with `rates` (row, col) e-/s hold `share` of full scale on average, were nothing
+    clipped; ValueError if all is dark."""
     rate = float(np.mean(signals(camera, rates), dtype=np.float64))
     if rate <= 0:
         raise ValueError("the scene is too dark for an exposure by its mean")
@@ -70,7 +74,7 @@ def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: 
 
 
 def with_analog_gain(camera: CameraModel, gain: float) -> CameraModel:
-    """The camera with its analog gain turned up: more DN an electron, its top sooner reached, black level as is."""
+    """Return the camera with its analog gain turned up: more DN an electron, its top sooner reached, black level as is."""
     white_level = min(camera.black_level + gain * (camera.white_level - camera.black_level), 2.0**camera.bits - 1)
     return replace(camera, gain=gain * camera.gain, white_level=white_level)
 
@@ -82,8 +86,9 @@ def expose(
     rng: np.random.Generator,
     noises: str = "all",
 ) -> NDArray[np.uint16]:
-    """One raw frame (row, col) in DN of mean photo-electrons after `exposure` seconds (docs/method.md#sensor), with those
-    `noises` (one of NOISES). Shot noise is drawn from the Poisson distribution itself.
+    """Return one raw frame (row, col) in DN of mean photo-electrons after `exposure` seconds (docs/method.md#sensor), with
+    those `noises`: one of NOISES, or the name of a noise model of an installed package. Shot noise is drawn from the Poisson
+    distribution itself.
 
     The frame is the upper left part of the sensor, whose fixed pattern it carries; ValueError if it is larger.
     """
@@ -103,7 +108,7 @@ def read_out(
     rng: np.random.Generator,
     noises: str = "all",
 ) -> NDArray[np.uint16]:
-    """A raw frame (row, col) in DN of mean photo-electrons on pixels of such a pattern (docs/method.md#sensor)."""
+    """Return a raw frame (row, col) in DN of mean photo-electrons on pixels of such a pattern (docs/method.md#sensor)."""
     noise, readout = camera.noise, camera.readout
     time: Any = exposure
     read_noise: Any = np.float32(noise.read_noise)
@@ -113,6 +118,21 @@ def read_out(
         time = exposure * readout.channel_exposure[channel]
         read_noise = readout.channel_read_noise.astype(np.float32)[channel]
         gain = (camera.gain * readout.channel_gain).astype(np.float32)[channel]
+    if noises in NOISES:
+        signal = _collected(camera, pattern, electrons, time, read_noise, rng, noises)
+    else:
+        signal = _noisy_by(noises, electrons, time, camera, rng)
+    np.minimum(signal, np.float32(noise.well_capacity), out=signal)
+    values = np.rint(gain * signal + np.float32(camera.black_level))
+    return np.clip(values, 0, 2**camera.bits - 1).astype(np.uint16)
+
+
+def _collected(
+    camera: CameraModel, pattern: FixedPattern, electrons: NDArray[np.floating], time: Any, read_noise: Any,
+    rng: np.random.Generator, noises: str,
+) -> NDArray[np.float32]:  # fmt: skip
+    """Return the electrons (row, col) with those `noises` of a camera."""
+    noise = camera.noise
     signal = np.clip(electrons, 0.0, MOST_ELECTRONS) + np.minimum(noise.dark_current * time, MOST_ELECTRONS)
     if noises != "none":
         signal = rng.poisson(signal)
@@ -121,6 +141,26 @@ def read_out(
         signal += rng.standard_normal(signal.shape, dtype=np.float32) * read_noise
         signal *= 1 + pattern.prnu
         signal += pattern.dsnu
-    np.minimum(signal, np.float32(noise.well_capacity), out=signal)
-    values = np.rint(gain * signal + np.float32(camera.black_level))
-    return np.clip(values, 0, 2**camera.bits - 1).astype(np.uint16)
+    return signal
+
+
+@functools.cache
+def noise_plugin(name: str) -> EntryPoint:
+    """Return the noise model of an installed package (docs/python.md#a-noise-model); RecipeError if there is none."""
+    offered = {each: entry for each, entry in plugins(NOISE).items() if each not in NOISES}
+    if name not in offered:
+        known = suggestion(name, offered) if offered else "none has any"
+        raise RecipeError(f'no installed package has a noise model "{shortened(name)}"; {known}')
+    return offered[name]
+
+
+def _noisy_by(
+    name: str, electrons: NDArray[np.floating], time: Any, camera: CameraModel, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Return the electrons (row, col) with the noise of a model of a package; L3Error if it gives none."""
+    entry = noise_plugin(name)
+    with blamed(entry):
+        signal = np.array(entry.load()(electrons.copy(), time, camera, rng), np.float32)
+        if signal.shape != electrons.shape or not np.isfinite(signal).all():
+            raise ValueError(f"electrons must be finite and of shape {electrons.shape}; these are of {signal.shape}")
+    return signal

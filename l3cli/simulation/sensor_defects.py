@@ -1,4 +1,4 @@
-"""What a real sensor adds to the model of docs/method.md#sensor: hot and dead pixels, dust, column noise."""
+"""Defects of a real sensor, added to the model of docs/method.md#sensor: hot and dead pixels, dust, column noise."""
 
 import functools
 from collections.abc import Iterator
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.config import Recipe, Share
-from l3cli.faults import Fault, fault
+from l3cli.recipes.faults import Fault, fault
+from l3cli.recipes.toml import Recipe, Share
 
 MOST_SPECKS, LARGEST_SPECK = 10_000, 1000  # per million pixels; pixels in radius
 
@@ -28,7 +28,7 @@ class DefectRecipe(Recipe):
 
 
 def defect_faults(recipe: DefectRecipe) -> Iterator[Fault]:
-    """Of defects that are more than pixels, or dust that is nothing that a frame could be cleaned of."""
+    """Yield the faults of defects that are more than pixels, or of dust from which no frame could be cleaned."""
     for key in ("hot_pixels_per_million", "dead_pixels_per_million"):
         if getattr(recipe, key) > 1e6:
             yield fault("defects: of a million pixels no more than a million can be hot or dead", f"defects.{key}")
@@ -48,7 +48,7 @@ class SensorDefects:
 
 
 def defects_of(camera: CameraModel, recipe: DefectRecipe) -> SensorDefects:
-    """The defects of a camera, drawn from its fixed-pattern seed."""
+    """Return the defects of a camera, drawn from its fixed-pattern seed."""
     return _draw(camera.fixed_pattern_seed, camera.rows, camera.cols, msgspec.structs.astuple(recipe))
 
 

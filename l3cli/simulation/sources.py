@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Literal
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.config import Count, Recipe, Seed, Share
-from l3cli.curve_file import other_unit
 from l3cli.errors import L3Error, RecipeError
-from l3cli.faults import Fault, fault, refuse_first
+from l3cli.recipes.faults import Fault, fault, refuse_first
+from l3cli.recipes.toml import Count, Recipe, Seed, Share
 from l3cli.simulation.motion import Motion, motion_faults
+from l3cli.spectra.file import other_unit
 
 CODED = ("r", "g", "b")  # channels of a camera that pictures of codes hold, in their order
 SMALLEST = 16  # pixels of a scene's shorter side
 
 
 class Framing(Recipe, kw_only=True):
-    """What part of a scene is used, which way up and how large, in this order."""
+    """Part of a scene that is used, its orientation and scale, in this order."""
 
     crop: tuple[int, int, int, int] | None = None  # first row, first column, rows, columns, in the scene's own samples
     flip: Literal["rows", "cols"] | None = None
@@ -156,24 +156,24 @@ class WantedScene:
 
 
 def name_of(source: Source) -> str:
-    """What a recipe calls a source."""
+    """Return the name of a source in a recipe."""
     return str(source.__struct_config__.tag)
 
 
 def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
-    """The scenes of one source; `files` are those that its pattern names."""
+    """Return the scenes of one source; `files` are those that its pattern names."""
     if isinstance(source, FileSource):
         return [WantedScene(source, path) for path in files]
     return [WantedScene(source, number=number) for number in range(getattr(source, "count", 1))]
 
 
 def check_source(source: Source, camera: CameraModel, name: str) -> None:
-    """RecipeError if `source`, called `name`, asks for what cannot be."""
+    """Raise RecipeError if `source`, called `name`, asks for what cannot be."""
     refuse_first(source_faults(source, camera, name))
 
 
 def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iterator[Fault]:
-    """All that cannot be of `source`, called `name`: on the sensor of `camera` if there is one."""
+    """Yield all that cannot be of `source`, called `name`: on the sensor of `camera` if there is one."""
     whole = source.scale is None and source.field_of_view_deg is None
     if not whole and source.scale is not None and source.field_of_view_deg is not None:
         yield fault(f"{name}: give either scale or field_of_view_deg", "field_of_view_deg", "scale")
@@ -232,17 +232,18 @@ def _spectral_faults(source: Spectral, name: str) -> Iterator[Fault]:
 
 
 def has_light(source: Source) -> bool:
-    """Whether scenes of `source` come with the light they were seen under, if only as an unknown part of their radiance."""
+    """Return whether scenes of `source` come with the light they were seen under, if only as an unknown part of their
+    radiance."""
     return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
 
 
 def holds_codes(source: Source) -> bool:
-    """Whether scenes of `source` are channel signals, without light and spectra."""
+    """Return whether scenes of `source` are channel signals, without light and spectra."""
     return isinstance(source, RgbPictures) and source.holds == "codes"
 
 
 def can_be_relit(source: Source) -> bool:
-    """Whether reflectance is known: not that of radiance without its light."""
+    """Return whether reflectance is known: not that of radiance without its light."""
     return not (isinstance(source, Spectral) and source.holds != "reflectance" and source.light is None)
 
 

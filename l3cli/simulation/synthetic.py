@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics.spectra import COLORCHECKER_WAVELENGTH
-from l3cli.scene import NO_ILLUMINANT, Scene
 from l3cli.simulation import charts, procedural, sources
 
 Wavelength = NDArray[np.float64]
@@ -29,7 +29,7 @@ PAINTERS: dict[type, Painter] = {
 
 
 def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) -> Scene:
-    """The scene `wanted` for a camera that sees `camera_wavelength`: the same for the same `seed`.
+    """Return the scene `wanted` for a camera that sees `camera_wavelength`: the same for the same `seed`.
 
     The ColorChecker lies on the wavelengths where it was measured, everything else on procedural.grid.
     """

@@ -1,4 +1,4 @@
-"""What the picture should be: observers, other matching functions, or the camera's own bands (docs/method.md#simulation)."""
+"""Targets of training: observers, other matching functions, or the camera's own bands (docs/method.md#simulation)."""
 
 from dataclasses import dataclass
 
@@ -37,7 +37,7 @@ XYZ = Target(OUTPUTS["CIE 1931"], "CIE 1931 XYZ of the scene under its own light
 def make_target(
     kind: str, functions: Curve | None, names: tuple[str, ...], light: Light | None, camera: CameraModel
 ) -> Target:
-    """The target of a recipe: `kind` as in Target, with `functions` and their `names` if it is a file."""
+    """Return the target of a recipe: `kind` as in Target, with `functions` and their `names` if it is a file."""
     outputs = OUTPUTS.get(kind, camera.channels if kind == CAMERA else names)
     what = {
         "CIE 1931": "CIE 1931 XYZ",
@@ -51,7 +51,7 @@ def make_target(
 
 
 def output_weights(target: Target, camera: CameraModel, light: Light, bands: Array) -> Array:
-    """W (output, band): outputs of unit reflectance in each band when `light` falls on the frame, in cd/m².
+    """Return W (output, band): outputs of unit reflectance in each band when `light` falls on the frame, in cd/m².
 
     The camera's bands come in the same unit: the share of full scale a second, times the camera's saturation exposure.
     """

@@ -35,7 +35,7 @@ class Textures:
 def draw_textures(
     rng: np.random.Generator, shape: tuple[int, int], texture: NDArray[np.intp], oversampling: int
 ) -> Textures:
-    """Textures for a picture of `shape` (rows, cols) in samples, for leaves that show these of them, (leaf)."""
+    """Draw textures for a picture of `shape` (rows, cols) in samples, for leaves that show these of them, (leaf)."""
     side = min(WIDEST, 1 << (max(shape) - 1).bit_length())
     pieces = np.empty((TEXTURES, side, side), np.float32)
     level = np.empty(TEXTURES)
@@ -58,7 +58,7 @@ def draw_textures(
 
 
 def sampled(textures: Textures, label: NDArray[np.integer], down: NDArray, across: NDArray) -> NDArray[np.float32]:
-    """The texture of the leaf `label` (row, col) at samples `down` (row, 1) and `across` (col)."""
+    """Return the texture of the leaf `label` (row, col) at samples `down` (row, 1) and `across` (col)."""
     side = textures.pieces.shape[1]
     row = (textures.shift[0].take(label) + down.astype(np.int32)) & np.int32(side - 1)
     row *= np.int32(side)
@@ -66,11 +66,11 @@ def sampled(textures: Textures, label: NDArray[np.integer], down: NDArray, acros
     row += textures.start.take(label)
     value = textures.pieces.reshape(-1).take(row)
     value += textures.level.take(label)
-    _tell_apart(value, textures, label, down, across)
+    _set_contrast(value, textures, label, down, across)
     return value
 
 
-def _tell_apart(
+def _set_contrast(
     value: NDArray[np.float32], textures: Textures, label: NDArray[np.integer], down: NDArray, across: NDArray
 ) -> None:
     """Make two tones of the values of blotches, with sharp borders as on fur, bark and prints, and of stripes, as on cloth,

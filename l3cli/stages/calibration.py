@@ -1,6 +1,7 @@
 """The calibration stage: lab measurements → camera model."""
 
 import itertools
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +12,12 @@ from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.store import save
 from l3cli.calibration import acceptance, figures, model
 from l3cli.errors import L3Error, RecipeError
+from l3cli.frames.measurement import FinishedCurves, SweepTable
 from l3cli.io.measurements import inputs_of, inputs_of_photos, load_measurements, photo_measurements
 from l3cli.io.photos import export_offsets, offset_paths
 from l3cli.parallel import ordered_map
 from l3cli.stages import exports
-from l3cli.stages.claims import Claims
+from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 
@@ -35,12 +37,12 @@ def calibrate(
         raise RecipeError("give either a measurement file or raw photos of a chart, as ‹photo›")
     if light is not None and measurements is not None:
         raise RecipeError("a measurement file names the light of its photos itself, as light; leave ‹light› out")
-    with Claims(console) as claims:
-        claims.spare(*photos, *filter(None, [measurements, truth]))
+    with OutputGuard(console) as claims:
+        claims.protect(*photos, *filter(None, [measurements, truth]))
         for path in (output, *(exports.always(export) if export else ())):
             claims.claim_file(path, force)
         inputs = inputs_of_photos(photos) if measurements is None else inputs_of(measurements)
-        claims.spare(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
+        claims.protect(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
         true = load_camera(truth) if truth else None
         measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
         further: list[Path] = []
@@ -71,13 +73,21 @@ def calibrate(
         if true is not None:
             result["truth"] = figures.compare(camera, true)
         save(camera, output)
+        result["curves"] |= {"file": str(output), "csv": None}
         if export:
+            result["curves"]["csv"] = str(exports.always(export)[0])
             result["matrices"] = exports.write(camera, export, console)
             if measured.photos:
                 export_offsets(camera, measured.photos, export)
         if shortfall:
-            console.say(f"accepted although {shortfall.partition(';')[0]}")
+            console.info(f"accepted although {shortfall.partition(';')[0]}")
         if result["saturation reached"] is False:
-            console.say("no white frame saturates: the converter's last value is taken for it; add one exposed longer")
-        console.say(f"{output}: written")
+            console.info("no white frame saturates: the converter's last value is taken for it; add one exposed longer")
+        if isinstance(measured.curve, FinishedCurves) and measured.curve.note:
+            console.info(measured.curve.note)
+        if measured.curve is not None and not camera.responsivity_band.any():
+            light = "photodiode" if isinstance(measured.curve, SweepTable) else "lamp_drift"
+            console.info(f"no confidence band: to have one, state [uncertainty] {light} and wavelength_nm")
+        csv = result["curves"]["csv"] or f"l3 export {shlex.quote(str(output))} -o DIR"
+        console.info(f"{output}: written, with the curves as dataset responsivity; as CSV: {csv}")
         return camera, result

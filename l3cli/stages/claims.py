@@ -8,12 +8,12 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from l3cli.errors import L3Error, RecipeError
-from l3cli.files import refuse_existing, refuse_filled_folder, refuse_spared, sparing
-from l3cli.locks import sole_writer_of_file, sole_writer_of_folder
 from l3cli.stages.console import Console
+from l3cli.system.files import protecting, refuse_existing, refuse_filled_folder, refuse_protected
+from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder
 
 
-class Claims(contextlib.ExitStack):
+class OutputGuard(contextlib.ExitStack):
     """Inputs that are spared and outputs that are held until the block ends."""
 
     def __init__(self, console: Console) -> None:
@@ -21,12 +21,12 @@ class Claims(contextlib.ExitStack):
         self._console = console
         self._claimed: list[tuple[Path, tuple[str, ...]]] = []  # outputs, and folders with globs of what is written there
 
-    def spare(self, *inputs: Path) -> None:
+    def protect(self, *inputs: Path) -> None:
         """Name the files that are read, as soon as they are known: until the end nothing takes the place of one of them,
         by whatever name, even if outputs may be replaced. RecipeError if an output that is claimed already would."""
-        self.enter_context(sparing(inputs))
+        self.enter_context(protecting(inputs))
         for path, globs in self._claimed:
-            _refuse_spared(path, globs)
+            _refuse_protected(path, globs)
 
     def claim_file(self, path: Path, force: bool) -> None:
         """`hold_file`, and refuse an output that is there already."""
@@ -59,17 +59,17 @@ class Claims(contextlib.ExitStack):
     def hold(self, lock: AbstractContextManager[bool], output: Path) -> None:
         """Keep a lock on an output until the end."""
         if not self.enter_context(lock):
-            self._console.alert(f"warning: {output} lies on storage without file locks: see that no other run writes it")
+            self._console.report(f"warning: {output} lies on storage without file locks: see that no other run writes it")
 
     def _claim(self, path: Path, *globs: str) -> None:
         """Refuse outputs in place of what is read, as far as that is known, and remember them for what will be."""
-        _refuse_spared(path, globs)
+        _refuse_protected(path, globs)
         self._claimed.append((path, globs))
 
 
-def _refuse_spared(path: Path, globs: tuple[str, ...]) -> None:
+def _refuse_protected(path: Path, globs: tuple[str, ...]) -> None:
     for file in itertools.chain([path], *(path.glob(each) for each in globs)):
-        refuse_spared(file)
+        refuse_protected(file)
 
 
 def refuse_unwritable(path: Path) -> None:

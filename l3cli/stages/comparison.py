@@ -2,35 +2,36 @@
 
 import itertools
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.evaluation.comparison import Curve, crossings, curve_of, require_comparable
-from l3cli.files import write_whole
-from l3cli.limits import read_bounded
-from l3cli.stages.claims import Claims
+from l3cli.evaluation.comparison import Curve, clipping, crossings, curve_of, require_comparable, same_scenes, verdict
+from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
+from l3cli.system.files import write_whole
+from l3cli.system.limits import read_bounded
+from l3cli.system.text import short_names
 
 GIVE = 'give what "l3 evaluate --json" prints'
 
 
+OTHER_SCENES = (
+    "the evaluations are of other scenes or lights, and not compared in words; simulate all with one recipe and seed"
+)
+UNKNOWN_SCENES = "not every frame says what it shows: that scenes and lights are the same is not known; simulate them again"
+
+
 @dataclass(frozen=True)
 class Change:
-    """Where the better of two cameras changes."""
+    """Point at which the better of two cameras changes."""
 
     figure: str
     one: str
     other: str
     luminances: tuple[float, ...]  # cd/m² of a perfect white, rising
-
-    def sentence(self) -> str:
-        """The same in words."""
-        where = ", ".join(f"{luminance:.3g}" for luminance in self.luminances) or "nowhere here"
-        unit = " cd/m²" if self.luminances else ""
-        return f"{self.figure}: the better of {self.one} and {self.other} changes at {where}{unit}."
 
 
 @dataclass(frozen=True)
@@ -38,11 +39,33 @@ class Comparison:
     """Each figure of every camera over the light, and of every two cameras where the better one changes."""
 
     curves: dict[str, list[Curve]]  # by figure, in the order of the evaluations
-    changes: dict[str, list[Change]]  # by figure
+    alike: bool | None  # whether all cameras were shown the same; None: not known
+
+    @property
+    def changes(self) -> list[Change]:
+        """Return the points at which the better of any two cameras changes, by each figure."""
+        return [
+            Change(figure, one.name, other.name, tuple(crossings(one, other, figure)))
+            for figure, cameras in self.curves.items()
+            for one, other in itertools.combinations(cameras, 2)
+        ]
 
     def sentences(self, figure: str) -> list[str]:
-        """The changes of a figure in words."""
-        return [change.sentence() for change in self.changes[figure]]
+        """Which camera is the better by a figure, where, and by how much; none of cameras that were shown other scenes."""
+        if self.alike is False:
+            return []
+        return [verdict(one, other, figure) for one, other in itertools.combinations(self.curves[figure], 2)]
+
+    @property
+    def doubt(self) -> str | None:
+        """Why several cameras may not be comparable."""
+        several = len(next(iter(self.curves.values()))) > 1
+        return {False: OTHER_SCENES, None: UNKNOWN_SCENES}.get(self.alike) if several else None
+
+    @property
+    def clipping(self) -> list[str]:
+        """From which luminance on each camera clips."""
+        return list(filter(None, map(clipping, next(iter(self.curves.values())))))
 
     def document(self) -> dict[str, Any]:
         """All of it, ready for JSON."""
@@ -51,7 +74,9 @@ class Comparison:
             | {figure: list(curves[index].value) for figure, curves in self.curves.items()}
             for index, camera in enumerate(next(iter(self.curves.values())))
         ]
-        return {"curves": cameras, "crossings": [asdict(each) for each in itertools.chain(*self.changes.values())]}
+        verdicts = [*itertools.chain(*map(self.sentences, self.curves)), *self.clipping]
+        changes = [asdict(each) for each in self.changes]
+        return {"curves": cameras, "crossings": changes, "same_scenes": self.alike, "verdicts": verdicts}
 
 
 def compare(
@@ -66,23 +91,38 @@ def compare(
     """
     if page is not None and page.suffix != ".html":
         raise RecipeError(f"{page}: curves are drawn on a page; name a file that ends in .html")
-    with Claims(console) as claims:
+    with OutputGuard(console) as claims:
         if page is not None:
-            claims.spare(*evaluations)
+            claims.protect(*evaluations)
             claims.claim_file(page, force)
         documents = [_read(path) for path in evaluations]
-        curves = {figure: [curve_of(document, figure) for document in documents] for figure in figures}
+        given = list(zip(evaluations, documents, strict=True))
+        curves = {figure: _named([_curve(*each, figure) for each in given], evaluations) for figure in figures}
         require_comparable(next(iter(curves.values())))
-        comparison = Comparison(curves, {figure: _changes(figure, cameras) for figure, cameras in curves.items()})
+        comparison = Comparison(curves, same_scenes(documents))
+        if comparison.doubt:
+            console.warn(comparison.doubt)
         before_work({"evaluations": evaluations}, *([Made(page, "page")] if page is not None else []))
         if page is not None:
             _write_page(comparison, page)
         return comparison
 
 
-def _changes(figure: str, cameras: list[Curve]) -> list[Change]:
-    pairs = itertools.combinations(cameras, 2)
-    return [Change(figure, one.name, other.name, tuple(crossings(one, other, figure))) for one, other in pairs]
+def _curve(path: Path, document: dict[str, Any], figure: str) -> Curve:
+    """A figure of an evaluation, which is blamed where it has none."""
+    try:
+        return curve_of(document, figure)
+    except InputFileError as error:
+        raise InputFileError(f"{path}: {error}") from error
+
+
+def _named(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
+    """The curves, with the names of their files where cameras are of one name."""
+    names = [curve.name for curve in curves]
+    return [
+        curve if names.count(curve.name) == 1 else replace(curve, name=f"{curve.name} ({file.removesuffix('.json')})")
+        for curve, file in zip(curves, short_names(files), strict=True)
+    ]
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -105,5 +145,6 @@ def _write_page(comparison: Comparison, page: Path) -> None:
         for figure, curves in comparison.curves.items()
     }
     sentences = {figure: comparison.sentences(figure) for figure in comparison.curves}
-    lead = " ".join(itertools.chain(*sentences.values()))
+    doubt = [f"But {comparison.doubt}."] if comparison.doubt else []
+    lead = " ".join([*itertools.chain(*sentences.values()), *comparison.clipping, *doubt])
     write_whole(page, render_page(f"{names} over the light", lead, [luminance_section(values, sentences)]))

@@ -1,4 +1,4 @@
-"""Where the progress and the messages of a stage go: to a terminal, to a log, nowhere."""
+"""Destinations of a stage's progress and messages: a terminal, a log, nothing."""
 
 from collections.abc import Iterable, Iterator
 from typing import Protocol, TypeVar
@@ -7,20 +7,20 @@ T = TypeVar("T")
 
 
 class Console(Protocol):
-    """What a stage says while it works. A terminal is one implementation, `Silent` another."""
+    """Receiver of a stage's messages. A terminal is one implementation, `Silent` another."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
         """Pass `items` on, of which there are `total` (None: nobody knows), and report how far the work is; `what`: their
         name in the plural."""
 
-    def say(self, message: str) -> None:
-        """What has been made, what comes next."""
+    def info(self, message: str) -> None:
+        """State what has been made, or what comes next."""
 
     def warn(self, message: str) -> None:
-        """What may make the result worse than expected."""
+        """Warn of what may make the result worse than expected."""
 
-    def alert(self, message: str) -> None:
-        """What is left out although it was asked for, or cannot be guarded against: said even where little is said."""
+    def report(self, message: str) -> None:
+        """Report what is left out although it was asked for, or cannot be guarded against, also where messages are few."""
 
 
 class Silent:
@@ -29,13 +29,13 @@ class Silent:
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
         return iter(items)
 
-    def say(self, message: str) -> None:
+    def info(self, message: str) -> None:
         pass
 
     def warn(self, message: str) -> None:
         pass
 
-    def alert(self, message: str) -> None:
+    def report(self, message: str) -> None:
         pass
 
 
@@ -49,13 +49,13 @@ class Gathering:
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
         return self._console.progress(items, total, what)
 
-    def say(self, message: str) -> None:
-        self._console.say(message)
+    def info(self, message: str) -> None:
+        self._console.info(message)
 
     def warn(self, message: str) -> None:
         self._console.warn(message)
         self.warnings = [*self.warnings, message][: self._most]
 
-    def alert(self, message: str) -> None:
-        self._console.alert(message)
+    def report(self, message: str) -> None:
+        self._console.report(message)
         self.warnings = [*self.warnings, message][: self._most]

@@ -1,4 +1,4 @@
-"""What renders the frames of a training set: a table, mixed for the light of each frame where it has several
+"""Renderers of a training set's frames: a table, mixed for the light of each frame where it has several
 (docs/method.md#several-lights)."""
 
 import numpy as np
@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.physics import spectra
-from l3cli.rendering.lights import Mix, described, mix_for, mixed
 from l3cli.rendering.renderer import Renderer, make_renderer
+from l3cli.rendering.white.lights import Mix, described, mix_for, mixed
 from l3cli.stages.console import Console
 
 MOST_KEPT = 8  # renderers: frames of one scene under several lights follow one another
@@ -27,7 +27,7 @@ class FrameRenderers:
         mix = mix_for(self._table, _white_of(frame)) if self._table.lights else None
         if mix and frame.illuminant not in self._said:
             self._said.add(frame.illuminant)
-            self._console.say(f"frames under {frame.illuminant}: transforms of {described(self._table, mix)}")
+            self._console.info(f"frames under {frame.illuminant}: transforms of {described(self._table, mix)}")
         if mix not in self._made:
             if len(self._made) == MOST_KEPT:
                 del self._made[next(iter(self._made))]

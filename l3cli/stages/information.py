@@ -1,4 +1,4 @@
-"""What an artifact holds, and whether it is intact and made of the files at hand."""
+"""Content of an artifact, and whether it is intact and made of the files at hand."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -7,8 +7,8 @@ from typing import Any
 from l3cli.artifacts.store import describe, load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.verify import Intact, Link, chain, verify
-from l3cli.files import sha256
-from l3cli.ledger import note_inputs
+from l3cli.system.files import sha256
+from l3cli.system.ledger import note_inputs
 
 
 def content(file: Path) -> dict[str, Any]:
@@ -25,7 +25,7 @@ def content(file: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Verification:
-    """What is right with an artifact, and which files it was made of."""
+    """Verification of an artifact, and the files it was made of."""
 
     intact: Intact
     links: tuple[Link, ...]  # a link for each role of a file in its history

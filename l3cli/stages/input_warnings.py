@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from l3cli.files import sha256
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.coverage import CoverageMeter
-from l3cli.rendering.kernels import unkept
-from l3cli.rendering.raw_values import mistaken
+from l3cli.rendering.opencl.kernel_cache import cache_warning
+from l3cli.rendering.raw_values import beyond_converter, mistaken
 from l3cli.rendering.sites import best_phases
 from l3cli.stages.console import Console
+from l3cli.system.files import sha256
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.table import TransformTable
-    from l3cli.rendering.white import SceneWhite
+    from l3cli.rendering.white.scene_white import SceneWhite
     from l3cli.stages.rendering.rendition import Exposed
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
@@ -51,11 +51,8 @@ class FrameWarnings:
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
-        for text in filter(
-            None, [other_camera(frame, self.table), other_phase(frame, self.table), *mistaken(frame, self.table)]
-        ):
-            first, count = self._others.get(text, (frame.name, 0))
-            self._others[text] = first, count + 1
+        for text in (other_camera(frame, self.table), other_phase(frame, self.table), *mistaken(frame, self.table)):
+            self._note(text, frame.name)
         for note in frame.notes:
             self._notes.setdefault(note, frame.name)
         coverage = self._meter.coverage(frame)
@@ -66,11 +63,22 @@ class FrameWarnings:
                 self._worst[what] = (share, frame.name, count + 1) if share > worst else (worst, name, count + 1)
 
     def watched(self, frames: "Iterator[Exposed]", stills: bool) -> "Iterator[Exposed]":
-        """Pass frames on, after a check of every still, or the first frame of a sequence, unless others are to read it."""
+        """Pass frames on, after a check of every still, or the first frame of a sequence, unless others are to read it.
+        Later frames are only checked for values that the converter cannot give, and only if the first has none."""
+        first_text = ""
         for each in frames:
             if isinstance(each.frame, RawFrame) and (stills or not self._seen):
                 self.measure(each.frame)
+                first_text = beyond_converter(each.frame, self.table)
+            elif isinstance(each.frame, RawFrame) and not first_text:
+                self._note(beyond_converter(each.frame, self.table), each.frame.name)
             yield each
+
+    def _note(self, text: str, name: str) -> None:
+        """Count what is said of a frame; "" says nothing."""
+        if text:
+            first, count = self._others.get(text, (name, 0))
+            self._others[text] = first, count + 1
 
     def report(self, console: Console) -> None:
         """One line for each warning."""
@@ -85,7 +93,7 @@ class FrameWarnings:
         }
         if self._untimed:
             exposure, dark = self.table.exposure, self.table.dark_signal(None)
-            console.say(
+            console.info(
                 f"{self._untimed[0]}: exposure time unknown; dark current of the training's {exposure:.3g} s is taken off "
                 f"({dark:.2g} DN); give ‹exposure_time› or ‹dark›"
             )
@@ -99,7 +107,7 @@ class FrameWarnings:
 
 
 def other_camera(frame: "RawFrame", table: "TransformTable") -> str:
-    """What there is to say if a file names another camera than the table's; "" if it names none, or that one."""
+    """Return a warning if a file names another camera than the table's; "" if it names none, or that one."""
     theirs = [_words(name) for name in frame.taken_by]
     ours = _words(table.camera_name)
     if not frame.taken_by or any(ours & words - _words(frame.taken_by[0]) or ours == words for words in theirs):
@@ -116,8 +124,8 @@ def _words(name: str) -> set[str]:
 
 
 def other_phase(frame: "RawFrame", table: "TransformTable") -> str:
-    """What there is to say if the sites of one channel differ as they do where a file misstates its array, or "";
-    with the phase that fits."""
+    """Return a warning, with the phase that fits, if the sites of one channel differ as they do where a file misstates
+    its array; else ""."""
     now, least, phases = best_phases(frame, table)
     if now < SITES_DIFFER or not phases or least > SITES_AGREE * now:
         return ""
@@ -197,7 +205,7 @@ def warn_if_unlike(table: tuple[object, "TransformTable"], frames: tuple[object,
 
 def warn_of_kernels(console: Console) -> None:
     """Say so if the next run has to compile the same kernels again."""
-    if reason := unkept():
+    if reason := cache_warning():
         console.warn(reason)
 
 

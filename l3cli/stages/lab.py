@@ -1,28 +1,29 @@
 """The virtual lab: camera → the measurements that a lab would make of it."""
 
 import functools
+import shlex
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import camera_files, load_camera
-from l3cli.config import load_recipe
-from l3cli.files import refuse_existing, refuse_spared
+from l3cli.artifacts.camera_recipe import camera_files, columns_left_out, load_camera
 from l3cli.io import measurement_recipe as files
 from l3cli.io.curves import write_curves
 from l3cli.io.images import write_mosaic
-from l3cli.ledger import note_output
-from l3cli.locks import sole_writer_of_folder
 from l3cli.parallel import workers
+from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.lab import FOLDERS, LabCapture, chart_corners, plan, take
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.sensor_defects import DefectRecipe
-from l3cli.stages.claims import Claims, refuse_unwritable
+from l3cli.spectra.units import PHOTON_RADIANCE
+from l3cli.stages.claims import OutputGuard, refuse_unwritable
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
-from l3cli.units import PHOTON_RADIANCE
+from l3cli.system.files import refuse_existing, refuse_protected
+from l3cli.system.ledger import note_output
+from l3cli.system.locks import sole_writer_of_folder
 
 MONO = "spectra/mono.csv"  # spectra of the monochromator's steps
 
@@ -37,35 +38,39 @@ def measure(
     L3Error if the folder cannot be written.
     """
     file = output / "MEASUREMENTS.toml"
-    with Claims(console) as claims:
-        claims.spare(camera, *filter(None, [recipe]))
-        refuse_spared(file)
+    with OutputGuard(console) as claims:
+        claims.protect(camera, *filter(None, [recipe]))
+        refuse_protected(file)
         refuse_unwritable(file)
         refuse_existing(file, force)
         claims.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
         refuse_existing(file, force)  # now that no other run writes it
-        claims.spare(*camera_files(camera))
+        claims.protect(*camera_files(camera))
         model = load_camera(camera)
         chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
         captures = plan(model, chosen, seed)
         for name in _names(captures):
-            refuse_spared(output / name)
+            refuse_protected(output / name)
         frames = sum(capture.trials for capture in captures)
         before_work(
             {"camera": camera_files(camera), "lab recipe": [recipe] if recipe else []},
             Made(output, f"{len(_names(captures)) - frames} files of spectra and measurements"),
             Made(output, f"{frames} frames of {model.rows}×{model.cols}", 2 * frames * model.rows * model.cols),
         )
+        if note := columns_left_out(camera):
+            console.info(note)
         file.unlink(missing_ok=True)  # written last, it never names frames of two runs
         work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
         write_frame = functools.partial(_write_frame, model, chosen.defects, output, seed)
-        with workers(jobs) as crew:
-            for _ in console.progress(crew(write_frame, work), len(work), "frames"):
+        with workers(jobs) as pool:
+            for _ in console.progress(pool(write_frame, work), len(work), "frames"):
                 pass
         for name in _names(captures):  # some by other processes
             note_output(output / name)
         files.write_measurements(_described(model, chosen, captures, output), file)
-        console.say(f"{file}: {len(captures)} captures, {len(work)} frames; next: l3 calibrate {file} -o camera.h5")
+        console.info(
+            f"{file}: {len(captures)} captures, {len(work)} frames; next: l3 calibrate {shlex.quote(str(file))} -o camera.h5"
+        )
         return file
 
 
@@ -80,7 +85,7 @@ def _frame_name(capture: LabCapture, trial: int) -> str:
 
 
 def _names(captures: tuple[LabCapture, ...]) -> list[str]:
-    """Of all files that are written, relative to the folder."""
+    """Return the names of all files that are written, relative to the folder."""
     frames = [_frame_name(capture, trial) for capture in captures for trial in range(capture.trials)]
     charts = [_chart_name(capture) for capture in captures if capture.kind == "chart"]
     return ["MEASUREMENTS.toml", MONO, *charts, *frames]

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
-from l3cli.columns import printable
 from l3cli.errors import L3Error, RecipeError
 from l3cli.stages.console import Console
+from l3cli.system.text import printable
 
 T = TypeVar("T")
 HEADING = b"# l3 log\n"  # which distinguishes a log from any other file: nothing else is ever written to
@@ -39,16 +39,16 @@ class Logged:
             done += 1
         self.record("info", f"{what}: {done} done in {time.monotonic() - start:.3g} s")
 
-    def say(self, message: str) -> None:
-        self._console.say(message)
+    def info(self, message: str) -> None:
+        self._console.info(message)
         self.record("info", message)
 
     def warn(self, message: str) -> None:
         self._console.warn(message)
         self.record("warning", message)
 
-    def alert(self, message: str) -> None:
-        self._console.alert(message)
+    def report(self, message: str) -> None:
+        self._console.report(message)
         self.record("warning", message)
 
     def record(self, level: str, message: str) -> None:
@@ -60,7 +60,7 @@ class Logged:
             self._append(f"{now} {level} {self._command} {printable(self._wording(message))}\n".encode())
         except L3Error as error:
             self._lost = True
-            self._console.alert(f"warning: {error}")
+            self._console.report(f"warning: {error}")
 
     def _append(self, line: bytes) -> None:
         try:

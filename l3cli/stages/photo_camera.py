@@ -8,11 +8,11 @@ from l3cli.calibration import acceptance, model
 from l3cli.calibration.photo import matrices
 from l3cli.calibration.photo.matrices import ColourMatrix
 from l3cli.errors import InputFileError
+from l3cli.frames.measurement import Measurements
 from l3cli.io import priors
 from l3cli.io.measurements import photo_measurements
 from l3cli.io.raw.cfa_codes import code_of
 from l3cli.io.raw.stated import Stated
-from l3cli.measurement import Measurements
 from l3cli.stages.console import Console
 from l3cli.stages.photo_recipe import PhotoCamera, SensorNoise, noise_of
 

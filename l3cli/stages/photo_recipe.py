@@ -1,7 +1,6 @@
-"""What raw files say of their camera → the text of a camera recipe and its file of curves; what they do not say is assumed,
-in comments."""
+"""Text of a camera recipe and its file of curves from the facts that raw files state about their camera; the rest is
+assumed, in comments."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera_recipe import LEAST_F_NUMBER, LEAST_FOCAL_MM
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
+from l3cli.frames.measurement import Body
 from l3cli.io.photos import F_NUMBER, FOCAL_MM, PITCH_UM
 from l3cli.io.raw.stated import Stated
-from l3cli.measurement import Body
+from l3cli.recipes.toml import toml_value
+from l3cli.system.text import printable
 
 CURVES = "curves.csv"
 PEAK_EFFICIENCY = 0.4  # of usual silicon cameras behind their lens
@@ -52,7 +53,7 @@ class PhotoCamera:
 
     @property
     def assumed(self) -> list[str]:
-        """What the files do not say and the recipe assumes."""
+        """Return the facts that the files do not state and the recipe assumes."""
         told = self.stated
         names = {"pixel pitch": told.pitch_um, "focal length": self._focal_mm, "f-number": self._f_number}
         return ["peak efficiency", *(name for name, value in names.items() if value is None)]
@@ -73,9 +74,9 @@ class PhotoCamera:
         rows = "\n".join(f'  "{" ".join(body.channels[site] for site in row)}",' for row in body.cfa)
         pitch, full = self.stated.pitch_um, (frame.white_level - frame.black_level) / self.noise.gain
         return f"""\
-# {self.name}, as its raw file shows it ({self.photo.name}). What the file does not say is assumed,
+# {printable(f"{self.name}, as its raw file shows it ({self.photo.name})")}. What the file does not say is assumed,
 # and marked so: mend it if you know better.
-name = {json.dumps(self.name, ensure_ascii=False)}
+name = {toml_value(self.name)}
 
 [sensor] # size, bits and levels are the file's
 rows = {body.rows}
@@ -87,12 +88,12 @@ black_level_dn = {frame.black_level:g}
 white_level_dn = {frame.white_level:g}
 
 [cfa] # from the first pixel of the file on
-channels = {json.dumps(list(body.channels))}
+channels = {toml_value(body.channels)}
 pattern = [
 {rows}
 ]
 
-[responsivity] # {self.origin}
+[responsivity] # {printable(self.origin)}
 file = "{CURVES}"
 peak_efficiency = {PEAK_EFFICIENCY} # assumed: the curves are relative; lens and filters included
 

@@ -6,23 +6,20 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.errors import InputFileError
-from l3cli.io.raw.registry import BY_SUFFIX, CAMERA_RAW
+from l3cli.errors import InputFileError, RecipeError
+from l3cli.io.raw.registry import BY_SUFFIX, is_photo
 from l3cli.io.raw.stated import Stated, stated
-from l3cli.recipes import recipe_folder
-from l3cli.stages.claims import Claims
+from l3cli.recipes.builtin import recipe_folder
+from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.photo_camera import photographed
 from l3cli.stages.photo_recipe import CURVES, PhotoCamera
 from l3cli.stages.plan import Made, before_work
-from l3cli.stages.starting import COMMON, write_folder
+from l3cli.stages.starting import COMMON, known_camera, write_folder
+from l3cli.system.files import blamed_on, refuse_protected, require_regular
 
-RAW_SUFFIXES = (".dng", *CAMERA_RAW.suffixes)  # of files that say which camera they are of
-OWN = {  # what the pipelines take for the camera: the recipe itself, instead of a virtual lab that measures it
-    "Makefile": ("CAMERA ?= camera.h5", "CAMERA ?= camera.toml"),
-    "Snakefile": ('config.get("camera", "snakemake/camera.h5")', 'config.get("camera", "camera.toml")'),
-    "slurm.sh": ("${CAMERA:-camera.h5}", "${CAMERA:-camera.toml}"),
-}
+NEW_FOLDER = "mine"  # as the documentation calls it
+SHOWN = "picture"  # and the photo's suffix: a link to it, for make cannot hold every name
 
 
 def start_from(
@@ -34,9 +31,9 @@ def start_from(
     InputFileError if a file is no raw file that states its array and levels, L3Error if the folder cannot be written.
     """
     names = (*COMMON, "camera.toml", CURVES)
-    with Claims(console) as claims:
+    with OutputGuard(console) as claims:
         files = [file for photo in photos for file in _raw_files(photo)]
-        claims.spare(*files)
+        claims.protect(*files)
         claims.claim_folder(folder, force, *names, *(f"*/{name}" for name in names))
         listed = {file for photo in photos if photo.is_dir() for file in _raw_files(photo)}
         cameras = _sorted_by_camera(files, listed, console)
@@ -47,22 +44,66 @@ def start_from(
         }
         contents = {place: _contents(camera) for place, camera in made.items()}
         sizes = {place / name: len(content) for place, texts in contents.items() for name, content in texts.items()}
-        before_work({"photos": files}, *(Made(path, "recipe", size) for path, size in sizes.items()))
+        links = {place / _shown(camera): camera.photo.resolve() for place, camera in made.items()}
+        for link in links:
+            if not link.is_symlink():  # a link of an earlier call leads to the photo, and may go
+                refuse_protected(link)
+        before_work(
+            {"photos": files},
+            *(Made(path, "recipe", size) for path, size in sizes.items()),
+            *(Made(path, f"link to {photo}") for path, photo in links.items()),
+        )
         for place, camera in made.items():
             write_folder(place, contents[place])
             load_camera(place / "camera.toml")  # what cannot be simulated is refused now
-            console.say(_told(place, camera))
+            _link(place / _shown(camera), links[place / _shown(camera)])
+            console.info(_told(place, camera))
     return list(made)
 
 
+def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
+    """Refuse a camera's raw file in the place of a table: RecipeError, with the commands that lead to a picture, or
+    InputFileError if there is no such file."""
+    require_regular(photo, "give a table and a raw file")
+    if table := next((each for each in inputs if each.suffix == ".h5"), None):
+        others = [photo, *(each for each in inputs if each != table)]
+        raise RecipeError(f"{photo} is a raw file; the table comes first: {_rendering(table, others, output)}")
+    photos = [photo, *inputs]
+    making = f"l3 init --from {shlex.join(map(str, photos))} {NEW_FOLDER} && make -C {NEW_FOLDER} table.h5"
+    rendering = _rendering(Path(NEW_FOLDER, "table.h5"), photos, output)
+    raise RecipeError(
+        f"{photo} is a raw file, and no table is given; make one for its camera, then the picture: {making}; {rendering}"
+    )
+
+
+def _rendering(table: Path, photos: Sequence[Path], output: Path) -> str:
+    """Return the command that renders raw files."""
+    return shlex.join(["l3", "render", *map(str, (table, *photos)), "-o", str(output)])
+
+
 def _contents(camera: PhotoCamera) -> dict[str, bytes]:
-    """What the folder of a camera holds, by name."""
-    texts = {name: (recipe_folder() / source).read_text(encoding="utf-8") for name, source in COMMON.items()}
-    for name, (usual, ours) in OWN.items():
-        assert usual in texts[name]
-        texts[name] = texts[name].replace(usual, ours)
-    texts |= {"camera.toml": camera.recipe(), CURVES: camera.curve_file()}
-    return {name: text.encode() for name, text in texts.items()}
+    """Return the content of a camera's folder, by name."""
+    common = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
+    common |= known_camera(common)
+    makefile = common["Makefile"].decode()
+    for line, value in (("PHOTO ?=\n", _shown(camera)), ("WHITE ?=\n", camera.light)):
+        assert line in makefile
+        makefile = makefile.replace(line, f"{line.rstrip()} {value}\n" if value else line)
+    texts = {"camera.toml": camera.recipe(), CURVES: camera.curve_file(), "Makefile": makefile}
+    return common | {name: text.encode() for name, text in texts.items()}
+
+
+def _link(path: Path, photo: Path) -> None:
+    """Make `path` a symbolic link to the photo, in place of what is there."""
+    with blamed_on(path):
+        path.unlink(missing_ok=True)
+        path.symlink_to(photo)
+
+
+def _shown(camera: PhotoCamera) -> str:
+    """The name, in the folder, of the photo that its picture.png shows."""
+    suffix = camera.photo.suffix.lower()
+    return f"{SHOWN}{suffix if is_photo(camera.photo) else ''}"
 
 
 def _told(place: Path, camera: PhotoCamera) -> str:
@@ -70,24 +111,25 @@ def _told(place: Path, camera: PhotoCamera) -> str:
     body, frame = camera.body, camera.frame
     pattern = "/".join("".join(body.channels[site] for site in row) for row in body.cfa)
     white = f" ‹white› {camera.light}" if camera.light else ""
-    picture = f"{shlex.join(['l3', 'render', str(place / 'table.h5'), str(camera.photo)])}{white} -o picture.png"
+    others = f"l3 render {shlex.quote(str(place / 'table.h5'))} RAW{white} -o PICTURE.png"
     levels = f"{frame.black_level:g}…{frame.white_level:g} DN"
     return (
         f"{place}: {camera.name}, {pattern}, {body.rows}×{body.cols}, {levels}; curves {camera.origin}; noise "
-        f"{camera.noise.source}; assumed: {', '.join(camera.assumed)}; next: make -C {shlex.quote(str(place))} && {picture}"
+        f"{camera.noise.source}; assumed: {', '.join(camera.assumed)}; next: make -C {shlex.quote(str(place))} picture.png; "
+        f"another photo: {others}"
     )
 
 
 def _raw_files(photo: Path) -> list[Path]:
     """The raw files of a folder, or the file itself."""
     if not photo.is_dir():
-        if photo.exists() and photo.suffix.lower() in BY_SUFFIX and photo.suffix.lower() not in RAW_SUFFIXES:
+        if photo.exists() and photo.suffix.lower() in BY_SUFFIX and not is_photo(photo):
             raise InputFileError(
                 f"{photo} does not say which camera took it; give a DNG or a camera's own raw file, or start from a recipe, "
                 'such as "l3 init bayer DIR"'
             )
         return [photo]
-    files = sorted(path for path in photo.iterdir() if path.suffix.lower() in RAW_SUFFIXES and path.is_file())
+    files = sorted(path for path in photo.iterdir() if is_photo(path) and path.is_file())
     if not files:
         raise InputFileError(f"{photo} holds no raw files of cameras; give one with DNG, CR2, NEF, ARW… files")
     return files
@@ -102,7 +144,7 @@ def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console
         except InputFileError as error:
             if path not in listed:
                 raise
-            console.alert(f"left out: {error}")
+            console.report(f"left out: {error}")
             continue
         cameras.setdefault(told.camera, []).append((path, told))
     if not cameras:
@@ -111,7 +153,7 @@ def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console
 
 
 def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
-    """Where the folder of each camera is made."""
+    """Return the place of each camera's folder."""
     if len(names) == 1:
         return {names[0]: folder}
     places: dict[str, Path] = {}

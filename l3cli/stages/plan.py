@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from l3cli.errors import listed
-from l3cli.ledger import note_inputs, note_places
-from l3cli.locks import without_writing
+from l3cli.system.ledger import note_inputs, note_places
+from l3cli.system.locks import without_writing
 
 _DRY: ContextVar[bool] = ContextVar("dry run", default=False)
 SHOWN = 3  # files of a role that are named
@@ -35,7 +35,7 @@ class Planned(Exception):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """What would be read and made, in words."""
+        """Return the files that would be read and made, in words."""
         read = filter(None, (_read(role, paths) for role, paths in self.reads.items()))
         return (*read, *map(_made, self.makes), "dry run: nothing has been written")
 
@@ -58,7 +58,7 @@ def dry_run() -> Iterator[None]:
 
 
 def is_dry() -> bool:
-    """Whether this is a dry run."""
+    """Return whether this is a dry run."""
     return _DRY.get()
 
 

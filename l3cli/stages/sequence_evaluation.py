@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.sequence import CELL, SequenceEvaluation, SequenceFigures
 from l3cli.io.pictures import PictureSequence, find_pictures, read_motion
-from l3cli.limits import read_bounded
 from l3cli.stages.console import Console
 from l3cli.stages.plan import before_work
+from l3cli.system.limits import read_bounded
 
 Array = NDArray[np.float32]
 UNLIKE = 1.05  # times as bright: figures of lightness would compare two exposures
@@ -55,7 +55,7 @@ def evaluate_sequence(
 
 
 def read_sequence_figures(path: Path) -> SequenceFigures:
-    """What `l3 evaluate --sequence` printed as JSON; InputFileError if a file holds something else."""
+    """Return the figures that `l3 evaluate --sequence` printed as JSON; InputFileError if a file holds something else."""
     try:
         printed = msgspec.json.decode(read_bounded(path, GIVE), type=dict[str, Any])
         printed.pop("run", None)  # how the command ran

@@ -2,16 +2,17 @@
 
 import itertools
 import re
+import shlex
 import textwrap
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
-from l3cli.files import atomic_output
-from l3cli.recipes import known_benchmarks, known_recipes, recipe_folder
-from l3cli.stages.claims import Claims
+from l3cli.recipes.builtin import known_benchmarks, known_recipes, recipe_folder
+from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
+from l3cli.system.files import atomic_output
 
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
 COMMON = {
@@ -25,12 +26,17 @@ COMMON = {
     "Snakefile": "pipelines/Snakefile",
     "slurm.sh": "pipelines/slurm.sh",
 }
+KNOWN = {  # what the pipelines take for the camera where its recipe is no invented truth: the recipe itself, no virtual lab
+    "Makefile": ("CAMERA ?= camera.h5", "CAMERA ?= camera.toml"),
+    "Snakefile": ('config.get("camera", "snakemake/camera.h5")', 'config.get("camera", "camera.toml")'),
+    "slurm.sh": ("${CAMERA:-camera.h5}", "${CAMERA:-camera.toml}"),
+}
 # Camera recipes whose classes are not those of `default`: their class recipe, by name.
 CLASSES = {"nona_bayer_hdr": "blocks", "rgbir4x4": "long_period"}
 
 
 def starters() -> dict[str, Path]:
-    """What a folder may be made of, by name: camera recipes, and folders of benchmarks."""
+    """Return what a folder may be made of, by name: camera recipes, and folders of benchmarks."""
     return known_recipes("cameras") | known_benchmarks()
 
 
@@ -38,13 +44,27 @@ def start(starter: Path, folder: Path, console: Console, *, force: bool = False)
     """Write the recipe folder of a camera recipe or a benchmark, each file whole or not at all. L3Error if there is
     something in the folder (unless `force`), or if it cannot be written."""
     origins = folder_files(starter)
-    with Claims(console) as claims:
-        claims.spare(*origins.values())
+    with OutputGuard(console) as claims:
+        claims.protect(*origins.values())
         claims.claim_folder(folder, force, *origins)
-        made = [Made(folder / name, "copy", origin.stat().st_size) for name, origin in origins.items()]
+        curves = curves_of(starter)
+        contents = {name: origin.read_bytes() for name, origin in origins.items()}
+        contents |= known_camera(contents) if curves else {}
+        made = [Made(folder / name, "copy", len(content)) for name, content in contents.items()]
         before_work({"recipes": origins.values()}, *made)
-        write_folder(folder, {name: origin.read_bytes() for name, origin in origins.items()})
-        console.say(f"{folder}: {summary(starter)}; next: make -C {folder}")
+        write_folder(folder, contents)
+        edits = f"put your curves into {curves.name}, your figures into camera.toml, then " if curves else ""
+        console.info(f"{folder}: {summary(starter)}; next: {edits}make -C {shlex.quote(str(folder))}")
+
+
+def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Return the pipelines among `contents` as those of a camera that its recipe describes: nothing is measured."""
+    known = {}
+    for name, (usual, recipe) in KNOWN.items():
+        text = contents[name].decode()
+        assert usual in text
+        known[name] = text.replace(usual, recipe).encode()
+    return known
 
 
 def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
@@ -75,7 +95,7 @@ def classes_of(camera: Path) -> str:
 
 
 def folder_files(starter: Path) -> dict[str, Path]:
-    """What the recipe folder of a camera recipe or a benchmark holds, by name: the files it is copied from."""
+    """Return the files of the recipe folder of a camera recipe or a benchmark, by name: those it is copied from."""
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
     sources = COMMON | {"classes.toml": f"classes/{classes_of(starter)}.toml"}
@@ -89,8 +109,14 @@ def _base(camera: Path) -> Path | None:
     return None if named is None else camera.parent / named
 
 
+def curves_of(starter: Path) -> Path | None:
+    """The file of curves that a camera recipe names."""
+    if starter.is_dir():
+        return None
+    named = tomllib.loads((_base(starter) or starter).read_text(encoding="utf-8"))["responsivity"].get("file")
+    return None if named is None else starter.parent / named
+
+
 def _named(camera: Path) -> list[Path]:
     """The files beside a camera recipe that it needs: its base, its curves."""
-    base = _base(camera)
-    curves = tomllib.loads((base or camera).read_text(encoding="utf-8"))["responsivity"].get("file")
-    return [*filter(None, [base]), *([camera.parent / curves] if curves else [])]
+    return [path for path in (_base(camera), curves_of(camera)) if path is not None]

@@ -1,4 +1,4 @@
-"""Transform table → files that run, or are read, elsewhere: C source, plain arrays, or an ONNX graph."""
+"""Transform table → files that run, or are read, elsewhere: C source or plain arrays."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,17 +7,19 @@ from typing import Literal
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
-from l3cli.files import write_whole
-from l3cli.rendering.lights import mix_for, mixed
-from l3cli.rendering.portable.folder import folder_files
-from l3cli.rendering.portable.onnx_model import onnx_files
-from l3cli.rendering.portable.source import Words, c_files
-from l3cli.stages.claims import Claims
+from l3cli.export.folder import folder_files
+from l3cli.export.source import PREFIX, Words, c_files
+from l3cli.physics.display import XYZ
+from l3cli.rendering.white.lights import mix_for, mixed
+from l3cli.rendering.white.source import given_white
+from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
+from l3cli.stages.input_warnings import warn_of_white
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.rendering.lights import mix_of_given
+from l3cli.system.files import write_whole
 
-Form = Literal["c", "folder", "onnx"]
+Form = Literal["c", "folder"]
 SetName = Literal["usual", "quiet"]
 QUIET_README = """
 ## The quiet set
@@ -37,34 +39,43 @@ def export_table(
     words: Words | None = None,
     white: str | None = None,
     which: SetName | None = None,
+    prefix: str | None = None,
     force: bool = False,
 ) -> list[str]:
     """Write a transform table into a folder in one of the forms, C source with outputs in `words` (without: float32); the
-    names of the files. `white`: name or "x,y" of that which transforms of several lights are mixed for; `which` of two sets
-    C source or a graph holds (without: the usual one). InputFileError if it is no table or beyond the form, RecipeError if
-    words or a set are given for another form, there is no such white or set or onnx is not installed, L3Error if a file
-    cannot be written."""
-    if words and form != "c":
-        raise RecipeError("‹words› is for C source; leave it out")
+    names of the files. `white`: name or "x,y" of that which transforms of several lights are mixed for, and pictures of C
+    source show neutral; `which` of two sets C source holds (without: the usual one); `prefix` of its symbols (without: l3).
+    InputFileError if it is no table or beyond the form, RecipeError if words, a set or a prefix are given for another form
+    or there is no such white, set or prefix, L3Error if a file cannot be written."""
+    if form != "c" and (words or prefix is not None):
+        raise RecipeError(f"‹{'words' if words else 'prefix'}› is for C source; leave it out")
     if which and form == "folder":
         raise RecipeError("a folder of arrays holds both sets; leave ‹set› out")
-    with Claims(console) as claims:
-        claims.spare(table)
+    with OutputGuard(console) as claims:
+        claims.protect(table)
         claims.hold_folder(output)
         transforms = load(TransformTable, table)
-        if white is not None and not transforms.lights:
+        if white is not None and not transforms.lights and (form != "c" or transforms.outputs != XYZ):
             raise RecipeError(f"{table} has transforms of no single lights to be mixed for a ‹white›; leave it out")
         transforms = mixed(transforms, mix_of_given(white, transforms, mix_for, console))
+        shown = given_white(white, transforms)
         quiet = transforms.quiet
         if which == "quiet" and quiet is None:
             raise RecipeError(f"{table} has one set of transforms; leave ‹set› out, or train with noise_left")
         if quiet and form != "folder" and which is None:
-            console.alert(
+            console.report(
                 f"{table}: the usual set of transforms is written, ‹set› quiet writes that for frames filtered in time"
             )
         if quiet and which == "quiet":
             transforms = replace(transforms, first=quiet.first, later=quiet.later, quiet=None)
-        files = _files(transforms, form, words or "float32")
+        balance = shown.balance if shown else None
+        if white and shown and form == "c":
+            warn_of_white(white, shown, transforms, console)
+        files = (
+            c_files(transforms, words or "float32", balance, PREFIX if prefix is None else prefix)
+            if form == "c"
+            else folder_files(transforms)
+        )
         if quiet and which == "quiet":
             files["README.md"] += QUIET_README.format(limit=quiet.limit, noise_left=quiet.noise_left).encode()
         for name in files:
@@ -72,11 +83,5 @@ def export_table(
         before_work({"table": [table]}, *(Made(output / name, "export", len(content)) for name, content in files.items()))
         for name, content in files.items():
             write_whole(output / name, content)
-        console.say(f"{output}: {', '.join(files)} written")
+        console.info(f"{output}: {', '.join(files)} written")
         return list(files)
-
-
-def _files(table: TransformTable, form: Form, words: Words) -> dict[str, bytes]:
-    if form == "c":
-        return c_files(table, words)
-    return folder_files(table) if form == "folder" else onnx_files(table)

@@ -1,4 +1,4 @@
-"""How a pass is divided: frames into blocks, blocks and sites among processes. Sums are the same however it is done."""
+"""Division of a pass: frames into blocks, blocks and sites among processes. Sums are the same however it is done."""
 
 import itertools
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ SUM_BYTES = 200 << 20  # of sums that a process fills at a time, if it is more t
 
 @dataclass(frozen=True)
 class WorkShare:
-    """What one process sums up in one go over the frames."""
+    """Blocks and sites that one process sums up in one go over the frames."""
 
     blocks: tuple[tuple[range, tuple[int, ...]], ...]  # frames, and the canonical sites that take patches from them
     whole: tuple[int, ...]  # the sites that no other share takes part in

@@ -1,4 +1,4 @@
-"""What the transforms of a training are to give: the same for all sites and passes."""
+"""The goal of a training's transforms: the same for all sites and passes."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +19,7 @@ ONE_LIGHT = 0.001  # spread of lights that are one
 
 @dataclass(frozen=True)
 class Goal:
-    """What the transforms are to give."""
+    """Outputs, levels, lights and surfaces that the transforms are learned for."""
 
     outputs: tuple[str, ...]
     channels: tuple[str, ...]
@@ -43,15 +43,15 @@ def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) 
     """The goal of a training with sets of this head, whose frames have the mean `white_point` (output) and `light`."""
     camera = head.camera
     levels = camera.black_level, camera.white_level
-    apart: dict[str, Any] = {}
+    isolated: dict[str, Any] = {}
     if len(head.outputs) == 3:
-        apart["integers"] = Integers(camera.bits, *levels)
+        isolated["integers"] = Integers(camera.bits, *levels)
     if camera.readout is not None:
-        apart |= {"filters": tuple(camera.readout.same_filter.tolist()), "sensitivity": camera.sensitivity}
+        isolated |= {"filters": tuple(camera.readout.same_filter.tolist()), "sensitivity": camera.sensitivity}
     if light is None:
-        return Goal(head.outputs, camera.channels, white_point, None, *levels, **apart)
+        return Goal(head.outputs, camera.channels, white_point, None, *levels, **isolated)
     signal, misled = white_signal(light, camera), misleading(light, camera)
     surfaces = None
     if one_light(light) and head.outputs == XYZ:
         surfaces = plain_surfaces(camera, light, head.target_light or light, white_point)
-    return Goal(head.outputs, camera.channels, white_point, signal, *levels, misled, surfaces, **apart)
+    return Goal(head.outputs, camera.channels, white_point, signal, *levels, misled, surfaces, **isolated)

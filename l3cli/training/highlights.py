@@ -1,4 +1,4 @@
-"""What clipped areas are taken for: grey, the more channels clip the surer (docs/method.md#clipped-areas).
+"""Clipped areas are learned as grey, the more channels clip the surer (docs/method.md#clipped-areas).
 
 Where channels clip, the colour of a surface is lost with them, and the mean colour of all training surfaces that clip alike
 is no good guess: it gives highlights a cast. Highlights are mostly neutral, and a neutral error is the one that nobody sees.
@@ -117,8 +117,8 @@ def white_channels(
 
 
 def misleading(light: LightSpectrum, camera: CameraModel) -> Array:
-    """How far from the truth (channel), relatively, the signals of white are that measured surfaces under a light make
-    likely: a few per cent for visible light, much where a camera sees infrared, of which X, Y, Z tell nothing."""
+    """Return the relative error (channel) of the signals of white that measured surfaces under a light make likely: a few
+    per cent for visible light, much where a camera sees infrared, of which X, Y, Z tell nothing."""
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
     lit = np.vstack([radiance, spectra.reflectance_library(camera.wavelength) * radiance])
     outputs, signals = lit @ spectra.xyz_weights(camera.wavelength).T, lit @ camera.signal_weights.T

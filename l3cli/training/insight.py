@@ -1,4 +1,4 @@
-"""What a transform table has learned, class by class: for people who want to know where it is weak."""
+"""Summary of a transform table, class by class, for people who want to know where it is weak."""
 
 from typing import Any
 
@@ -91,7 +91,7 @@ def later_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _apart(rule: PlaneRule) -> dict[str, Any]:
-    """What a rule tells structures apart by."""
+    """Return the features by which a rule distinguishes structures."""
     if isinstance(rule, StructureRule):
         return {"strengths": rule.strengths, "directions": DIRECTIONS}
     nodes = np.bincount(rule.test[rule.branch > 0], minlength=len(EVERY)).tolist()

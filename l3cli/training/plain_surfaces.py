@@ -70,7 +70,7 @@ class PlainSurfaces:
         return every
 
     def nearness(self, rule: ClassRule) -> Array:
-        """How near to white (chroma) each chroma of a rule is: 1 for white's own, which falls off to 0."""
+        """Return the nearness to white (chroma) of each chroma of a rule: 1 for white's own, falling off to 0."""
         if rule.chromas == 1:
             return np.zeros(1)
         distance = (chroma_centres(rule) - shares(self.white[None])) * rule.channels / NEAR_WHITE

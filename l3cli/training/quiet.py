@@ -1,4 +1,4 @@
-"""What the quiet set of a table is learned for: a camera of which a filter in time has taken noise
+"""Goal of a table's low-noise transforms: a camera from which a filter in time has taken noise
 (docs/method.md#noise-sets)."""
 
 from dataclasses import dataclass, fields, replace

@@ -1,4 +1,4 @@
-"""What a class recipe (configs/classes) may say."""
+"""Class and learning recipes (configs/classes)."""
 
 import itertools
 from collections.abc import Iterator
@@ -11,9 +11,9 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.spectral_smoothing import WINDOWS
 from l3cli.artifacts.tree_rule import MOST_LEAVES
 from l3cli.classes.recipe import ClassRecipe
-from l3cli.config import Count, CountOrNone, Positive, Recipe, Share
 from l3cli.errors import RecipeError
-from l3cli.faults import Fault, fault, refuse_first
+from l3cli.recipes.faults import Fault, fault, refuse_first
+from l3cli.recipes.toml import Count, CountOrNone, Positive, Recipe, Share
 
 MOST_PATCHES = 1_000_000_000
 MOST_LATER = 3  # layers after the first
@@ -27,7 +27,8 @@ MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
 
 
 class LearningRecipe(Recipe):
-    """How the transforms of the classes are learned (docs/method.md#training). Levels are shares of full scale."""
+    """Recipe by which the transforms of the classes are learned (docs/method.md#training). Levels are shares of full
+    scale."""
 
     patches: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 60000  # patches a canonical CFA position, over all frames
     draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (docs/method.md#level-rescaling)
@@ -71,7 +72,7 @@ class LearningRecipe(Recipe):
 
 
 class LayerRecipe(Recipe):
-    """How a layer is learned that reads the planes of the layer before (docs/method.md#layers)."""
+    """Recipe of a layer that reads the planes of the layer before (docs/method.md#layers)."""
 
     side: Annotated[int, msgspec.Meta(ge=1, le=9)] = 5  # pixels, odd, of the windows of each plane
     leaves: Annotated[int, msgspec.Meta(ge=0, le=MOST_LEAVES)] = (

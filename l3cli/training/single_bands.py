@@ -16,8 +16,8 @@ SPREAD = 0.1  # standard deviation of one band by itself, of its mean
 
 
 def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
-    """What a flat patch of one channel is to give in the output of that channel (channel), by regression over plain patches
-    of summed `moments` (column, column); None if a channel has no signal there. `window` (tap) names channels."""
+    """Return the gain (channel) from a flat patch of one channel to the output of that channel, by regression over plain
+    patches of summed `moments` (column, column); None if a channel has no signal there. `window` (tap) names channels."""
     taps, means = window.size, _membership(window) / np.bincount(window)
     signal, both = means.T @ moments[:taps, :taps] @ means, means.T @ moments[:taps, taps + 1 :]
     return np.asarray(both.diagonal() / signal.diagonal()) if signal.diagonal().min() > 0 else None
@@ -34,7 +34,7 @@ def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Arr
 
 
 def teaches(rule: ClassRule, index: int) -> bool:
-    """Whether patches of a class are plain: of the lowest of several contrasts, and nothing saturated."""
+    """Return whether patches of a class are plain: of the lowest of several contrasts, and nothing saturated."""
     place = rule.split(index)
     return bool(rule.contrasts > 1 and place.contrast == 0 and not rule.case(place.kind))
 

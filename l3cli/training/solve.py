@@ -25,7 +25,7 @@ WHITE_FADES = 2000.0  # … and with its square for what may be a grey, as the c
 
 
 class Equations(NamedTuple):
-    """How the equations of an output differ from those of the others."""
+    """Differences of an output's equations from those of the others."""
 
     noise: float  # how much noise weighs against bias (docs/method.md#noise-weights)
     taught: bool  # whether what clips is taught to be grey (docs/method.md#clipped-areas), and plain areas single bands:
@@ -141,7 +141,7 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
 
 
 def _near_white(rule: ClassRule, goal: Goal) -> Array:
-    """How soon (class) plain surfaces fade near white, to which noise brings greys that are to stay grey."""
+    """Return the rate (class) at which plain surfaces fade near white, to which noise brings greys that must stay grey."""
     kind = rule.split(np.arange(rule.classes_per_site)).kind
     if goal.surfaces is None:
         return np.zeros(kind.size)
@@ -232,7 +232,8 @@ def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
 
 
 def _slack(solutions: list[Solution], copies: list[int]) -> Array:
-    """How far (channel, channel) sites may answer unlike: the less, the more plain patches of the scenes would show it."""
+    """Return the tolerance (channel, channel) for unlike answers of sites: the smaller, the more plain patches of the
+    scenes would show it."""
     slack = np.linalg.inv(np.average([solution.colours for solution in solutions], axis=0, weights=copies))
     white = solutions[0].white
     if white is not None:
@@ -241,7 +242,7 @@ def _slack(solutions: list[Solution], copies: list[int]) -> Array:
 
 
 def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[Equations]:
-    """Of each row of the opponent basis."""
+    """Return the equations of each row of the opponent basis."""
     unseen = Equations(min(recipe.luminance_noise, 1.0), True)  # what is no picture has no eyes to please
     if goal.outputs[:3] != XYZ:
         return [unseen] * len(goal.outputs)

@@ -89,8 +89,8 @@ def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
 
 
 def symmetric_places(stabilisers: list[NDArray[np.int64]], width: int) -> NDArray[np.intp]:
-    """Where each pair of columns lies after each of the orientations that leave the site's window as it is (orientation,
-    pair). The mean over them gives every class more data."""
+    """Return the place of each pair of columns after each of the orientations that leave the site's window as it is
+    (orientation, pair). The mean over them gives every class more data."""
     row, col = pairs(width)
     place = np.empty((width, width), dtype=np.intp)
     place[row, col] = place[col, row] = np.arange(row.size)

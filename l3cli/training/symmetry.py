@@ -13,7 +13,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SiteMap:
-    """Where a site's training comes from: patch_of_site[permutation] is laid out like the canonical site's patch."""
+    """Source of a site's training: patch_of_site[permutation] is laid out like the canonical site's patch."""
 
     canonical: int  # site
     permutation: Indices  # (tap)

@@ -14,7 +14,7 @@ ROUNDED = 1.001  # transforms are stored in float32
 
 
 class Integers(NamedTuple):
-    """What the integers of the planes follow from."""
+    """Parameters that the integers of the planes follow from."""
 
     bits: int
     black_level: float  # DN
@@ -43,19 +43,19 @@ def solve_within(equation: Equation, ridge: float, member: Array, integers: Inte
 
 
 def fits(rows: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
-    """Whether the planes of transforms (class, tap and intercept, output) to X, Y, Z can be integers (class)."""
+    """Return whether the planes of transforms (class, tap and intercept, output) to X, Y, Z fit integers (class)."""
     planes = np.swapaxes(rows @ opponent_basis(white), 1, 2)
     return room_for(planes[..., :-1], planes[..., -1], *integers) > ROUNDED
 
 
 def fits_between(rows: Array) -> NDArray[np.bool_]:
-    """Whether transforms (class, tap and intercept, plane) of planes to planes can be integers (class)."""
+    """Return whether transforms (class, tap and intercept, plane) of planes to planes fit integers (class)."""
     planes = np.swapaxes(rows, 1, 2)
     return room_between(planes[..., :-1], planes[..., -1]) > ROUNDED
 
 
 def _moderate(solution: Array, member: Array, taps: int, integers: Integers) -> bool:
-    """Whether transforms, and how they give way to a response that is one larger in a channel, fit SPARE times."""
+    """Return whether transforms, and their change for a response that is one larger in a channel, fit SPARE times."""
     outputs = solution.shape[1] - len(member)
     used = member.any(axis=1)
     compliance = solution[:, outputs:][:, used]

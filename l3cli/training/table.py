@@ -36,7 +36,7 @@ PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturat
 
 @dataclass(frozen=True)
 class Pilot:
-    """What the class rule is chosen from, of some frames."""
+    """Sample of some frames from which the class rule is chosen."""
 
     occurrences: NDArray[np.int64]  # (code) of each saturation code
     shares: NDArray[np.float64]  # (patch, channel)
@@ -107,8 +107,8 @@ def survey(
     counts = np.where(exposures > 0, patches, 0)
     exposure = float(exposures @ counts / max(counts.sum(), 1))
     observed = _together([pilot.observed for pilot in every])
-    dark, spared = head.camera.dark_signal(exposure), spared_cases(case_of_code, filters)
-    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, dark, observed, spared)
+    dark, protected = head.camera.dark_signal(exposure), spared_cases(case_of_code, filters)
+    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, dark, observed, protected)
     return rule, np.average(whites, axis=0, weights=patches), exposure, light
 
 
@@ -197,7 +197,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 
 
 def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | None:
-    """How spectra of the camera's bands are smoothed; other outputs are no spectra."""
+    """Return the smoothing of spectra of the camera's bands; None for other outputs, which are no spectra."""
     if not recipe.spectral_window or head.outputs != head.camera.channels or len(head.outputs) == 1:
         return None
     return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)

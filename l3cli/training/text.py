@@ -1,4 +1,4 @@
-"""What a table has learned, in lines of text."""
+"""Summary of a table in lines of text."""
 
 from typing import Any
 
@@ -51,7 +51,7 @@ def _later(number: int, layer: dict[str, Any]) -> list[str]:
 
 
 def _apart(layer: dict[str, Any]) -> str:
-    """What a later layer tells apart where nothing is saturated."""
+    """Return the features by which a later layer distinguishes pixels where nothing is saturated."""
     if "leaves" in layer:
         tests = ", ".join(f"{name} {count}" for name, count in layer["tests"].items())
         counted = f"; nodes by test: {tests}" if tests else ""

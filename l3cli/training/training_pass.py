@@ -39,8 +39,8 @@ class TrainingPass:
 
     @functools.cached_property
     def goal(self) -> Goal:
-        """What the transforms are to give; made once for all sites, since surfaces under a light take as long as a site's
-        systems of a few channels."""
+        """Return the goal of the transforms, made once for all sites, since surfaces under a light take as long as a
+        site's systems of a few channels."""
         return goal_of(self.head, self.white_point, self.light)
 
     @property
@@ -49,7 +49,8 @@ class TrainingPass:
         return self.recipe.first_draws if self.number == FIRST else self.recipe.draws
 
     def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What errors are relative to (patch), of targets (patch, output): Y if there is one, else the mean."""
+        """Return the brightness (patch) that errors are relative to, from targets (patch, output): Y if there is one,
+        else the mean."""
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
 
 
@@ -67,6 +68,6 @@ def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
 
 
 def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
-    """Whether a first pass weighs the rows of the last: errors are judged in Lab or as spectral angles, so for XYZ and the
-    camera's channels only."""
+    """Return whether a first pass weighs the rows of the last: errors are judged in Lab or as spectral angles, so for XYZ
+    and the camera's channels only."""
     return recipe.first_draws > 0 and head.outputs in (XYZ, head.camera.channels)

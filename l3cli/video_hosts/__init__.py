@@ -1,1 +1,1 @@
-"""Tables in the programs that video people use: a filter of VapourSynth, an element of GStreamer (docs/video-hosts.md)."""
+"""Tables in video programs: a filter of VapourSynth, an element of GStreamer (docs/video.md#vapoursynth)."""

@@ -5,7 +5,7 @@
     register()
     pipeline = Gst.parse_launch("… ! l3render table=table.h5 ! videoconvert ! …")
 
-gst-launch-1.0 and other programs come to it by plugins/python/l3render.py, in their search path (docs/video-hosts.md).
+gst-launch-1.0 and other programs come to it by plugins/python/l3render.py, in their search path (docs/video.md#gstreamer).
 """
 
 import sys
@@ -13,7 +13,7 @@ from fractions import Fraction
 from typing import Any
 
 from l3cli.errors import L3Error, RecipeError
-from l3cli.video_hosts.told import told
+from l3cli.video_hosts.messages import format_error
 
 INSTALL = "GStreamer's Python is missing; Debian has it in python3-gst-1.0 and gir1.2-gst-plugins-base-1.0"
 
@@ -37,7 +37,7 @@ MOSAICS = (
 )
 BITS = {"RGB": 8, "RGBA64_LE": 16}
 PICTURES = f"video/x-raw, format=(string){{ {', '.join(BITS)} }}, colorimetry=(string)sRGB"
-KEPT = ("width", "height", "framerate", "pixel-aspect-ratio")  # of a stream, on both sides
+SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # of a stream, on both sides
 USUAL_RATE = Fraction(30)  # frames/s, where the stream has none
 
 
@@ -75,10 +75,10 @@ class L3Render(GstBase.BaseTransform):
     def __init__(self) -> None:
         super().__init__()
         self._mosaics: Any = None  # a Mosaics, from start to stop
-        self._said = ""  # the error that was told since the start: caps are tried several times
+        self._said = ""  # the error reported since the start: caps are tried several times
         self._picture: Any = None  # what makes the picture of the next frame
-        self._source: Any = None  # _Layout of the caps that were agreed on …
-        self._target: Any = None  # … for frames, for pictures
+        self._source: Any = None  # _Layout of the negotiated caps of frames
+        self._target: Any = None  # _Layout of the negotiated caps of pictures
 
     # ------------------------------------------------------------------------------------------------- start and stop
 
@@ -125,7 +125,7 @@ class L3Render(GstBase.BaseTransform):
         for this in (caps.get_structure(number) for number in range(caps.get_size())):
             for number in range(template.get_size()):
                 other = template.get_structure(number).copy()
-                for name in filter(this.has_field, KEPT):
+                for name in filter(this.has_field, SHARED):
                     other.set_value(name, this.get_value(name))
                 made.append_structure(other)
         return within.intersect_full(made, Gst.CapsIntersectMode.FIRST) if within else made
@@ -165,7 +165,7 @@ class L3Render(GstBase.BaseTransform):
 
     def _failed(self, error: Exception) -> bool:
         """Tell the application, once, what went wrong."""
-        text = told(error, "-")
+        text = format_error(error, "-")
         if text != self._said:
             self._said, code = text, Gst.ResourceError.FAILED
             self.post_message(Gst.Message.new_error(self, GLib.Error.new_literal(Gst.ResourceError.quark(), text, code), ""))
@@ -173,10 +173,10 @@ class L3Render(GstBase.BaseTransform):
 
 
 class _Layout:
-    """Where the values of a frame lie in a buffer, by its caps."""
+    """Layout of a frame's values in a buffer, by its caps."""
 
     def __init__(self, caps: Any) -> None:
-        """RecipeError for what is not frame after frame of whole rows."""
+        """Raise RecipeError for what is not frame after frame of whole rows."""
         structure = caps.get_structure(0)
         form = structure.get_string("format")
         self.order: str | None = None  # of a Bayer array's colours
@@ -195,7 +195,7 @@ class _Layout:
         self.rate = Fraction(above, below) if found and above > 0 else USUAL_RATE
 
     def pixels(self, buffer: Any, content: Any) -> Any:
-        """The array (row, col, channel) that a buffer's content is. RecipeError if it is too small."""
+        """Return the array (row, col, channel) that a buffer's content is. RecipeError if it is too small."""
         import numpy as np
 
         meta = GstVideo.buffer_get_video_meta(buffer)

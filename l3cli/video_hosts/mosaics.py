@@ -1,6 +1,7 @@
-"""What every host shares: a table that is open for mosaics of one size."""
+"""Common part of every host: a table that is open for mosaics of one size."""
 
 import functools
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,14 +11,15 @@ from numpy.typing import NDArray
 
 from l3cli.api import Renderer
 from l3cli.errors import RecipeError
-from l3cli.files import sha256
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.io.raw.cfa_codes import codes_of
-from l3cli.io.raw.files import KnownBetter, frame_of
-from l3cli.quantities import NoSuchNumber, Quantity
+from l3cli.io.raw.files import RawOverrides, frame_of
+from l3cli.rendering.raw_values import beyond_converter
 from l3cli.rendering.temporal.any_order import AnyOrder
 from l3cli.rendering.temporal.filters import filters
 from l3cli.stages.rendering.corrections import CameraFile, correction_in
+from l3cli.system.files import sha256
+from l3cli.system.numbers import NoSuchNumber, Quantity
 
 MOST, LEAST = 1e9, 1e-9  # times Y, of an exposure
 PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
@@ -25,7 +27,7 @@ PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
 
 @dataclass(frozen=True)
 class Asked:
-    """What the user of a host asks for, each as the option of `l3 render`; None: as there without it."""
+    """Options that the user of a host gives, each as the option of `l3 render`; None: the default there."""
 
     exposure: float | None = None  # times Y
     white: str | None = None
@@ -53,10 +55,10 @@ class Mosaics:
         self._size = asked.size or (sensor.rows, sensor.cols)
         model = None if asked.camera is None else CameraFile(Path(asked.camera).absolute(), sha256(Path(asked.camera)))
         correction = None if model is None else correction_in(model, sensor)
-        self._known = KnownBetter(asked.black_level, asked.white_level, asked.phase, correction=correction)
+        self._known = RawOverrides(asked.black_level, asked.white_level, asked.phase, correction=correction)
 
     def require_size(self, rows: int, cols: int) -> None:
-        """RecipeError unless frames have the size that is expected: others may begin at another site of the array."""
+        """Raise RecipeError unless frames have the size that is expected: others may begin at another site of the array."""
         if (rows, cols) != self._size:
             raise RecipeError(
                 f"frames of {rows}×{cols} pixels (rows × columns) are not of the {self._size[0]}×{self._size[1]} "
@@ -64,19 +66,23 @@ class Mosaics:
             )
 
     def in_time(self, read: Callable[[int], RawFrame], keep: int) -> AnyOrder:
-        """What filters frames in time that are asked for in any order; `read`: gives the raw frame of a number. RecipeError
-        if the table does not know its camera's noise."""
+        """Return a temporal filter of frames that are asked for in any order; `read`: gives the raw frame of a number.
+        RecipeError if the table does not know its camera's noise."""
         return AnyOrder(self._filters(), read, keep)
 
     def frame(self, values: NDArray[Any], order: str | None = None) -> RawFrame:
-        """The raw frame of values (row, col) in DN. `order`: colours of a Bayer array from its first pixel on, "rggb", as
-        the host states them, None: as the table says. InputFileError if they do not fit."""
+        """Return the raw frame of values (row, col) in DN. `order`: colours of a Bayer array from its first pixel on,
+        "rggb", as the host states them, None: as the table says. InputFileError if they do not fit."""
         pattern = {} if order is None else {"pattern": codes_of(order).reshape(2, 2)}
-        return frame_of("the frame", {"values": values, **pattern}, self.renderer.table, self._known)  # type: ignore[typeddict-item]
+        table = self.renderer.table
+        frame = frame_of("the frame", {"values": values, **pattern}, table, self._known)  # type: ignore[typeddict-item]
+        if text := beyond_converter(frame, table):
+            warnings.warn(f"{frame.name}: {text}", stacklevel=2)
+        return frame
 
 
 def pair(text: str, separator: str, name: str) -> tuple[int, int] | None:
-    """Two whole numbers, "720x1280" or "0,1"; None where there is no text. RecipeError if it is something else."""
+    """Return two whole numbers, "720x1280" or "0,1"; None where there is no text. RecipeError if it is something else."""
     if not text:
         return None
     try:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from l3cli.errors import L3Error
-from l3cli.frame import RawFrame
-from l3cli.video_hosts.mosaics import Asked, Mosaics
-from l3cli.video_hosts.told import told
+from l3cli.frames.frame import RawFrame
+from l3cli.video_hosts.messages import format_error
+from l3cli.video_hosts.mosaics import Asked, Mosaics, pair
 
 INSTALL = 'VapourSynth is missing; install it, with Python ≥ 3.12, by: pip install "l3cli[vapoursynth]"'
 
@@ -27,17 +27,17 @@ FORMATS = {8: vs.RGB24, 16: vs.RGB48, 32: vs.RGBS}
 
 def render(
     clip: Any, table: str | os.PathLike[str], *, bits: int = 8, exposure: float | None = None, white: str | None = None,
-    black_level: float | None = None, white_level: float | None = None, phase: tuple[int, int] | None = None,
-    size: tuple[int, int] | None = None, camera: str | os.PathLike[str] | None = None, backend: str = "opencl",
+    black_level: float | None = None, white_level: float | None = None, phase: tuple[int, int] | str | None = None,
+    size: tuple[int, int] | str | None = None, camera: str | os.PathLike[str] | None = None, backend: str = "opencl",
     device: str | None = None, temporal: bool = False,
 ) -> Any:  # fmt: skip
-    """The clip (vapoursynth.VideoNode) that a table makes of a clip of mosaics, GRAY8 to GRAY16, values in DN.
+    """Return the clip (vapoursynth.VideoNode) that a table makes of a clip of mosaics, GRAY8 to GRAY16, values in DN.
 
     `bits`: 8 gives RGB24 and 16 RGB48, sRGB as `l3 render` writes it; 32 RGBS, linear and not clipped. `exposure`: factor of
     Y, `white`: of the scene, as in `l3 render`; what is measured, as without them, is measured on the first frame and holds
     for the clip, so that frames may be asked for in any order. `black_level`, `white_level` (DN), `phase` (CFA row, column
-    of the first pixel): None: the table's. `size` (rows, columns): of frames that are meant to be of another size than the
-    table's. `camera`: file of a model whose defects and flat field are corrected. `backend`, `device`: as the options.
+    of the first pixel, also as "1,0"): None: the table's. `size` (rows, columns, also as "240x360"): that frames
+    must have, None: any. `camera`: of a model whose defects and flat field are corrected. `backend`, `device`: as there.
     `temporal`: frames share what is not noise, as in `l3 render --temporal`, each the same in whatever order they are asked
     for: one that does not follow the last is filtered after the up to 255 before it that it depends on.
 
@@ -46,13 +46,15 @@ def render(
     """
     try:
         if bits not in FORMATS:
-            raise L3Error(f"{bits} bits cannot be; ask for 8, 16 or 32")
+            raise L3Error(f"{bits} bits is not a depth of pictures; ask for 8, 16 or 32")
+        _require_mosaics(clip)
+        phase = pair(phase, ",", "phase") if isinstance(phase, str) else phase
+        size = pair(size, "x", "size") if isinstance(size, str) else size
         asked = Asked(
-            exposure, white, black_level, white_level, phase, size, None if camera is None else os.fspath(camera), backend,
-            device,
+            exposure, white, black_level, white_level, phase, size or (clip.height, clip.width),
+            None if camera is None else os.fspath(camera), backend, device,
         )  # fmt: skip
         mosaics = Mosaics(os.fspath(table), asked)
-        _require_mosaics(clip)
         mosaics.require_size(clip.height, clip.width)
         show = mosaics.renderer.sequence(None, exposure=exposure, white=white, bits=bits)
 
@@ -63,7 +65,7 @@ def render(
         show(read(0))
         in_time = mosaics.in_time(read, keep=2 * vs.core.num_threads) if temporal else None
     except (L3Error, OSError) as error:
-        raise vs.Error(f"l3: {told(error)}") from error
+        raise vs.Error(f"l3: {format_error(error)}") from error
 
     def shown(n: int, f: list[Any]) -> Any:
         raw, made = f[0], f[1].copy()
@@ -71,7 +73,7 @@ def render(
             frame = mosaics.frame(np.asarray(raw[0]))
             picture = show(in_time.filtered(n, frame) if in_time else frame)
         except L3Error as error:
-            raise vs.Error(f"l3: frame {n}: {told(error)}") from error
+            raise vs.Error(f"l3: frame {n}: {format_error(error)}") from error
         for plane in range(3):
             np.asarray(made[plane])[...] = picture[..., plane]
         made.props.update(raw.props)
@@ -83,7 +85,7 @@ def render(
 
 
 def _require_mosaics(clip: Any) -> None:
-    """L3Error unless a clip has one plane of 8 to 16 bits, and frames of one format."""
+    """Raise L3Error unless a clip has one plane of 8 to 16 bits, and frames of one format."""
     form = clip.format
     if form is None or not clip.width:
         raise L3Error("the clip's frames differ in format or size; give one of mosaics of one size")
@@ -92,7 +94,7 @@ def _require_mosaics(clip: Any) -> None:
 
 
 def _colours(linear: bool) -> dict[str, int]:
-    """Frame properties that say what the values are: sRGB, or with its primaries and linear, in full range."""
+    """Return the frame properties that say what the values are: sRGB, or with its primaries and linear, in full range."""
     transfer = vs.TRANSFER_LINEAR if linear else vs.TRANSFER_IEC_61966_2_1
     named = {"_Matrix": vs.MATRIX_RGB, "_Primaries": vs.PRIMARIES_BT709, "_Transfer": transfer, "_Range": vs.RANGE_FULL}
     return {name: int(value) for name, value in named.items()}

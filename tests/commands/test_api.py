@@ -7,6 +7,7 @@ import threading
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,9 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.evaluation.quality import quality
 from l3cli.io.images import read_image
+from l3cli.physics.display import codes, daylight, displayed, srgb_curve, white_luminance
 from l3cli.rendering.temporal import chunks
 from tests.helpers.cameras import BAYER, random_camera
 from tests.helpers.sequences import RGGB, frames
@@ -134,10 +137,72 @@ def test_mistakes_raise_and_say_what_is_wrong(pipeline: Path, tmp_path: Path) ->
         l3.train(pipeline / "training.h5", tmp_path / "t.h5", shares=[1, 2])
     with pytest.raises(L3Error, match="exists"):
         l3.train(pipeline / "training.h5", pipeline / "table.h5")
-    with pytest.raises(InputFileError, match="float64"):
-        l3.Renderer(pipeline / "table.h5").picture(np.zeros((20, 20)))  # type: ignore[arg-type]
+    with pytest.raises(InputFileError, match="a camera model; give the file"):
+        l3.load_table(pipeline / "camera.h5")
     with pytest.raises(AttributeError, match="colour"):
         l3.colour  # noqa: B018
+
+
+def test_an_artifact_of_a_known_kind_has_its_type(pipeline: Path) -> None:
+    """mypy, which reads this file, too, takes what is loaded where the kind is asked for."""
+    table: TransformTable = l3.load_table(pipeline / "table.h5")
+    assert l3.Renderer(l3.load_table(pipeline / "table.h5")).table.channels == table.channels
+    camera: CameraModel = l3.load_camera(pipeline / "camera.h5")
+    named: CameraModel = l3.load_camera("bayer")
+    training: TrainingSet = l3.load_training_set(pipeline / "training.h5")
+    assert (camera.channels, named.channels) == (training.camera.channels, ("r", "g", "b"))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "described"),
+    [
+        (np.zeros((20, 20)), r"shape \(20, 20\) and dtype float64"),
+        (np.zeros((20, 20, 3), np.uint16), r"shape \(20, 20, 3\) and dtype uint16"),
+        (np.zeros((0, 20), np.uint16), r"shape \(0, 20\) and dtype uint16"),
+        (np.zeros((20, 20), np.int32), r"dtype int32"),
+        ("frame.dng", r"dtype <U9"),
+        (None, r"dtype object"),
+    ],
+)
+def test_an_array_that_is_no_frame_is_described(wrong: Any, described: str) -> None:
+    renderer = l3.Renderer(RGGB, backend="reference")
+    for call in (renderer.picture, renderer.outputs, renderer.labels, renderer.sequence(None)):
+        with pytest.raises(InputFileError, match=f"array of .*{described} is no raw frame; give DN"):
+            call(wrong)
+
+
+def test_figures_of_two_pictures_are_those_of_evaluations() -> None:
+    rng = np.random.default_rng(4)
+    planes = rng.uniform(0.02, 1.0, (2, 3, 40, 48))
+    expected = quality(planes[0], planes[1], daylight())
+    scale = white_luminance(planes[1][1])
+    ours, ideal = (srgb_curve(displayed(each, daylight(), scale)) for each in planes)
+    assert l3.delta_e_2000(ours, ideal).mean() == pytest.approx(expected.mean_delta_e)
+    assert l3.scielab(ours, ideal).mean() == pytest.approx(expected.scielab)
+    assert l3.psnr(ours, ideal) == pytest.approx(expected.psnr)
+    assert l3.ssim(ours, ideal) == pytest.approx(expected.ssim)
+    for bits, near in ((8, 1e-2), (16, 1e-4)):
+        coded = [codes(each, bits) for each in (ours, ideal)]
+        assert l3.delta_e_2000(*coded).mean() == pytest.approx(expected.mean_delta_e, rel=near)
+        assert l3.psnr(coded[0], ideal) == pytest.approx(expected.psnr, rel=near)
+    assert l3.ssim(ours[..., 0], ours[..., 0]) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "said"),
+    [
+        (np.zeros((8, 9, 3)), np.zeros((9, 8, 3)), r"\(8, 9, 3\) and dtype float64 and .*\(9, 8, 3\).* differ in shape"),
+        (np.zeros((8, 9)), np.zeros((8, 9)), r"\(8, 9\) and dtype float64 is no picture of colours"),
+        (np.zeros((8, 9, 4)), np.zeros((8, 9, 4)), r"\(8, 9, 4\) .* is no picture; give sRGB"),
+        (np.zeros((8, 9, 3), int), np.zeros((8, 9, 3), int), r"dtype int64 is no picture; give uint8"),
+        (np.full((8, 9, 3), 255.0), np.zeros((8, 9, 3)), r"dtype float64 holds values outside of 0…1"),
+        (np.full((8, 9, 3), np.nan), np.zeros((8, 9, 3)), r"dtype float64 holds values outside of 0…1"),
+    ],
+)
+def test_arrays_that_are_no_pictures_are_described(one: np.ndarray, other: np.ndarray, said: str) -> None:
+    for figure in (l3.delta_e_2000, l3.scielab):
+        with pytest.raises(InputFileError, match=said):
+            figure(one, other)
 
 
 def test_the_interface_is_imported_when_it_is_used() -> None:

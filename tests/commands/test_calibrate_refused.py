@@ -198,6 +198,72 @@ def test_a_table_makes_a_relative_camera(table: Path, tmp_path: Path, l3: L3) ->
     assert camera.noise.read_noise == 0
 
 
+def test_a_band_is_made_of_what_is_stated_or_there_is_none(table: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
+    """Nothing in a table of means says how well it was measured: the diode's error and the wavelength's must be stated."""
+    from l3cli.report.camera import responsivity_figures
+    from l3cli.report.colours import channel_light
+
+    text = (table / "MEASUREMENTS.toml").read_text()
+    command = ("calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5", "--force")
+
+    def camera_of(stated: str) -> tuple[CameraModel, str]:
+        (table / "MEASUREMENTS.toml").write_text(f"{text}\n{stated}")
+        code, _, err = l3(*command)
+        assert code == 0, err
+        camera = load(CameraModel, tmp_path / "camera.h5")
+        figures = responsivity_figures(camera, channel_light(camera.responsivity, camera.wavelength))
+        assert len(figures) == 1 + bool(camera.responsivity_band.any())
+        assert ('fill-opacity="0.25"' in figures[0].svg) == bool(camera.responsivity_band.any())
+        return camera, err
+
+    for stated in ("", "[uncertainty]\nphotodiode = 0.01", "[uncertainty]\nwavelength_nm = 0.5"):
+        camera, err = camera_of(stated)
+        assert not camera.responsivity_band.any()
+        assert "no confidence band: to have one, state [uncertainty] photodiode and wavelength_nm" in err
+    camera, err = camera_of("[uncertainty]\nphotodiode = 0.003\nlamp_drift = 0.004\nwavelength_nm = 0.5")
+    assert "no confidence band" not in err
+    slope = np.gradient(camera.responsivity, camera.wavelength, axis=1)
+    expected = np.hypot(1.96 * np.hypot(0.005 * camera.responsivity, 0.5 * slope), 0.0002)
+    np.testing.assert_allclose(camera.responsivity_band, expected, rtol=1e-6)
+    (table / "MEASUREMENTS.toml").write_text(f"{text}\n[uncertainty]\nphotodiode = 2")
+    assert "photodiode in 0…1" in refused(2, *command)
+    finished = text.replace('[sweep]\ntable = "sweep.csv"\nphotodiode', '[curves]\nfile = "curves.csv"\n#')
+    (table / "MEASUREMENTS.toml").write_text(f"{finished}\n[uncertainty]\nphotodiode = 0.01")
+    assert "photodiode of a [sweep]; leave it out" in refused(2, *command)
+
+
+def test_finished_curves_are_columns_of_a_shared_file(table: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
+    rows = [f"{nm},9,{nm},5,{nm + 1}" for nm in (400, 500, 600, 700)]
+    (table / "curves.csv").write_text("\n".join(["nm,IR,red,g,b", *rows]))
+    text = (table / "MEASUREMENTS.toml").read_text().replace('[sweep]\ntable = "sweep.csv"\nphotodiode', "[curves]\n{}\n#")
+    command = ("calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    (table / "MEASUREMENTS.toml").write_text(text.replace("{}", 'file = "curves.csv"\ncolumns = {w = "red"}'))
+    assert 'curves.columns: "w" is no channel' in refused(2, *command)
+    (table / "MEASUREMENTS.toml").write_text(text.replace("{}", 'file = "curves.csv"\ncolumns = {r = "red"}'))
+    code, _, err = l3(*command)
+    assert (code, "curves.csv: left out are the columns IR" in err) == (0, True)
+    camera = load(CameraModel, tmp_path / "camera.h5")
+    np.testing.assert_allclose(camera.responsivity[0], 400 / 401, rtol=1e-9)  # in proportion to wavelength: per photon flat
+
+
+def test_the_last_lines_say_peaks_widths_and_files(table: Path, tmp_path: Path, l3: L3) -> None:
+    rows = [
+        f"{nm},{100 + 100 * (nm == 500)},{110 + 50 * (nm == 600)},{90 + nm / 10},64,64,64,50,1" for nm in range(400, 701, 50)
+    ]
+    (table / "sweep.csv").write_text("\n".join(rows))
+    (table / "diode.csv").write_text("390,1\n710,1\n")
+    camera = tmp_path / "camera.h5"
+    _, out, err = l3("calibrate", table / "MEASUREMENTS.toml", "-o", camera)
+    *_, title, heading, units, red, green, blue = (line.split() for line in out.splitlines())
+    assert (title, heading, units) == (["curves,", "400…700", "nm"], ["channel", "peak", "FWHM"], ["nm", "nm"])
+    assert (red[:2], green[:2], blue) == (["r", "500"], ["g", "600"], ["b", "400", "–"])
+    assert 50 < float(red[2]) < 200
+    written = f"{camera}: written, with the curves as dataset responsivity; as CSV: "
+    assert err.splitlines()[-1] == f"{written}l3 export {camera} -o DIR"
+    err = l3("calibrate", table / "MEASUREMENTS.toml", "-o", camera, "--force", "--export", tmp_path / "out")[2]
+    assert err.splitlines()[-1] == f"{written}{tmp_path}/out/responsivity.csv"
+
+
 def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
     """A certificate with an uncertainty beside the response: one column, by name or number; none is guessed."""
     assert l3("calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "one.h5", "--quiet")[0] == 0
@@ -232,7 +298,7 @@ def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refu
             '[sweep]\ntable = "sweep.csv"\nphotodiode',
             '[curves]\nfile = "sweep.csv"\n#',
             3,
-            "8 curves, 3",
+            'no column is called "r"; ',
         ),
         ("MEASUREMENTS.toml", '[sweep]\ntable = "sweep.csv"\nphotodiode', '[curves]\nfile = "a.json"\n#', 3, "a.json"),
     ],

@@ -10,10 +10,10 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import save
-from l3cli.calibration.perspective import corner_cells, homography
-from l3cli.calibration.photo import locate
-from l3cli.calibration.photo.locate import Located
-from l3cli.frame import RawFrame, as_taken, upright
+from l3cli.charts import locate
+from l3cli.charts.locate import Located
+from l3cli.charts.perspective import corner_cells, homography
+from l3cli.frames.frame import RawFrame, as_taken, upright
 from l3cli.io.images import read_image
 from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
 from l3cli.physics import spectra

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.classes.rule import make_rule
-from l3cli.config import load_recipe
 from l3cli.errors import L3Error
-from l3cli.recipes import known_benchmarks
+from l3cli.recipes.builtin import known_benchmarks
+from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.lab import plan
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.light import automatic_exposure, make_light
@@ -34,6 +34,11 @@ from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import SMALL, as_toml, spoilt
 
+MEASURED = """name = "a camera"
+sensor = { rows = 192, cols = 256, pixel_pitch_um = 4.0, bits = 12 }
+cfa = { channels = ["r", "g", "b"], pattern = ["r g", "g b"] }
+optics = { focal_length_mm = 25, f_number = 2.8 }
+"""
 CAMERA = [
     ("bits = 12", 'bits = "twelve"\nbitz = 3', ("Expected `int`, got `str` in [sensor.bits]", "unknown key `bitz`")),
     ("rows = 192\n", "", ("missing key `rows` in [sensor]",)),
@@ -306,8 +311,8 @@ def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
     ("content", "line", "says"),
     [
         (b"a = 1\nb = \n", 2, "is not valid TOML"),
-        (b"", 1, "its kind cannot be told"),
-        (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "its kind cannot be told"),
+        (b"", 1, "its keys do not show its kind"),
+        (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "its keys do not show its kind"),
         (b"\xff\xfe\x00", 1, "is not a text file"),
         (b'name = "x"\nbase = "none.toml"\nphase = [0, 0]\n', 2, "none.toml does not exist"),
         (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = 'a**b'\n", 4, "a**b is no glob"),
@@ -386,6 +391,31 @@ def test_a_file_with_a_base_is_of_the_kind_of_its_other_keys() -> None:
     }
 
 
+def test_a_hundred_faults_are_listed_and_the_others_counted(tmp_path: Path, l3: L3) -> None:
+    (tmp_path / "scenes.toml").write_text("exposure_share = [0.9]\n" + "[[scene]]\n" * 5000)
+    code, out, err = l3("check", tmp_path / "scenes.toml")
+    assert code == 3
+    listed, others = out.splitlines()
+    assert listed.startswith(
+        f"{tmp_path}/scenes.toml:2: missing key `source` in [scene[1]] (and 99 times more, in lines 3, 4"
+    )
+    assert others == f"{tmp_path}/scenes.toml: and 4900 more"
+    assert "5000 faults in 1 of 1 files" in err
+    (file,) = json.loads(l3("check", tmp_path / "scenes.toml", "--json")[1])["files"]
+    assert (len(file["faults"]), file["more_faults"]) == (100, 4900)
+
+
+def test_keys_are_not_deep_and_dots_in_texts_are_none(tmp_path: Path, l3: L3) -> None:
+    (tmp_path / "deep.toml").write_text('name = "x"\n' + "a." * 101 + "a = 1\n")
+    code, out, _ = l3("check", tmp_path / "deep.toml")
+    assert (code, out.partition(": ")[0]) == (3, f"{tmp_path}/deep.toml:2")
+    assert "a key has more than 100 parts" in out
+    dots = "." * 200
+    text = f'# {dots}\nexposure_share = [0.9] # {dots}\n[[scene]]\nsource = "rgb"\nfile = """\n"{dots}""" # {dots}\n'
+    (tmp_path / "dots.toml").write_text(text)
+    assert "parts" not in l3("check", tmp_path / "dots.toml")[1]
+
+
 def test_wrong_calls(tmp_path: Path, refused: Refused) -> None:
     assert 'did you mean "fiveband"' in refused(2, "check", "fivebnd")
     assert "does not exist" in refused(3, "check", tmp_path / "none.toml")
@@ -445,3 +475,20 @@ def test_what_is_told_is_what_is_refused(
     else:
         assert [finding for finding in judged.findings if "light that can be seen" not in finding.message] == []
         assert judged.meaning
+
+
+def test_equal_faults_of_many_entries_are_one_line(tmp_path: Path, l3: L3) -> None:
+    """Each has its line in JSON; three are few enough to be shown."""
+    for steps, lines in ((20, 5), (3, 13)):
+        entries = [f'[[mono]]\nframes = ["m{step}.tif"]\nspectra = "mono.csv"\n' for step in range(steps)]
+        (tmp_path / "m.toml").write_text(MEASURED + "".join(entries) + "[uncertainty]\nlamp = 1\n")
+        code, out, err = l3("check", tmp_path / "m.toml")
+        assert code == 3
+        assert out.count("\n") == lines
+        assert f"{4 * steps + 1} faults in 1 of 1 files" in err
+        folded = f'unknown key `spectra` in [mono[1]]; did you mean "spectrum"? (and {steps - 1} times more, in lines 10, '
+        assert (folded in out) == (steps == 20)
+        assert "m0.tif does not exist" in out
+        assert "unknown key `lamp`" in out
+        faults = json.loads(l3("check", tmp_path / "m.toml", "--json")[1])["files"][0]["faults"]
+        assert len(faults) == 4 * steps + 1

@@ -11,9 +11,9 @@ import pytest
 from l3cli.artifacts import store
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set, read_part
-from l3cli.config import load_recipe
 from l3cli.io.images import read_image
 from l3cli.io.pictures import find_pictures
+from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.simulation.preparation import prepare
 from l3cli.stages.simulation.units import simulate_unit, units_of
@@ -85,6 +85,15 @@ def test_the_exposure_that_is_said_renders_as_bright_as_the_ideal(
     assert l3(*render, "--exposure", said[1])[0] == 0
     code, out, err = l3("evaluate", "--sequence", tmp_path / "out/%05d.png", "--ideal", tmp_path / "clip", "--json")
     assert (code, err) == (0, "")  # no word of another brightness
+    options = ("--exposure", said[1], *render[5:])
+    code, _, err = l3("render", tmp_path / "table.h5", tmp_path / "clip", "-o", tmp_path / "again", *options)
+    assert (code, err) == (0, "")  # of the folder, too, beside its ideal pictures
+    for number, path in enumerate(sorted((tmp_path / "again").iterdir())):
+        assert np.array_equal(read_image(path)[0], read_image(tmp_path / f"out/{number:05d}.png")[0])
+    (tmp_path / "clip/other_ideal.png").write_bytes(b"of no raw frame")
+    code, _, err = l3("render", tmp_path / "table.h5", tmp_path / "clip", "-o", tmp_path / "third", "--quiet")
+    assert (code, "holds .png and .tif files" in err) == (3, True)
+    (tmp_path / "clip/other_ideal.png").unlink()
     light = [np.mean(list(find_pictures(each).pictures())) for each in (tmp_path / "out", tmp_path / "clip")]
     assert light[0] == pytest.approx(light[1], rel=0.02)
     assert json.loads(out)["motion"] == "known"

@@ -17,11 +17,11 @@ import pytest
 
 from l3cli.cli import run
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import require_same, sha256
-from l3cli.limits import ONE_BLAS_THREAD
 from l3cli.parallel import cluster as elsewhere
 from l3cli.parallel import workers
 from l3cli.parallel.cluster import Scheduler
+from l3cli.system.files import require_same, sha256
+from l3cli.system.limits import ONE_BLAS_THREAD
 from tests.helpers.paths import ROOT
 from tests.helpers.tasks import PATIENCE, refusing, squared
 
@@ -84,8 +84,8 @@ def a_cluster(folder: Path, count: int, *tls: object) -> Iterator[Cluster]:
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     with a_cluster(tmp_path_factory.mktemp("cluster"), WORKERS) as cluster:
-        with workers(1, Scheduler(cluster.address)) as crew:
-            _wait_until(lambda: len(set(crew(_process, range(8 * WORKERS)))) == WORKERS)
+        with workers(1, Scheduler(cluster.address)) as pool:
+            _wait_until(lambda: len(set(pool(_process, range(8 * WORKERS)))) == WORKERS)
         yield cluster
 
 
@@ -228,11 +228,11 @@ def test_a_killed_worker_changes_nothing(
 
 
 def test_what_a_worker_raises_is_raised_here(cluster: Cluster) -> None:
-    with workers(1, Scheduler(cluster.address)) as crew:
-        assert list(crew(squared, range(40))) == [number**2 for number in range(40)]
+    with workers(1, Scheduler(cluster.address)) as pool:
+        assert list(pool(squared, range(40))) == [number**2 for number in range(40)]
         with pytest.raises(L3Error, match="not 0"):
-            list(crew(refusing, range(3)))
-        assert list(crew(squared, range(4))) == [0, 1, 4, 9]
+            list(pool(refusing, range(3)))
+        assert list(pool(squared, range(4))) == [0, 1, 4, 9]
 
 
 def test_few_results_are_pending(cluster: Cluster) -> None:
@@ -244,8 +244,8 @@ def test_few_results_are_pending(cluster: Cluster) -> None:
             taken.append(item)
             yield item
 
-    with workers(1, Scheduler(cluster.address)) as crew:
-        results = crew(squared, items())
+    with workers(1, Scheduler(cluster.address)) as pool:
+        results = pool(squared, items())
         assert next(results) == 0
         assert len(taken) <= 2 * (WORKERS + 1)
         assert list(results) == [number**2 for number in range(1, 100)]
@@ -254,10 +254,10 @@ def test_few_results_are_pending(cluster: Cluster) -> None:
 def test_a_worker_of_another_version_is_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(elsewhere, "__version__", "0.0.1")
     with (
-        workers(1, Scheduler(cluster.address)) as crew,
+        workers(1, Scheduler(cluster.address)) as pool,
         pytest.raises(L3Error, match=r"a worker has l3cli \S+, this machine 0\.0\.1"),
     ):
-        list(crew(squared, range(1)))
+        list(pool(squared, range(1)))
 
 
 def test_another_file_under_the_name_is_refused(tmp_path: Path) -> None:
@@ -281,17 +281,17 @@ def test_without_workers_a_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             with pytest.raises(L3Error, match="no worker for 1 s"), workers(1, there):
                 pass
         cluster.add(1)
-        with workers(1, there) as crew:
+        with workers(1, there) as pool:
             monkeypatch.setattr(elsewhere, "PATIENCE", 1.0)
             with pytest.raises(L3Error, match="no worker for 1 s"):
-                _go_on(crew(_process, range(10_000)), cluster.workers[0].kill)
+                _go_on(pool(_process, range(10_000)), cluster.workers[0].kill)
 
 
 def test_a_scheduler_that_goes_ends_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(elsewhere, "ANSWER", 2.0)
     with a_cluster(tmp_path, 1) as cluster:
-        with workers(1, _there(cluster)) as crew, pytest.raises(L3Error, match="the scheduler has gone"):
-            _go_on(crew(_process, range(10_000)), cluster.scheduler.kill)
+        with workers(1, _there(cluster)) as pool, pytest.raises(L3Error, match="the scheduler has gone"):
+            _go_on(pool(_process, range(10_000)), cluster.scheduler.kill)
         with pytest.raises(L3Error, match="no scheduler answers"), workers(1, _there(cluster)):
             pass
 

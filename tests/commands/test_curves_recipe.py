@@ -73,6 +73,54 @@ def test_other_units_orders_and_grids_of_the_same_curves(folder: Path) -> None:
     np.testing.assert_allclose(on_grid.responsivity[:, 3:-3], truth.responsivity[:, 8:-8:2], atol=0.02)
 
 
+def test_arrays_share_a_file_whose_other_columns_are_left_out(folder: Path, l3: L3, refused: Refused) -> None:
+    truth, (nm, percent) = load_camera(RECIPE), curves()
+    four = np.column_stack([percent[:, 2], percent.mean(axis=1), percent[:, :2]])
+    camera = camera_of(folder, written("nm,b (%),NIR (%),r (%),G (%)", nm, four))
+    np.testing.assert_allclose(camera.responsivity, truth.responsivity, rtol=1e-9)
+    note = f"{folder / CSV}: left out are the columns NIR"
+    simulate = ("simulate", folder / "scenes.toml", "--camera", folder / "camera.toml", "-o", folder / "training.h5")
+    assert note in l3(*simulate)[2]
+    assert note in l3("check", folder / "camera.toml")[1]
+    text = (folder / CSV).read_text()
+    mapped = camera_of(folder, text, columns='{r = "NIR", g = "g"}')
+    np.testing.assert_allclose(mapped.responsivity[0], percent.mean(axis=1) / 100, rtol=1e-7)
+    (folder / CSV).write_text(text.replace(",r (%)", ",red (%)"))
+    (folder / "camera.toml").write_text(RECIPE.read_text())
+    says = 'no column is called "r"; there are b, NIR, red, G; name it, columns = {r = "NIR"}'
+    assert says in refused(3, *simulate, "--force")
+    (folder / "camera.toml").write_text(RECIPE.read_text().replace(f'"{CSV}"', f'"{CSV}"\ncolumns = {{ir = "NIR"}}'))
+    assert 'responsivity.columns: "ir" is no channel; did you mean' in refused(2, *simulate, "--force")
+    (folder / CSV).write_text(written("nm,r (%),r (%),g (%),b (%)", nm, four))
+    (folder / "camera.toml").write_text(RECIPE.read_text())
+    assert 'two columns are called "r"; name each once' in refused(3, *simulate, "--force")
+    (folder / CSV).write_text(written("", nm, four).lstrip())
+    assert "holds 4 curves, 3 are wanted" in refused(3, *simulate, "--force")
+
+
+def digitised(nm: np.ndarray, percent: np.ndarray) -> str:
+    """What WebPlotDigitizer exports of the curves, each a point every 2 nm where it is above 0.2 % in no order."""
+    rng = np.random.default_rng(0)
+    points = []
+    for curve in percent.T:
+        x = rng.permutation(np.arange(nm[0], nm[-1], 2.0) + rng.uniform(-0.2, 0.2))
+        y = np.interp(x, nm, curve)
+        points.append([f"{a:.5f}, {b:.5f}" for a, b in zip(x[y > 0.2], y[y > 0.2], strict=True)])
+    rows = [",".join(one[row] if row < len(one) else "," for one in points) for row in range(max(map(len, points)))]
+    return "\n".join(["r (%),,g (%),,b (%),", "X,Y,X,Y,X,Y", *rows]) + "\n"
+
+
+def test_curves_digitised_from_a_plot_are_read_as_they_are(folder: Path) -> None:
+    truth, (nm, percent) = load_camera(RECIPE), curves()
+    text = digitised(nm, percent)
+    assert len({line.count(",,") for line in text.splitlines()[2:]}) > 1  # curves end where they are zero
+    camera = camera_of(folder, text)
+    ours = np.array([np.interp(nm[1:-1], camera.wavelength, curve) for curve in camera.responsivity])
+    np.testing.assert_allclose(ours, truth.responsivity[:, 1:-1], atol=0.004)
+    below = camera_of(folder, text.replace("X,Y", "x,y") + "712, -0.0001,,,,\n")
+    assert below.responsivity.min() == 0
+
+
 def percent_without_unit(nm: np.ndarray, percent: np.ndarray) -> str:
     return written("wavelength_nm,r,g,b", nm, percent)
 
@@ -87,7 +135,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     "unit": (lambda nm, percent: written("nm,r (W/nm),g (W/nm),b (W/nm)", nm, percent), '"W/nm" is no unit of responsivity'),
     "energy": (lambda nm, percent: written("nm,r (A/W),g (A/W),b (A/W)", nm, percent / 200), "per_energy = true"),
     "relative": (lambda nm, percent: written("nm,r (a.u.),g (a.u.),b (a.u.)", nm, percent / 100), "give responsivity.peak"),
-    "percent": (percent_without_unit, 'its peak quantum efficiency is 55.93, and 1 at most can be; write "(%)"'),
+    "percent": (percent_without_unit, 'its peak quantum efficiency is 55.93, which cannot exceed 1; write "(%)"'),
     "peak": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * 3), "quantum efficiency is 1.678"),
     "share": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent / 1000), "quantum efficiency is 0.0005593"),
     "normal": (
@@ -105,6 +153,20 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
         "a gap between 485 and 540 nm",
     ),
     "cut": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[:44], percent[:44]), "ends at 605 nm where channel r"),
+    "no pair": (
+        lambda nm, percent: digitised(nm, percent) + "400,text,,,,\n",
+        '"400, text" is no pair of X and Y of curve 1',
+    ),
+    "no foot": (
+        lambda nm, percent: "\n".join(
+            [
+                "r,,g,,b,",
+                "X,Y,X,Y,X,Y",
+                *(f"{x},50,{x},50,{x},50" if x <= 600 else f",,{x},50,{x},50" for x in range(400, 701, 10)),
+            ]
+        ),
+        '"r" ends at 600 nm, at 100% of its peak; digitise it down to its foot',
+    ),
     "heading": (lambda nm, percent: written("nm,r (%),g (%)", nm, percent), "its heading names 3 columns, its rows have 4"),
 }
 

@@ -14,7 +14,7 @@ from l3cli import __version__
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import save
 from l3cli.artifacts.table import TransformTable
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.io.raw.developed import HEADROOM, WHITE_LEVEL
 from l3cli.io.raw.files import read_raw

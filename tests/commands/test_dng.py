@@ -19,8 +19,7 @@ from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
 from l3cli.io.raw.files import read_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab, srgb_from_xyz_matrix
-from l3cli.simulation.light import make_light
-from l3cli.simulation.raw_colour import colour_matrix, neutral
+from l3cli.simulation.light import colour_matrix, make_light, neutral
 from tests.helpers.cameras import BAYER, bayer_camera
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import random_table

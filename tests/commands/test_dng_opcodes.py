@@ -9,9 +9,9 @@ import pytest
 from l3cli.artifacts.store import save
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
+from l3cli.frames.shading import FRACTION
 from l3cli.io.raw.files import read_raw
-from l3cli.shading import FRACTION
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER
 from tests.helpers.dng_files import LONG, Tags, gain_map, opcode_list, write_dng

@@ -12,12 +12,12 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.cli import run
-from l3cli.curve_file import read_table
 from l3cli.io.captures import read_capture
 from l3cli.io.curves import write_curves
 from l3cli.io.images import write_mosaic, write_picture
 from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
-from l3cli.units import PHOTON_RADIANCE
+from l3cli.spectra.file import read_table
+from l3cli.spectra.units import PHOTON_RADIANCE
 from tests.helpers.calls import L3, Refused
 
 LAB = """
@@ -125,15 +125,43 @@ def test_what_nobody_states_is_marked(lab: Path, tmp_path: Path, l3: L3, refused
     folder = renamed(lab, tmp_path / "captures", without_times, timed=False)
     code, _, err = l3("calibrate", "--draft", folder, "-o", folder / "M.toml")
     assert code == 0
-    assert "missing: exposure_s of mono_430nm_0_0.tif and" in err
+    assert "missing: exposure_s of mono_430nm_0_0.tif: s, of" in err
     assert "missing: pixel_pitch_um of [sensor]" in err
     text = (folder / "M.toml").read_text()
-    assert text.count("# TODO exposure_s = 0.01") == text.count("\n[[")
+    steps = text.count("\n[[mono]]")
+    assert steps > 8
+    assert f"s, of {steps} captures; those that differ have an exposure_s of their own" in text
+    assert text.count("# TODO exposure_s = 0.01") == text.count("\n[[") - steps + 1
     assert tomllib.loads(text)["cfa"] == {"channels": ["r", "g", "b"], "pattern": ["r g", "g b"]}
     assert "missing key `pixel_pitch_um` in [sensor]" in refused(2, "calibrate", folder / "M.toml", "-o", tmp_path / "c.h5")
     whole = re.sub("# TODO (pixel|focal|f_num)", r"\1", text)
     (folder / "M.toml").write_text(whole)
     assert "exposure_s" in refused(2, "calibrate", folder / "M.toml", "-o", tmp_path / "c.h5")
+    (folder / "M.toml").write_text(re.sub("# TODO exposure_s", "exposure_s", whole))
+    assert "exposure_s" not in refused(3, "calibrate", folder / "M.toml", "-o", tmp_path / "c.h5")  # not that of each
+
+
+def test_what_all_steps_lack_is_asked_once(lab: Path, bayer_recipe: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
+    """Their unit, which holds for every step that has none of its own, or the table of their spectra."""
+    folder = renamed(lab, tmp_path / "captures", flat)
+    draft = ("calibrate", "--draft", folder, "--camera", bayer_recipe, "-o", folder / "M.toml", "--force")
+    table = read_table(folder / "mono.csv")
+    assert table.names is not None
+    power = 1e3 * table.values * 1.98644586e-16 / table.wavelength  # mW/(sr m² nm)
+    write_curves(folder / "mono.csv", table.wavelength, power, table.names)
+    assert "missing: unit of mono.csv: of the radiances of" in l3(*draft)[2]
+    text = (folder / "M.toml").read_text()
+    assert text.count("# TODO unit") == text.count("# TODO") == 1
+    (folder / "M.toml").write_text(re.sub('# TODO unit = "[^"]*"', 'unit = "mW/(sr m² nm)"', text))
+    assert l3("calibrate", folder / "M.toml", "-o", tmp_path / "camera.h5", "--quiet")[::2] == (0, "")
+    drafted, own = load(CameraModel, tmp_path / "camera.h5"), load(CameraModel, lab / "camera.h5")
+    np.testing.assert_allclose(drafted.responsivity, own.responsivity, atol=2e-4 * own.responsivity.max())
+    (folder / "mono.csv").unlink()
+    assert "missing: spectrum of " in l3(*draft)[2]
+    text = (folder / "M.toml").read_text()
+    assert text.count("TODO") == 2  # that of the heading, and one
+    assert text.count('spectrum = "spectra/mono.csv"') == text.count("\n[[mono]]")
+    assert "spectra/mono.csv" in refused(3, "calibrate", folder / "M.toml", "-o", tmp_path / "c.h5")
 
 
 def test_raw_files_of_cameras_state_their_array_and_times(lab: Path, bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
@@ -259,6 +287,60 @@ def test_a_photo_gets_the_light_that_was_measured(l3_data: Path, tmp_path: Path,
     assert "next: l3 calibrate" in err
 
 
+FIGURES = "[datasheet]\nblack_level_dn = 64\nwhite_level_dn = 4000\nwell_capacity_e = 20000\n"
+NM = np.arange(400, 701, 10)
+BUMPS = {name: np.exp(-(((NM - centre) / 45.0) ** 2)) for name, centre in (("blue", 460), ("green", 540), ("red", 610))}
+
+
+def completed(text: str) -> str:
+    """A draft with its examples taken."""
+    return re.sub("^# TODO (.*)", r"\1", text, flags=re.MULTILINE).partition("[datasheet]")[0] + FIGURES
+
+
+def test_a_folder_of_a_sweep_gives_its_measurement_file(tmp_path: Path, l3: L3) -> None:
+    """Not the published result that lies beside it."""
+    light = [60 + 900 * curve for curve in BUMPS.values()]
+    dark = [np.full(NM.size, 60.0)] * len(BUMPS)
+    names = [*(f"light {name}" for name in BUMPS), *(f"dark {name}" for name in BUMPS), "diode", "dark"]
+    write_curves(tmp_path / "sweep.csv", NM, np.array([*light, *dark, NM / 10, NM * 0 + 1.0]), names)
+    write_curves(tmp_path / "fds100.csv", np.array([390, 710]), np.array([[0.2, 0.4]]), ["response"], "A/W")
+    write_curves(tmp_path / "published.csv", NM, np.array(list(BUMPS.values())), list(BUMPS))
+    file = tmp_path / "M.toml"
+    code, _, err = l3("calibrate", "--draft", tmp_path, "-o", file)
+    assert code == 0
+    assert "3 tables, no frames; fill in what is marked TODO, then: l3 calibrate" in err
+    drafted = tomllib.loads(file.read_text())
+    assert drafted["sweep"] == {"table": "sweep.csv", "photodiode": "fds100.csv"}
+    assert drafted["cfa"]["channels"] == list(BUMPS)
+    file.write_text(completed(file.read_text()).replace('"r g", "g b"', '"red green", "green blue"'))
+    assert l3("calibrate", file, "-o", tmp_path / "camera.h5", "--quiet")[::2] == (0, "")
+    peaks = load(CameraModel, tmp_path / "camera.h5").responsivity.argmax(axis=1)
+    assert (np.abs(NM[peaks] - [460, 540, 610]) <= 10).all()
+
+
+@pytest.mark.parametrize(("unit", "per_energy"), [("", True), ("A/W", True), ("%", False)])
+def test_a_folder_of_finished_curves_gives_its_measurement_file(
+    unit: str, per_energy: bool, bayer_recipe: Path, tmp_path: Path, l3: L3
+) -> None:
+    """Of a known camera nothing is missing; the lamp beside the curves is none of them."""
+    write_curves(tmp_path / "lamp.csv", NM, (NM / 560.0)[None] ** 3, ["power"])
+    write_curves(tmp_path / "qe.csv", NM, np.array(list(BUMPS.values())), ["b", "g", "r"], unit)
+    arguments = ("calibrate", "--draft", tmp_path, "--camera", bayer_recipe, "-o", tmp_path / "M.toml")
+    code, _, err = l3(*arguments)
+    assert (code, "missing" in err) == (0, False)
+    assert "next: l3 calibrate" in err
+    assert tomllib.loads((tmp_path / "M.toml").read_text())["curves"] == {"file": "qe.csv", "per_energy": per_energy}
+    assert l3("calibrate", tmp_path / "M.toml", "-o", tmp_path / "camera.h5", "--quiet")[::2] == (0, "")
+    assert load(CameraModel, tmp_path / "camera.h5").channels == ("r", "g", "b")
+
+
+def test_published_results_are_drafted(l3_data: Path, tmp_path: Path, l3: L3) -> None:
+    folder = l3_data / "calibration/ssftool_D7000"
+    assert l3("calibrate", "--draft", folder, "-o", tmp_path / "M.toml", "--quiet")[0] == 0
+    (tmp_path / "M.toml").write_text(completed((tmp_path / "M.toml").read_text()))
+    assert l3("calibrate", tmp_path / "M.toml", "-o", tmp_path / "camera.h5", "--quiet")[::2] == (0, "")
+
+
 def test_drafts_are_refused_before_any_work(lab: Path, tmp_path: Path, refused: Refused) -> None:
     draft = ("calibrate", "--draft", lab)
     assert "ends in .toml" in refused(2, *draft, "-o", tmp_path / "camera.h5")
@@ -267,9 +349,8 @@ def test_drafts_are_refused_before_any_work(lab: Path, tmp_path: Path, refused: 
     assert "is no folder" in refused(3, "calibrate", "--draft", lab / "lab.toml", "-o", tmp_path / "M.toml")
     (tmp_path / "empty").mkdir()
     assert "holds no raw frame" in refused(3, "calibrate", "--draft", tmp_path / "empty", "-o", tmp_path / "M.toml")
-    assert "holds no raw frame, but tables such as" in refused(
-        3, "calibrate", "--draft", lab / "spectra", "-o", tmp_path / "M.toml"
-    )
+    tables = refused(3, "calibrate", "--draft", lab / "spectra", "-o", tmp_path / "M.toml")
+    assert "neither a sweep nor responsivities, and there is no raw frame" in tables
     assert "leave --photo out" in refused(2, *draft, "-o", tmp_path / "M.toml", "--photo", "a.dng")
     assert "leave MEASUREMENTS.toml out" in refused(2, *draft, lab / "MEASUREMENTS.toml", "-o", tmp_path / "M.toml")
     assert "--camera goes with --draft" in refused(

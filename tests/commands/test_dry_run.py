@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from l3cli.locks import sole_writer_of_file
+from l3cli.system.locks import sole_writer_of_file
 from tests.helpers.calls import L3, Refused
 
 SENTENCES = {  # a call that works, and what its dry run says

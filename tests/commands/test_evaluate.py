@@ -75,7 +75,7 @@ def test_json_holds_the_keys_it_promises(trained: Path, l3: Callable) -> None:
     with open_training_set(trained / "training.h5") as reader:
         assert len(document["frames"]) == len(reader)
     for frame in document["frames"]:
-        assert set(frame) == {"scene", "illuminant", "luminance", "level", *pipelines}
+        assert set(frame) == {"scene", "illuminant", "luminance", "level", "exposure", "clipped", "shown", *pipelines}
         assert all(set(frame[name]) == QUALITY for name in pipelines)
     assert {group["illuminant"] for group in document["by_illuminant"]} == {"D65", "A"}
     for groups in (document["by_level"], document["by_illuminant"]):

@@ -1,22 +1,31 @@
 """l3 export of transform tables: what is written, what is refused."""
 
+import ctypes
 import json
 import os
-import sys
+import re
+import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
+from l3cli.io.images import read_image
+from l3cli.io.raw.files import read_raw
 from tests.helpers.artifacts import some_sums
 from tests.helpers.calls import L3, Refused
 from tests.helpers.tables import random_table, with_later, with_quiet
 
-C_FILES = ["Makefile", "README.md", "l3.c", "l3.h", "l3_table.c", "l3_table.h", "test.c", "test_labels.bin",
-           "test_outputs.bin", "test_raw.bin"]  # fmt: skip
+C_FILES = ["CMakeLists.txt", "Makefile", "README.md", "l3.c", "l3.h", "l3_picture.c", "l3_picture.h", "l3_table.c",
+           "l3_table.h", "test.c", "test_labels.bin", "test_outputs.bin", "test_raw.bin"]  # fmt: skip
+CC = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
+needs_compiler = pytest.mark.skipif(CC is None, reason="there is no C compiler (cc, gcc or CC)")
 
 
 @pytest.fixture(scope="module")
@@ -56,33 +65,22 @@ def test_a_folder_is_written_alike_twice(table: Path, tmp_path: Path, l3: L3) ->
     assert named | {"table.json"} == set(contents(tmp_path / "one"))
 
 
-def test_an_onnx_graph_is_written_alike_twice(table: Path, tmp_path: Path, l3: L3) -> None:
-    for name in ("one", "two"):
-        assert l3("export", table, "-o", tmp_path / name, "--to", "onnx", "--quiet")[0] == 0
-    assert contents(tmp_path / "one") == contents(tmp_path / "two")
-    assert sorted(contents(tmp_path / "one")) == [
-        "README.md", "table.onnx", "test_labels.bin", "test_outputs.bin", "test_raw.bin"
-    ]  # fmt: skip
-
-
 def test_either_set_of_a_table_of_two_is_exported(table: Path, tmp_path: Path, l3: L3) -> None:
     two = with_quiet(load(TransformTable, table))
     assert two.quiet is not None
     save(two, tmp_path / "two.h5")
     save(replace(two, first=two.quiet.first, later=two.quiet.later, quiet=None), tmp_path / "alone.h5")
-    for form in ("c", "onnx"):
-        err = l3("export", tmp_path / "two.h5", "-o", tmp_path / form, "--to", form)[2]
-        assert "the usual set of transforms is written, --set quiet writes that for frames filtered in time" in err
-        err = l3("export", table, "-o", tmp_path / f"{form}1", "--to", form)[2]
-        assert "--set" not in err
-        assert contents(tmp_path / form) == contents(tmp_path / f"{form}1")
-        to = ("--to", form, "--quiet")
-        assert l3("export", tmp_path / "two.h5", "-o", tmp_path / f"{form}2", *to, "--set", "quiet")[0] == 0
-        assert l3("export", tmp_path / "alone.h5", "-o", tmp_path / f"{form}3", *to)[0] == 0
-        quiet, alone = contents(tmp_path / f"{form}2"), contents(tmp_path / f"{form}3")
-        assert quiet.pop("README.md").startswith(alone.pop("README.md") + b"\n## The quiet set\n")
-        assert quiet == alone
-        assert quiet["test_outputs.bin"] != contents(tmp_path / form)["test_outputs.bin"]
+    err = l3("export", tmp_path / "two.h5", "-o", tmp_path / "c")[2]
+    assert "the usual set of transforms is written, --set quiet writes that for frames filtered in time" in err
+    err = l3("export", table, "-o", tmp_path / "c1")[2]
+    assert "--set" not in err
+    assert contents(tmp_path / "c") == contents(tmp_path / "c1")
+    assert l3("export", tmp_path / "two.h5", "-o", tmp_path / "c2", "--quiet", "--set", "quiet")[0] == 0
+    assert l3("export", tmp_path / "alone.h5", "-o", tmp_path / "c3", "--quiet")[0] == 0
+    quiet, alone = contents(tmp_path / "c2"), contents(tmp_path / "c3")
+    assert quiet.pop("README.md").startswith(alone.pop("README.md") + b"\n## The quiet set\n")
+    assert quiet == alone
+    assert quiet["test_outputs.bin"] != contents(tmp_path / "c")["test_outputs.bin"]
 
 
 def test_a_set_that_is_not_there_is_refused(table: Path, tmp_path: Path, refused: Refused) -> None:
@@ -93,13 +91,72 @@ def test_a_set_that_is_not_there_is_refused(table: Path, tmp_path: Path, refused
     assert not (tmp_path / "o").exists()
 
 
-def test_without_onnx_its_extra_is_named(
-    table: Path, tmp_path: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "onnx", None)
+def test_onnx_is_answered_with_what_serves_instead(table: Path, tmp_path: Path, refused: Refused) -> None:
     line = refused(2, "export", table, "-o", tmp_path / "o", "--to", "onnx")
-    assert 'install it with: pip install "l3cli[onnx]"' in line
+    assert "give --to c (C99 source, with a test) or --to folder (plain arrays)" in line
     assert not (tmp_path / "o").exists()
+
+
+class White(ctypes.Structure):
+    """L3White of three channels."""
+
+    _fields_ = (("gain", ctypes.c_double * 3), ("luminance", ctypes.c_float), ("matrix", ctypes.c_float * 9))
+
+
+def library_of(folder: Path, prefix: str) -> Any:
+    """The C source of a folder, compiled as strictly as its Makefile does."""
+    sources = (folder / f"{prefix}{end}.c" for end in ("", "_table", "_picture"))
+    warnings = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror")
+    built = folder / "library.so"
+    subprocess.run([str(CC), *warnings, "-O1", "-fPIC", "-shared", *sources, "-o", built], check=True)
+    return ctypes.CDLL(str(built))
+
+
+@needs_compiler
+@pytest.mark.parametrize(("white", "exposure"), [(None, None), ("A", "0.7"), ("0.37,0.37", None)])
+def test_c_source_shows_what_l3_render_shows(
+    pipeline: Path, tmp_path: Path, l3: L3, white: str | None, exposure: str | None
+) -> None:
+    """Within one code, under symbols of one's own."""
+    options = ("--white", white) if white else ()
+    assert l3("export", pipeline / "table.h5", "-o", tmp_path / "c", "--prefix", "eye_2", *options, "--quiet")[0] == 0
+    raw = next((pipeline / "unseen").glob("*_raw.tif"))
+    shown = ("--exposure", exposure) if exposure else ()
+    assert l3("render", pipeline / "table.h5", raw, "-o", tmp_path / "p.png", *options, *shown, "--quiet")[0] == 0
+    expected = read_image(tmp_path / "p.png")[0]
+    table = load(TransformTable, pipeline / "table.h5")
+    frame = read_raw(raw, table)
+    eye, (rows, columns) = library_of(tmp_path / "c", "eye_2"), frame.values.shape
+    eye.eye_2_workspace_bytes.restype = ctypes.c_size_t
+    eye.eye_2_auto_scale.restype = ctypes.c_float
+    values, workspace = frame.values.copy(), np.empty(eye.eye_2_workspace_bytes(rows, columns), np.uint8)
+    labels = np.empty((len(table.layers), rows, columns), np.uint32)
+    outputs, picture = np.empty((3, rows, columns), np.float32), np.empty((rows, columns, 3), np.uint8)
+    of = [ctypes.c_void_p(each.ctypes.data) for each in (values, workspace, labels, outputs, picture)]
+    shows = White.in_dll(eye, "eye_2_white")
+    zero = ctypes.c_double(frame.black_level + frame.dark)
+    eye.eye_2_balance(of[0], rows, columns, *frame.phase, zero, ctypes.byref(shows), of[0])
+    assert eye.eye_2_render(of[0], rows, columns, *frame.phase, *of[1:4]) == 0
+    scale = float(exposure) * shows.luminance if exposure else eye.eye_2_auto_scale(of[3], rows, columns)
+    eye.eye_2_picture(of[3], rows, columns, ctypes.c_float(scale), ctypes.byref(shows), of[4])
+    assert np.abs(picture.astype(int) - expected).max() <= 1
+    assert np.abs(picture.astype(int) - expected).mean() < 0.01
+    texts = [path.read_text() for path in (tmp_path / "c").glob("*.[ch]")]
+    assert not re.search(r"\bl3_|\bL3[_A-Z]", "".join(re.sub('(?m)^".*$', "", text) for text in texts))
+
+
+def test_a_white_far_from_training_is_said_as_by_l3_render(table: Path, tmp_path: Path, l3: L3) -> None:
+    err = l3("export", table, "-o", tmp_path / "c", "--white", "0.45,0.41")[2]
+    assert "--white 0.45,0.41 is far from the mean light of the training" in err
+
+
+def test_a_prefix_begins_symbols_of_c_source_alone(table: Path, tmp_path: Path, refused: Refused) -> None:
+    for wrong in ("9eyes", "my eye", "Eye", "e" * 32, ""):
+        assert "letter first" in refused(2, "export", table, "-o", tmp_path / "o", "--prefix", wrong)
+    assert "taken by the test program" in refused(2, "export", table, "-o", tmp_path / "o", "--prefix", "test")
+    assert "--prefix is for C source" in refused(
+        2, "export", table, "-o", tmp_path / "o", "--to", "folder", "--prefix", "eye"
+    )
 
 
 def test_words_are_of_c_source(table: Path, bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused) -> None:
@@ -126,7 +183,7 @@ def test_wrong_artifacts_and_forms_are_refused(table: Path, bayer: CameraModel, 
     save(some_sums(bayer)[0], tmp_path / "sums.h5")
     line = refused(3, "export", tmp_path / "sums.h5", "-o", tmp_path / "c")
     assert "sums; give a camera model or recipe, or a transform table" in line
-    assert "'halide'; there are c, folder, onnx" in refused(2, "export", table, "-o", tmp_path / "c", "--to", "halide")
+    assert "'halide'; there are c, folder" in refused(2, "export", table, "-o", tmp_path / "c", "--to", "halide")
     assert "is a file; name a folder" in refused(1, "export", table, "-o", table)
     assert not (tmp_path / "c").exists()
 

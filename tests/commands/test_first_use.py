@@ -216,7 +216,7 @@ def test_pictures_that_do_not_fit_are_left_out_if_asked(
 
 
 def test_a_size_is_that_of_the_framed_scene(bayer: CameraModel, tmp_path: Path) -> None:
-    from l3cli.scene import Scene
+    from l3cli.frames.scene import Scene
     from l3cli.simulation.framing import framed, framed_size
     from l3cli.simulation.sources import Framing
 

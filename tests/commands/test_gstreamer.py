@@ -71,7 +71,7 @@ def read(path: Path, dtype: str = "u1", channels: int = 3, cols: int = 28) -> np
 
 def test_the_example_of_gst_launch_gives_the_pixels_of_the_command(l3: L3, folder: Path, tmp_path: Path) -> None:
     """The plugin as the loader finds it; exposure follows the light, as in the command."""
-    (line,) = (text for text in fenced(PAGES["video-hosts.md"], "sh") if "l3render" in text)
+    (line,) = (text for text in fenced(PAGES["video.md"], "sh") if "l3render" in text)
     env = {**environment(), "GST_REGISTRY": str(tmp_path / "registry.bin")}
     done = subprocess.run(["sh", "-c", line], cwd=folder, env=env, capture_output=True, text=True, timeout=100)
     if 'no element "l3render"' in done.stderr:
@@ -81,7 +81,7 @@ def test_the_example_of_gst_launch_gives_the_pixels_of_the_command(l3: L3, folde
 
 
 def test_the_example_in_python_gives_the_pixels_of_the_command(l3: L3, folder: Path, tmp_path: Path) -> None:
-    (script,) = (text for text in fenced(PAGES["video-hosts.md"], "python") if "gstreamer" in text)
+    (script,) = (text for text in fenced(PAGES["video.md"], "python") if "gstreamer" in text)
     assert len(script.splitlines()) <= 11
     subprocess.run([PYTHON, "-c", script], cwd=folder, env=environment(), check=True, timeout=100)
     film = read(folder / "film16.rgba", "<u2", 4)

@@ -9,11 +9,11 @@ import pytest
 
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.config import Recipe, load_recipe
 from l3cli.evaluation.demosaic import interpolate
 from l3cli.evaluation.quality import psnr
 from l3cli.io.images import read_image
-from l3cli.recipes import known_benchmarks, known_recipes
+from l3cli.recipes.builtin import known_benchmarks, known_recipes
+from l3cli.recipes.toml import Recipe, load_recipe
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.stages.starting import CLASSES, COMMON
@@ -81,6 +81,14 @@ def test_a_folder_holds_the_recipes_as_they_are(tmp_path: Path, l3: Callable) ->
         assert (tmp_path / "demo" / name).read_bytes() == (CONFIGS / source).read_bytes()
     assert {path.name for path in (tmp_path / "demo").iterdir()} == {*COMMON, "camera.toml"}
     assert (tmp_path / "demo/slurm.sh").stat().st_mode & 0o777 == 0o755
+
+
+def test_a_camera_of_curves_needs_no_lab_and_says_where_they_go(tmp_path: Path, l3: Callable) -> None:
+    code, _, err = l3("init", "from_curves", tmp_path / "a camera")
+    assert code == 0
+    assert "next: put your curves into from_curves.csv" in err
+    assert err.endswith(f"make -C '{tmp_path}/a camera'\n")
+    assert "CAMERA ?= camera.toml\n" in (tmp_path / "a camera/Makefile").read_text()
 
 
 def test_arrays_with_classes_of_their_own_get_them(tmp_path: Path, l3: Callable) -> None:

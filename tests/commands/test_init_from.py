@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -13,11 +15,12 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.calibration.colour import light_matrices
 from l3cli.calibration.photo.prior import WAVELENGTH
+from l3cli.export.camera_colour import light_matrices
 from l3cli.io.images import read_image
 from l3cli.io.raw.dng_writer import RawColour, write_dng
 from l3cli.physics import spectra
+from l3cli.stages.starting import COMMON
 from tests.helpers import dng_files, photos
 from tests.helpers.calls import L3, Refused
 from tests.helpers.recipes import SMALL
@@ -52,6 +55,28 @@ def responses(camera: CameraModel, light: str) -> np.ndarray:
     return shares
 
 
+def test_a_photo_without_a_table_gets_the_commands_that_lead_to_its_picture(
+    photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, l3: L3, refused: Refused
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    named = tmp_path / "my photo.dng"
+    shutil.copy(photo, named)
+    line = refused(2, "render", named.name, "-o", "p.png").strip()
+    assert line.startswith("l3: my photo.dng is a raw file, and no table is given")
+    commands = line.partition("the picture: ")[2]
+    first, make, then = (shlex.split(each) for each in re.split(" && |; ", commands))
+    assert l3(*first[1:])[0] == 0
+    assert make == ["make", "-C", "mine", "table.h5"]
+    assert "\ntable.h5: " in (tmp_path / "mine/Makefile").read_text()
+    assert then == ["l3", "render", "mine/table.h5", "my photo.dng", "-o", "p.png"]
+    assert "no table is given" in refused(2, "render", named, photo, "-o", "p.png")
+    (tmp_path / "table.h5").touch()
+    swapped = refused(2, "render", "my photo.dng", "table.h5", "-o", "p.png")
+    assert "the table comes first: l3 render table.h5 'my photo.dng' -o p.png" in swapped
+    assert "missing.dng does not exist" in refused(3, "render", "missing.dng", "-o", "p.png")
+    assert "goes with --photo" in refused(2, "calibrate", named, "-o", "camera.h5")
+
+
 def test_a_camera_by_its_matrices_and_noise_profile(bayer: CameraModel, photo: Path, tmp_path: Path, l3: L3) -> None:
     folder = tmp_path / "mine"
     code, out, err = l3("init", "--from", photo, folder)
@@ -60,7 +85,7 @@ def test_a_camera_by_its_matrices_and_noise_profile(bayer: CameraModel, photo: P
     assert "curves of the colour matrices for A and D65" in err
     assert "noise as the file's noise profile says" in err
     assert "assumed: peak efficiency, pixel pitch;" in err
-    assert f"make -C {folder} && l3 render {folder}/table.h5 {photo} -o picture.png" in err
+    assert f"make -C {folder} picture.png; another photo: l3 render {folder}/table.h5 RAW -o PICTURE.png" in err
     camera = load_camera(folder / "camera.toml")
     assert (camera.name, camera.channels, camera.bits) == ("l3cli small Bayer", ("r", "g", "b"), 12)
     assert (camera.rows, camera.cols) == (128, 160)
@@ -81,13 +106,15 @@ def test_a_camera_by_its_matrices_and_noise_profile(bayer: CameraModel, photo: P
 def test_its_folder_leads_to_a_picture_of_the_photo(photo: Path, tmp_path: Path, l3: L3) -> None:
     folder = tmp_path / "mine"
     assert l3("init", "--from", photo, folder, "--quiet")[0] == 0
+    assert {path.name for path in folder.iterdir()} == {*COMMON, "camera.toml", "curves.csv", "picture.dng"}
     for recipe, text in SMALL.items():
         (folder / f"{recipe}.toml").write_text(text)
     environment = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL")}
-    dry = ["make", "--dry-run", "-C", str(folder), f"L3={sys.executable} -m l3cli"]
+    dry = ["make", "--dry-run", "-C", str(folder), f"L3={sys.executable} -m l3cli", "picture.png"]
     steps = subprocess.run(dry, text=True, capture_output=True, check=True, env=environment).stdout
-    assert "--camera camera.toml" in steps
-    assert "calibrate" not in steps
+    assert [line.split()[3] for line in steps.splitlines() if " -m l3cli " in line] == ["simulate", "train", "render"]
+    assert "render table.h5 picture.dng  -o picture.png" in steps
+    assert (folder / "picture.dng").samefile(photo)
     assert l3("check", folder / "camera.toml")[0] == 0
     simulate = ("simulate", folder / "scenes.toml", "--camera", folder / "camera.toml", "-o", folder / "t.h5", "--quiet")
     assert l3(*simulate)[0] == 0
@@ -109,11 +136,34 @@ def test_a_camera_by_the_chart_in_its_photo(bayer: CameraModel, tmp_path: Path, 
     assert code == 0, err
     assert "curves of the classic ColorChecker in b.dng, under D65;" in err
     assert "--white D65" in err
+    assert "WHITE ?= D65\n" in (tmp_path / "mine/Makefile").read_text()
     made, truth = load_camera(tmp_path / "mine/camera.toml"), photos.drawn(1)
     light = spectra.illuminant("A", WAVELENGTH)
     for ours, true in zip(made.responsivity, truth, strict=True):
         figures = [photos.REFLECTANCE @ (light * curve) / (light * curve).sum() for curve in (ours, true)]
         assert np.abs(figures[0] - figures[1]).max() < 0.02
+
+
+def test_a_photo_of_any_name_leads_to_a_recipe(photo: Path, tmp_path: Path, l3: L3) -> None:
+    hostile = Path(shutil.copy(photo, tmp_path / 'a"\nname = 1\n[x`touch PWNED`]\x1b\udcff$(touch PWNED).dng'))
+    code, _, err = l3("init", "--from", hostile, tmp_path / "d'`x`")
+    assert code == 0, err
+    assert (tmp_path / "d'`x`/picture.dng").samefile(hostile)
+    assert l3("check", tmp_path / "d'`x`/camera.toml")[0] == 0
+    assert "touch" not in (tmp_path / "d'`x`/Makefile").read_text()
+    assert shlex.split(err.partition("next: ")[2].partition(";")[0])[2] == f"{tmp_path}/d'`x`"
+
+
+def test_the_link_to_the_photo_is_made_again_and_takes_the_place_of_no_photo(photo: Path, tmp_path: Path, l3: L3) -> None:
+    mine, kept = tmp_path / "mine", shutil.copy(photo, tmp_path / "kept.dng")
+    for given in (kept, kept, mine / "picture.dng"):  # the last is the link itself
+        assert l3("init", "--from", given, mine, "--force", "--quiet")[0] == 0
+        assert (mine / "picture.dng").readlink() == kept
+    (mine / "picture.dng").unlink()
+    shutil.copy(photo, mine / "picture.dng")
+    code, _, err = l3("init", "--from", mine / "picture.dng", mine, "--force")
+    assert (code, "is an input" in err) == (2, True)
+    assert (mine / "picture.dng").read_bytes() == photo.read_bytes()
 
 
 def test_a_mixed_folder_is_sorted_by_camera(bayer: CameraModel, photo: Path, tmp_path: Path, l3: L3) -> None:

@@ -13,12 +13,12 @@ import pytest
 
 from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as program
-from l3cli.ledger import close_ledger, note_output, open_ledger, outputs_of
-from l3cli.stages.checking.output_schema import RESULTS, output_schema
+from l3cli.stages.checking.schema import OUTPUT, RESULTS, schema
+from l3cli.system.ledger import close_ledger, note_output, open_ledger, outputs_of
 from tests.helpers.calls import L3
 
 jsonschema = pytest.importorskip("jsonschema")
-SCHEMA = jsonschema.Draft202012Validator(output_schema(), format_checker=jsonschema.FormatChecker())
+SCHEMA = jsonschema.Draft202012Validator(schema(OUTPUT), format_checker=jsonschema.FormatChecker())
 CALLS = {  # of a folder in which the pipeline has run; {out}: a new one
     "calibrate lab/MEASUREMENTS.toml -o {out}/c.h5": {"camera", "channels"},
     "simulate unseen.toml --camera camera.toml -o {out}/t.h5 --pictures {out}/p": {"training_set", "frames"},
@@ -80,7 +80,7 @@ def test_comparisons_have_a_schema_too(pipeline: Path, tmp_path: Path, l3: L3) -
 
 def test_the_schema_names_every_command_and_is_one() -> None:
     assert list(RESULTS) == list(COMMANDS)
-    jsonschema.Draft202012Validator.check_schema(output_schema())
+    jsonschema.Draft202012Validator.check_schema(schema(OUTPUT))
 
 
 def test_errors_end_as_json_with_their_exit_code(

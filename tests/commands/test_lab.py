@@ -10,12 +10,12 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.cli import run
-from l3cli.config import load_recipe
-from l3cli.curve_file import read_table
 from l3cli.io.frames import read_frame
+from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.lab import plan, take
 from l3cli.simulation.lab_recipe import LabRecipe, MonoRecipe
 from l3cli.simulation.sensor_defects import DefectRecipe, defects_of
+from l3cli.spectra.file import read_table
 from tests.helpers.paths import CONFIGS
 
 QUICK = """

@@ -17,10 +17,11 @@ from l3cli import __version__
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import COMMANDS, l3, terminal
-from l3cli.columns import columns
 from l3cli.errors import suggestion
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
+from l3cli.io.confinement import LANDLOCK, SECCOMP
 from l3cli.rendering.coverage import CoverageMeter
+from l3cli.system.text import columns
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import with_first
 from tests.helpers.terminal import in_terminal
@@ -80,9 +81,17 @@ def test_versions_and_devices(l3: Callable, refused: Callable, monkeypatch: pyte
     assert document["l3"] == document["run"]["l3"] == __version__
     assert document["python"] == ".".join(map(str, sys.version_info[:3]))
     assert document["devices"][0].startswith("0: ")
+    assert document["decoding"].startswith(("sandboxed process", "isolated process"))
     plain = l3("info", "--version")[1]
     for name, version in document["libraries"].items():
         assert f"  {name} {version or 'is not installed'}\n" in plain
+    for holds, words in (
+        ((LANDLOCK, SECCOMP), "sandboxed process (Landlock, seccomp)"),
+        ((SECCOMP,), "isolated process with limits of time and memory and seccomp; Landlock missing in this kernel"),
+        ((), "isolated process with limits of time and memory; Landlock and seccomp missing in this kernel"),
+    ):
+        monkeypatch.setattr("l3cli.stages.versions.measures", lambda path, holds=holds: holds)
+        assert f"Decoder of foreign files: {words}" in " ".join(l3("info", "--version")[1].split())
     monkeypatch.setitem(sys.modules, "pyopencl", None)
     assert 'pip install "pyopencl[pocl]"' in l3("info", "--version")[1]
     assert "give either" in refused(2, "info")
@@ -182,13 +191,13 @@ def logged(
 def test_a_log_hears_of_progress_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     lines = logged(1000, 1000, 1.0, monkeypatch, capsys)
     assert len(lines) == 9  # what comes when all is done, the command itself says
-    assert lines[0] == "frames: 100 of 1000, 1 a second, 15 min 0 s left"
+    assert lines[0] == "frames: 100 of 1000, 1 min 40 s passed, 10 %, 1 a second, 15 min 0 s left"
     assert logged(10, 10, 0.5, monkeypatch, capsys) == []  # over before anybody wonders
     slow = logged(4, 4, 4000.0, monkeypatch, capsys)
     assert len(slow) == 3
-    assert slow[0] == "frames: 1 of 4, 1 h 6 min each, 3 h 20 min left"
+    assert slow[0] == "frames: 1 of 4, 1 h 6 min passed, 25 %, 1 h 6 min each, 3 h 20 min left"
     endless = logged(None, 5000, 1.0, monkeypatch, capsys)
-    assert endless[0] == "frames: 600, 1 a second"
+    assert endless[0] == "frames: 600, 10 min 0 s passed, 1 a second"
     assert len(endless) == 8
 
 
@@ -209,10 +218,11 @@ for _ in Terminal().progress(range(3), 3, "simulations"):
 @pytest.mark.parametrize(("environment", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
 def test_a_terminal_gets_a_bar_that_fits(environment: dict[str, str], coloured: bool) -> None:
     shown = in_terminal([sys.executable, "-c", BAR], environment)
-    assert re.search(r"simulations .*━.*3/3.* a second, 0 s left", shown)
+    lines = re.split(r"[\r\n]+", re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown))
+    assert any(re.fullmatch(r"simulations +━* +0/3 0 % 0:00:00 *", line) for line in lines)  # before the first is done
+    assert any(re.fullmatch(r"simulations ━+ 3/3 100 %, .* a second, 0 s left 0:00:0\d *", line) for line in lines)
     assert bool(re.search(r"\x1b\[(3|9)\dm", shown)) == coloured
-    for line in re.split(r"[\r\n]+", re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown)):
-        assert len(line) <= 80
+    assert max(map(len, lines)) <= 80
 
 
 def test_a_terminal_that_can_do_nothing_gets_no_bar() -> None:

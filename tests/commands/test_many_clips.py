@@ -1,6 +1,8 @@
-"""Many clips in one call, and a folder that is watched: each rendered once, what is wrong with one is left at that one."""
+"""Many clips in one call, and the same call again: each rendered once, what is wrong with one is left at that one."""
 
+import contextlib
 import functools
+import io
 import json
 import os
 import shutil
@@ -8,25 +10,25 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from l3cli.artifacts.store import save
-from l3cli.errors import DeviceError, L3Error, RecipeError
+from l3cli.cli import run
+from l3cli.errors import DeviceError, L3Error
 from l3cli.io.images import write_mosaic
-from l3cli.io.raw.files import KnownBetter
+from l3cli.io.raw.files import RawOverrides
 from l3cli.rendering.renderer import make_renderer
-from l3cli.stages.checking.output_schema import output_schema
+from l3cli.stages.checking.schema import OUTPUT, schema
 from l3cli.stages.console import Silent
-from l3cli.stages.rendering.clips import ClipJob, name_of
+from l3cli.stages.rendering.clip_inputs import name_of
+from l3cli.stages.rendering.clips import STATE, ClipJob
 from l3cli.stages.rendering.render import render
-from l3cli.stages.rendering.watch import STATE, watch
 from tests.helpers.calls import L3, Refused
-from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_raw_video
+from tests.helpers.sequences import COUNT, FAST, RUN, frames, pictures, write_raw_video
 
 jsonschema = pytest.importorskip("jsonschema")
 
@@ -55,7 +57,7 @@ def names(folder: Path) -> list[str]:
 
 def document(out: str) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(out)
-    jsonschema.validate(found, output_schema())
+    jsonschema.validate(found, schema(OUTPUT))
     return found
 
 
@@ -66,7 +68,7 @@ def test_each_clip_is_rendered_as_if_alone(l3: L3, tmp_path: Path, table: Path, 
     call = ("render", table, *(shots / name for name in NAMES), "-o", tmp_path / "out", *FAST)
     code, out, err = l3(*call)
     assert (code, err) == (0, "")
-    assert names(tmp_path / "out") == sorted(PLACES)  # and no state of a run that is complete
+    assert names(tmp_path / "out") == sorted((STATE, *PLACES))
     lines = out.splitlines()
     assert lines[-1] == f"clips: 5 rendered, 0 kept, 0 failed; frames: {4 * COUNT + 1}, 0 left out"
     assert [line.split()[0] for line in lines[1:-1]] == [str(shots / name) for name in NAMES]
@@ -108,7 +110,7 @@ def test_a_clip_that_fails_stops_no_other_and_is_all_that_is_done_again(
     assert [clip["state"] for clip in found["clips"]] == ["rendered", "rendered", "kept", "kept"]
     assert found["frames"] == 3 * COUNT + 1
     assert all(path.stat().st_mtime_ns == at for path, at in first.items())
-    assert names(tmp_path / "out") == ["cut", "gone", "stack", "still.png"]
+    assert names(tmp_path / "out") == [STATE, "cut", "gone", "stack", "still.png"]
 
 
 def test_if_all_fail_the_exit_code_is_that_of_the_first(l3: L3, tmp_path: Path, table: Path) -> None:
@@ -149,7 +151,7 @@ def test_videos_in_a_folder_and_a_dry_run_of_them(l3: L3, tmp_path: Path, table:
     assert f"makes {tmp_path / 'out/fold.mkv'}: video of 5 frames" in out
     assert not (tmp_path / "out").exists()
     assert l3(*call)[0] == 0
-    assert names(tmp_path / "out") == ["fold.mkv", "stack.mkv"]
+    assert names(tmp_path / "out") == [STATE, "fold.mkv", "stack.mkv"]
 
 
 @pytest.mark.parametrize(
@@ -165,7 +167,7 @@ def test_an_output_is_never_taken_for_a_pattern(l3: L3, tmp_path: Path, table: P
     shutil.copytree(shots / "fold", tmp_path / "take.1")
     call = ("render", table, tmp_path / "a#1.npy", tmp_path / "take.1", "-o", tmp_path / "out", *FAST)
     assert l3(*call)[0] == 0
-    assert names(tmp_path / "out") == ["a_1.png", "take_1"]
+    assert names(tmp_path / "out") == [STATE, "a_1.png", "take_1"]
 
 
 def test_a_full_disk_or_a_missing_device_stops_all(tmp_path: Path, table: Path, shots: Path) -> None:
@@ -176,151 +178,190 @@ def test_a_full_disk_or_a_missing_device_stops_all(tmp_path: Path, table: Path, 
             calls.append(inputs[0])
             raise error
 
-        stage = functools.partial(fails, known=KnownBetter())
+        stage = functools.partial(fails, known=RawOverrides())
         job = ClipJob(table, tmp_path / "out", "png", stage, Silent(), force=True)
         with pytest.raises(raised):
             job.run([shots / "v.mkv", shots / "stack.npy"], resume=False)
         assert calls == [shots / "v.mkv"]
 
 
-# ------------------------------------------------------------------------------------------------------------- watch
-
-
-class Ends(Exception):
-    """The last look."""
-
-
-class Said(Silent):
-    """A console that keeps what is left out."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def alert(self, message: str) -> None:
-        self.lines.append(message)
+# -------------------------------------------------------------------------------------------------------- the same again
 
 
 @pytest.fixture
-def watched(tmp_path: Path, table: Path) -> Callable[..., tuple[ClipJob, list[str]]]:
-    """Watch tmp_path/in: each step is called instead of a pause, and the watch ends after the last."""
+def again(tmp_path: Path, table: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[tuple[str, str]]]:
+    """`l3 render table.h5 in -o out --resume`, whenever it is called: name and state of each clip in tmp_path/in."""
     (tmp_path / "in").mkdir()
 
-    def call(*steps: Callable[[], object], stage: Any = render, **options: Any) -> tuple[ClipJob, list[str]]:
-        left: Iterator[Callable[[], object]] = iter(steps)
-
-        def pause(_: float) -> None:
-            step = next(left, None)
-            if step is None:
-                raise Ends
-            step()
-
-        console = Said()
-        one = functools.partial(stage, table, suffix="png", known=KnownBetter(), backend="reference", skip_bad=False)
-        job = ClipJob(table, tmp_path / "out", "png", one, console, **options)
-        with pytest.raises(Ends):
-            watch(job, tmp_path / "in", 1.0, pause)
-        return job, console.lines
+    def call(*options: object, code: int = 0) -> list[tuple[str, str]]:
+        output = io.StringIO()
+        with contextlib.redirect_stdout(output):
+            command = ["render", table, tmp_path / "in", "-o", tmp_path / "out", "--resume", "--json", *FAST, *options]
+            assert run([*map(str, command)]) == code
+        return [(Path(clip["clip"]).name, clip["state"]) for clip in document(output.getvalue())["clips"]]
 
     return call
 
 
-def nothing() -> None:
-    pass
+def replaced(path: Path, content: bytes) -> None:
+    """Another file of the same name, size and time in the place of one, as `cp -p` or `rsync` make it."""
+    before = path.stat()
+    assert len(content) == before.st_size
+    path.write_bytes(content)
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
-def test_what_is_whole_is_rendered_once_also_by_the_next_watch(watched: Callable, shots: Path, tmp_path: Path) -> None:
-    here, whole = tmp_path / "in", (shots / "stack.npy").read_bytes()
-    half = here / "stack.npy"
-    steps = (
-        lambda: half.write_bytes(whole[:500]),
-        lambda: half.write_bytes(whole[:900]),  # it grows: not whole yet
-        lambda: half.write_bytes(whole),
-        lambda: shutil.move(shutil.copy(shots / "still.npy", here / ".hidden"), here / "still.npy"),
-        nothing,
-        nothing,
-    )
-    job, said = watched(*steps)
-    assert said == []
-    assert [report.clip for report in job.summary.clips] == [str(here / "stack.npy"), str(here / "still.npy")]
-    assert names(tmp_path / "out") == [STATE, "stack", "still.png"]
-    job, said = watched(nothing, nothing)
-    assert (job.summary.clips, said) == (type(job.summary.clips)(maxlen=1000), [])
-    job, _ = watched(lambda: np.save(half, frames()[::-1]), nothing, nothing)  # another content
-    assert [report.clip for report in job.summary.clips] == [str(half)]
-    assert job.summary.exit_code == 0
+def content_of(array: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
 
 
-def test_what_cannot_be_rendered_is_said_once_and_not_tried_again(watched: Callable, shots: Path, tmp_path: Path) -> None:
-    here = tmp_path / "in"
-    os.mkfifo(here / "pipe.dng")
-    (here / "link.mkv").symlink_to(shots / "v.mkv")
+def test_a_folder_of_clips_is_rendered_again_and_again(again: Callable, shots: Path, tmp_path: Path) -> None:
+    here, out = tmp_path / "in", tmp_path / "out"
+    shutil.copytree(shots / "fold", here / "fo; touch x `ld`")
+    np.save(here / "--half $(1).npy", frames())
     (here / "notes.txt").write_text("mine")
-    (here / "cut.mkv").write_bytes((shots / "v.mkv").read_bytes()[:700])
-    (here / ("x" * 251 + ".npy")).write_bytes(b"")
-    (here / "\udcff.npy").write_bytes((shots / "still.npy").read_bytes())
+    (here / ".coming.npy").write_bytes(b"half")
     (here / "empty").mkdir()
-    job, said = watched(*[nothing] * 4)
-    assert len(said) == 6
-    assert [line for line in said if "left out" in line] == [
-        f"l3: {here}/link.mkv is a link; left out",
-        f"l3: {here}/notes.txt is a file of no raw format; left out",
-        f"l3: {here}/pipe.dng is a pipe; left out",
-    ]
-    assert (job.summary.counts["failed"], job.summary.counts["rendered"]) == (3, 1)
-    job, said = watched(*[nothing] * 3)
-    assert not job.summary.clips
-    assert len(said) == 3  # links and the like, of which no state is kept
-    job, said = watched(lambda: shutil.copy(shots / "v.mkv", here / "cut.mkv"), nothing, nothing)
-    assert [report.state for report in job.summary.clips] == ["rendered"]
+    first = [("--half $(1).npy", "rendered"), ("fo; touch x `ld`", "rendered")]
+    assert again() == first
+    assert names(out) == ["--half $(1)", STATE, "fo; touch x `ld`"]
+    assert again() == [(name, "kept") for name, _ in first]
+    shutil.copy(shots / "v.mkv", here)  # a new name
+    np.save(here / "still.npy", frames(1)[0])
+    assert again()[2:] == [("still.npy", "rendered"), ("v.mkv", "rendered")]
+    assert {state for _, state in again()} == {"kept"}
+    (here / "v.mkv").unlink()
+    shutil.rmtree(out / "v")
+    assert {state for _, state in again()} == {"kept"}
+    assert len((out / STATE).read_text().splitlines()) == 1 + 3  # it does not grow for ever
 
 
-def test_what_was_half_done_is_done_again(watched: Callable, shots: Path, tmp_path: Path) -> None:
-    shutil.copy(shots / "stack.npy", tmp_path / "in/stack.npy")
-    shutil.copy(shots / "still.npy", tmp_path / "in/still.npy")
-    done: list[str] = []
+def test_a_folder_of_frames_is_one_clip_and_what_else_is_in_it_is_named(
+    l3: L3, tmp_path: Path, table: Path, shots: Path
+) -> None:
+    fold = shots / "fold"
+    (fold / "frame.h5").write_bytes(b"")
+    call = ("render", table, fold, "-o", tmp_path / "out", "--format", "mkv", "--backend", "reference")
+    assert "without" not in l3(*call)[2]
+    shutil.copy(shots / "v.mkv", fold)
+    assert f"{fold} is taken for its frames, without v.mkv; name" in l3(*call, "--force")[2]
+    assert names(tmp_path / "out") == [STATE, "fold.mkv"]
 
-    def dies(table: Path, inputs: tuple[Path, ...], output: Path, console: Any, **choices: Any) -> Any:
-        tally = render(table, inputs, output, console, **choices)
-        done.append(output.name)
-        if output.name == "stack":
-            raise Ends  # as a kill would end it: pictures are there, and nothing says so
-        return tally
 
-    watched(nothing, nothing, stage=dies)
-    assert done == ["stack"]
+def test_another_clip_of_the_same_name_size_and_time_is_rendered(again: Callable, shots: Path, tmp_path: Path) -> None:
+    clip, out = tmp_path / "in/a.npy", tmp_path / "out/a"
+    np.save(clip, frames())
+    shutil.copytree(shots / "fold", tmp_path / "in/fold")
+    again()
+    before = pictures(out)["a_000000.png"]
+    replaced(clip, content_of(frames()[::-1]))
+    assert again() == [("a.npy", "rendered"), ("fold", "kept")]
+    assert not np.array_equal(pictures(out)["a_000000.png"], before)
+    first, second = (tmp_path / f"in/fold/f_0{number}.tif" for number in (0, 1))
+    replaced(first, second.read_bytes())
+    assert again() == [("a.npy", "kept"), ("fold", "rendered")]
+    os.unlink(clip)
+    np.save(clip, frames(3))  # a name used again, for fewer frames: of the others no picture stays
+    assert again() == [("a.npy", "rendered"), ("fold", "kept")]
+    assert list(pictures(out)) == [f"a_{number:06d}.png" for number in range(3)]
+
+
+def test_another_dark_frame_of_the_same_size_and_time_is_another_run(again: Callable, tmp_path: Path, l3: L3) -> None:
+    np.save(tmp_path / "in/a.npy", frames())
+    dark = tmp_path / "dark"
+    dark.mkdir()
+    np.save(dark / "0.npy", np.full(frames()[0].shape, 64, np.uint16))
+    assert again("--dark", dark) == [("a.npy", "rendered")]
+    assert again("--dark", dark) == [("a.npy", "kept")]
+    replaced(dark / "0.npy", content_of(np.full(frames()[0].shape, 65, np.uint16)))
+    call = ("render", tmp_path / "table.h5", tmp_path / "in", "-o", tmp_path / "out", "--resume", "--dark", dark)
+    assert "another table or options" in l3(*call, *FAST)[2]
+
+
+def test_a_name_is_used_again_when_its_clip_is_gone(again: Callable, shots: Path, tmp_path: Path) -> None:
+    clip, out = tmp_path / "in/v.npy", tmp_path / "out/v"
+    np.save(clip, frames())
+    np.save(tmp_path / "in/w.npy", frames())
+    again()
+    (tmp_path / "elsewhere").mkdir()
+    clip.rename(tmp_path / "elsewhere/v.npy")
+    shutil.copy(shots / "v.mkv", tmp_path / "in")
+    again(code=0)
+    assert len(pictures(out)) == COUNT
+    assert {state for _, state in again()} == {"kept"}
+    shutil.rmtree(out)  # taken away: made again
+    assert again() == [("v.mkv", "rendered"), ("w.npy", "kept")]
+    (out / f"v_{0:06d}.png").write_text("mine")  # what others have put there is not replaced
+    replaced(tmp_path / "in/v.mkv", (shots / "v.mkv").read_bytes())
+    assert again(code=1) == [("v.mkv", "failed"), ("w.npy", "kept")]
+    assert (out / f"v_{0:06d}.png").read_text() == "mine"
+
+
+def test_an_output_of_a_clip_that_is_still_there_is_not_replaced(l3: L3, tmp_path: Path, table: Path, shots: Path) -> None:
+    (tmp_path / "tuesday").mkdir()
+    np.save(tmp_path / "tuesday/v.npy", frames())
+    call = ("render", table, "-o", tmp_path / "out", "--format", "mkv", "--resume", *FAST)
+    assert l3(*call, shots / "v.mkv")[0] == 0
+    code, _, err = l3(*call, tmp_path / "tuesday/v.npy")
+    assert (code, err.count("\n")) == (1, 1)
+    assert f"was made of {shots / 'v.mkv'}, which is still there; name another folder" in err
+    os.unlink(shots / "v.mkv")
+    assert l3(*call, tmp_path / "tuesday/v.npy")[0] == 0
+
+
+def test_a_dry_run_of_the_same_again_names_what_is_new(again: Callable, l3: L3, table: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        np.save(tmp_path / f"in/{name}.npy", frames())
+        again()
+    np.save(tmp_path / "in/b.npy", frames(2))
+    code, out, _ = l3("render", table, tmp_path / "in", "-o", tmp_path / "out", "--resume", "--dry-run", *FAST)
+    assert (code, out.count("makes")) == (0, 1)
+    assert f"makes {tmp_path / 'out/b'}: pictures of 2 frames" in out
+
+
+def test_what_was_half_done_is_done_again(shots: Path, table: Path, tmp_path: Path) -> None:
+    """A killed run leaves pictures, and nothing that says that the clip has ended."""
+
+    class Dies(Exception):
+        pass
+
+    def dies(*about: Any, **choices: Any) -> Any:
+        render(*about, **choices)
+        raise Dies
+
+    def job(stage: Any) -> ClipJob:
+        one = functools.partial(stage, table, suffix="png", known=RawOverrides(), backend="reference", skip_bad=False)
+        return ClipJob(table, tmp_path / "out", "png", one, Silent())
+
+    clips = [shots / "stack.npy", shots / "v.mkv"]
+    with pytest.raises(Dies):
+        job(dies).run(clips, resume=False)
     (tmp_path / "out/stack/stack_000002.png").unlink()
-    job, said = watched(nothing, nothing)
-    assert said == []
-    assert [report.state for report in job.summary.clips] == ["rendered", "rendered"]
+    new = job(render)
+    new.run(clips, resume=True)
+    assert [report.state for report in new.summary.clips] == ["rendered", "rendered"]
     assert len(pictures(tmp_path / "out/stack")) == COUNT
 
 
-def test_what_others_have_put_there_is_not_replaced(watched: Callable, shots: Path, tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out/still.png").write_text("mine")
-    shutil.copy(shots / "still.npy", tmp_path / "in/still.npy")
-    _, said = watched(nothing, nothing, nothing)
-    assert len(said) == 1
-    assert "still.png exists" in said[0]
-    watched(nothing, nothing)
-    assert (tmp_path / "out/still.png").read_text() == "mine"
-    job, _ = watched(nothing, nothing, force=True)
-    assert job.summary.counts["rendered"] == 1
-
-
-def test_memory_is_that_of_what_lies_in_the_folder(watched: Callable, shots: Path, tmp_path: Path) -> None:
-    here = tmp_path / "in"
-    steps: list[Callable[[], object]] = []
-    for number in range(4):
-        steps.append(functools.partial(shutil.copy, shots / "still.npy", here / f"{number}.npy"))
-        steps += [nothing, functools.partial(os.unlink, here / f"{number}.npy")]
-    job, _ = watched(*steps, nothing)
-    assert job.summary.counts["rendered"] == 4
-    assert job.state.entry(here / "3.npy") is None
+def test_a_stopped_clip_that_has_changed_leaves_no_picture(again: Callable, tmp_path: Path) -> None:
+    clip, out = tmp_path / "in/fold", tmp_path / "out/fold"
+    clip.mkdir()
+    np.save(tmp_path / "in/z.npy", frames())
+    for number, mosaic in enumerate(frames()):
+        np.save(clip / f"{number}.npy", mosaic)
+    (clip / "4.npy").write_bytes(b"broken")
+    assert again(code=1) == [("fold", "failed"), ("z.npy", "rendered")]
+    assert list(pictures(out)) == [f"{number}.png" for number in range(4)]
+    os.unlink(clip / "4.npy")
+    os.unlink(clip / "3.npy")
+    assert again() == [("fold", "rendered"), ("z.npy", "kept")]
+    assert list(pictures(out)) == [f"{number}.png" for number in range(3)]
 
 
 def test_a_renderer_is_made_once_and_anew_after_an_error(
-    watched: Callable, shots: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    again: Callable, shots: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What OpenCL builds for one stays in memory."""
     made: list[str] = []
@@ -331,50 +372,55 @@ def test_a_renderer_is_made_once_and_anew_after_an_error(
 
     monkeypatch.setattr("l3cli.rendering.quiet.make_renderer", counted)
     for name in ("a.npy", "b.npy", "d.npy"):
-        shutil.copy(shots / "still.npy", tmp_path / "in" / name)
-    watched(nothing)
+        np.save(tmp_path / "in" / name, frames(2))
+    again()
     assert made == ["reference"]
     (tmp_path / "in/c.npy").write_bytes(b"cut")
-    watched(nothing, nothing, force=True)
+    again("--force", "--frames", "0", code=1)
     assert made == ["reference"] * 3
 
 
-def test_a_watch_that_cannot_be_is_refused(watched: Callable, refused: Refused, table: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_done_again_is_refused(again: Callable, refused: Refused, table: Path, tmp_path: Path) -> None:
     here = tmp_path / "in"
-    call = ("render", table, *FAST)
-    assert "lie in one another" in refused(2, *call, "--watch", here, "-o", here / "out")
-    assert "cannot be watched" in refused(3, *call, "--watch", tmp_path / "none", "-o", tmp_path / "out")
-    assert "give either" in refused(2, *call, "--watch", here, here / "a.npy", "-o", tmp_path / "out")
-    assert "give either" in refused(2, *call, "-o", tmp_path / "out")
-    assert "--every goes with --watch" in refused(2, *call, here / "a.npy", "--every", 3, "-o", tmp_path / "out")
-    assert "dry run" in refused(2, *call, "--watch", here, "-o", tmp_path / "out", "--dry-run")
-    watched(nothing)
-    save(RGGB, table)
-    stage = functools.partial(render, table, known=KnownBetter())
-    job = ClipJob(table, tmp_path / "out", "png", stage, Silent())
+    np.save(here / "a.npy", frames())
+    call = ("render", table, here, *FAST)
+    assert "lie in one another" in refused(2, *call, "-o", here / "out")
+    for gone in (("--watch", here), ("--watch", here, "--every", 3)):
+        assert "--watch is no more; call again for what has arrived: l3 render" in refused(2, "render", table, *gone)
+    again()
+    assert "another table or options" in refused(2, *call, "-o", tmp_path / "out", "--resume", "--frames", "0")
+    job = ClipJob(table, tmp_path / "new", "png", functools.partial(render, table, known=RawOverrides()), Silent())
     os.utime(table, (1, 1))
     with pytest.raises(L3Error, match="has changed since the run began"):
-        job.one(here / "a.npy")
-    other = ClipJob(table, tmp_path / "out", "tif", stage, Silent())
-    with pytest.raises(RecipeError, match="another table or options"):
-        watch(other, here, 1.0)
+        job.run([here / "a.npy"], resume=False)
 
 
-def test_ctrl_c_ends_a_watch_with_130_and_its_results(table: Path, shots: Path, tmp_path: Path) -> None:
-    (tmp_path / "in").mkdir()
-    shutil.copy(shots / "still.npy", tmp_path / "in")
-    call = ("render", table, "--watch", tmp_path / "in", "--every", "0.1", "-o", tmp_path / "out", "--json", *FAST)
-    program = f"from l3cli.interrupts import heed; heed(); {RUN}"
+def test_ctrl_c_ends_many_clips_with_130_and_their_results(table: Path, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", frames(2))
+    np.save(tmp_path / "b.npy", np.tile(frames(), (2000, 1, 1)))
+    call = (
+        "render",
+        table,
+        tmp_path / "a.npy",
+        tmp_path / "b.npy",
+        "-o",
+        tmp_path / "out",
+        "--format",
+        "mkv",
+        "--json",
+        *FAST,
+    )
+    program = f"from l3cli.system.signals import heed; heed(); {RUN}"
     command = [sys.executable, "-c", program, *map(str, call)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as ended:
         end = time.monotonic() + 60
-        while not (tmp_path / "out/still.png").exists() and time.monotonic() < end:
+        while not (tmp_path / "out/a.mkv").exists() and time.monotonic() < end:
             time.sleep(0.05)
         time.sleep(0.3)
-        run.send_signal(signal.SIGINT)
-        out, err = run.communicate(timeout=30)
+        ended.send_signal(signal.SIGINT)
+        out, err = ended.communicate(timeout=30)
     found = document(out)
-    assert (run.returncode, err) == (130, "l3: interrupted\n")
+    assert (ended.returncode, err) == (130, "l3: interrupted\n")
     assert [clip["state"] for clip in found["clips"]] == ["rendered"]
     assert found["run"]["error"]["kind"] == "interrupted"
-    assert names(tmp_path / "out") == [STATE, "still.png"]
+    assert names(tmp_path / "out") == [STATE, "a.mkv"]

@@ -169,7 +169,7 @@ MISTAKES = """
     2 render table.h5 raw.tif
         Missing option '-o'
     2 render table.h5 -o new.png
-        give either INPUTs or --watch FOLDER
+        Missing argument 'INPUT...'
     2 render table.h5 raw.tif -o new.jp2
         pictures are written as .png
     2 render table.h5 raw.tif -o raw.tif --force

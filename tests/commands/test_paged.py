@@ -47,6 +47,15 @@ def test_pages_are_the_pictures_of_a_folder(l3: Callable, desk: Path, bits: int)
             path.unlink()
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_an_orientation_that_tiff_does_not_know_is_refused(refused: Callable, desk: Path, count: int) -> None:
+    with tifffile.TiffWriter(desk / "a.tif") as file:
+        for number in range(count):
+            file.write(np.load(desk / "stack.npy")[number], extratags=[(274, 3, 1, 9 - 3 * (number < count - 1), True)])
+    words = refused(3, "render", desk / "table.h5", desk / "a.tif", "-o", desk / "a.png" if count == 1 else desk / "out")
+    assert "a.tif: its orientation is 9, TIFF knows 1…8; mend the tag Orientation" in words
+
+
 def test_pages_say_what_they_are(l3: Callable, desk: Path) -> None:
     call = ("render", desk / "table.h5", desk / "stack.npy", "--space", "rec2020", "--backend", "reference")
     for name in ("a.tif", "b.tif"):

@@ -12,7 +12,7 @@ from l3cli.errors import InputFileError
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image, write_mosaic, write_picture
 from l3cli.io.raw.pages import count_pages, read_page
-from l3cli.limits import TRUST
+from l3cli.system.limits import TRUST
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, frames, pictures
 
@@ -161,7 +161,6 @@ def test_elsewhere_a_file_has_one_picture(refused: Refused, tmp_path: Path, tabl
     write_mosaic(tmp_path / "b_2.tif", frames()[0])
     words = "holds more than one page"
     assert words in refused(3, "render", table, stack, tmp_path / "b_2.tif", "-o", tmp_path / "out", *FAST)
-    assert words in refused(3, "render", table, tmp_path / "in", "-o", tmp_path / "out", *FAST)
     assert words in refused(3, "render", table, tmp_path / "in/a_%d.tif", "-o", tmp_path / "out", *FAST)
     for read in (read_image, lambda path: read_frame(path, (20, 28), 12)):
         with pytest.raises(InputFileError, match=words):
@@ -191,11 +190,11 @@ def test_a_picture_of_several_parts_is_refused(tmp_path: Path) -> None:
 
 
 def test_bands_in_pages_are_still_read(tmp_path: Path) -> None:
-    from l3cli.io.scenes import pages
+    from l3cli.io.scenes import channels
 
     write_pages(tmp_path / "a.tif", frames())
-    np.testing.assert_array_equal(pages.read(tmp_path / "a.tif").values, np.moveaxis(frames(), 0, 2))
+    np.testing.assert_array_equal(channels.read(tmp_path / "a.tif").values, np.moveaxis(frames(), 0, 2))
     write_picture(tmp_path / "b.tif", np.zeros((20, 28, 3), np.uint8))
-    assert pages.read(tmp_path / "b.tif").values.shape == (20, 28, 3)
+    assert channels.read(tmp_path / "b.tif").values.shape == (20, 28, 3)
     tifffile.imwrite(tmp_path / "c.tif", frames(), photometric="minisblack", description=json.dumps({"shape": [5, 20, 28]}))
-    assert pages.read(tmp_path / "c.tif").values.shape == (20, 28, 5)
+    assert channels.read(tmp_path / "c.tif").values.shape == (20, 28, 5)

@@ -3,6 +3,7 @@
 Every block of a page starts in a folder of its own. A command that cannot be run here says why (NOT_HERE).
 """
 
+import html
 import os
 import re
 import shutil
@@ -17,19 +18,20 @@ import numpy as np
 import pytest
 import tifffile
 
-from l3cli import recipes
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.channel_recipe import ChannelRecipe
 from l3cli.cli import run
-from l3cli.config import Recipe, load_recipe
 from l3cli.io.correction_recipe import CorrectionRecipe
 from l3cli.io.measurement_recipe import MeasurementRecipe
+from l3cli.recipes import builtin
+from l3cli.recipes.toml import Recipe, load_recipe
 from l3cli.simulation.recipe import SceneRecipe
+from tests.helpers.browser import Browser
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.dng_files import write_dng
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.photos import chart_mosaic
-from tests.helpers.readme import PAGES, README, commands, shown
+from tests.helpers.readme import PAGES, README, blocks, commands, shown
 from tests.helpers.recipes import FEW_CLASSES, SMALL
 from tests.helpers.sequences import write_raw_video
 
@@ -43,7 +45,7 @@ NOT_HERE = {
     "--scheduler": "a cluster: tests/commands/test_cluster.py",
     "grab |": "a camera at work: tests/commands/test_render_io.py",
     "monday/*.mkv": "clips of a day: tests/commands/test_many_clips.py",
-    "--watch": "without an end: tests/commands/test_many_clips.py",
+    "incoming/": "clips that arrive: tests/commands/test_many_clips.py",
     "simulate motion": "two hundred frames: tests/commands/test_clips.py",
     "composition-": "clips with their truth: tests/commands/test_clips.py, test_sequence_evaluation.py",
     "lab fiveband": "the worked example: tests/commands/test_readme.py",
@@ -53,22 +55,14 @@ sensor = { rows = 192, cols = 256, pixel_pitch_um = 4.0, bits = 12 }
 cfa = { channels = ["r", "g", "b"], pattern = ["r g", "g b"] }
 optics = { focal_length_mm = 25, f_number = 2.8 }
 """  # what a measurement file begins with
+PLUGINS = "python.md"  # whose package tests/commands/test_plugins.py installs
 PROSE = {name: text for name, text in {"README.md": README, **PAGES}.items() if name not in ("method.md", "architecture.md")}
-
-
-def blocks(text: str) -> list[str]:
-    """A page's blocks of code: indented or fenced lines that follow one another, blank lines within."""
-    found = re.findall(
-        r"(?:^(?: {4}.*)?\n)+", re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL), re.MULTILINE
-    )
-    fenced = re.findall(r"^```.*?^```$", text, re.MULTILINE | re.DOTALL)
-    return [block for each in (*found, *fenced) if (block := "\n".join(shown(each))).strip()]
 
 
 BLOCKS = [(name, block) for name, text in PROSE.items() for block in blocks(text)]
 SHELL = {block: name for name, block in BLOCKS if re.search(r"^l3 ", block, re.MULTILINE)}  # what two pages show is run once
 PYTHON = [(name, block) for name, block in BLOCKS if block.startswith("import l3cli")]
-TABLES = [(name, block) for name, block in BLOCKS if re.match(r"(\w+ = .*\n)*\[\[?\w+\]", block)]
+TABLES = [(name, block) for name, block in BLOCKS if name != PLUGINS and re.match(r"(\w+ = .*\n)*\[\[?\w+\]", block)]
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +87,7 @@ def desk(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     chart = chart_mosaic(load_camera(folder / "configs/cameras/bayer.toml"), "A")
     raw_files(folder, tifffile.imread(next((pipeline / "unseen").glob("*_raw.tif"))), chart)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recipes, "recipe_folder", lambda: folder / "configs")
+        patch.setattr(builtin, "recipe_folder", lambda: folder / "configs")
         assert run(["init", "--from", str(folder / "photo.dng"), str(folder / "mine"), "--quiet"]) == 0
     return folder
 
@@ -129,7 +123,8 @@ def raw_files(folder: Path, mosaic: np.ndarray, chart: np.ndarray) -> None:
     colour = {50721: (10, matrix), 50778: (3, [21]), 50728: (5, [60, 100, 100, 100, 70, 100]), 33434: (5, [1, 100])}
     write_dng(folder / "large.dng", large, rggb, tags=colour)
     write_dng(folder / "frame.dng", np.tile(mosaic, (2, 2))[:192, :256], rggb, tags=colour)
-    write_dng(folder / "photo.dng", mosaic, rggb, tags=colour)
+    for name in ("photo.dng", "other.dng"):
+        write_dng(folder / name, mosaic, rggb, tags=colour)
     (folder / "dump.raw10").write_bytes(bytes(1080 * 2432))
     (folder / "darks").mkdir()
     for name, values in {"night.fits": mosaic, "darks/1.fits": np.full_like(mosaic, 64)}.items():
@@ -146,7 +141,7 @@ def raw_files(folder: Path, mosaic: np.ndarray, chart: np.ndarray) -> None:
 def test_the_commands_of_a_block_run(
     name: str, block: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, l3: Callable
 ) -> None:
-    monkeypatch.setattr(recipes, "recipe_folder", lambda: desk / "configs")
+    monkeypatch.setattr(builtin, "recipe_folder", lambda: desk / "configs")
     shutil.copytree(desk, tmp_path, copy_function=os.link, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     if "--white" in block:
@@ -170,7 +165,7 @@ def prepare(words: list[str], folder: Path) -> None:
     for output in outputs:
         path = folder / output
         shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    if "mine/table.h5" in words:
+    if "mine/table.h5" in words and not (folder / "mine/table.h5").exists():
         os.link(folder / "table.h5", folder / "mine/table.h5")
 
 
@@ -178,7 +173,7 @@ def prepare(words: list[str], folder: Path) -> None:
 def test_the_python_of_a_page_runs(
     name: str, block: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recipes, "recipe_folder", lambda: desk / "configs")
+    monkeypatch.setattr(builtin, "recipe_folder", lambda: desk / "configs")
     for each in ("lab", "frame.dng"):
         (tmp_path / each).symlink_to(desk / each)
     monkeypatch.chdir(tmp_path)
@@ -205,6 +200,15 @@ def test_the_keys_of_a_page_are_keys(name: str, block: str, tmp_path: Path) -> N
     load_recipe(tmp_path / "a.toml", kind)
 
 
+def test_lines_of_code_are_whole_on_a_telephone(tab: Browser, tmp_path: Path) -> None:
+    style = (ROOT / "docs/site/static/style.css").read_text()
+    longest = max((block for _, block in BLOCKS), key=lambda block: max(map(len, block.splitlines())))
+    page = f"<meta charset=utf-8><style>pre {{ overflow: auto }}\n{style}</style><article><pre>{html.escape(longest)}</pre>"
+    (tmp_path / "page.html").write_text(page)
+    tab.open(tmp_path / "page.html", width=390)
+    assert tab.run("(e => e.scrollWidth <= e.clientWidth)(document.querySelector('pre'))")
+
+
 def test_no_block_is_left_out() -> None:
     """Every line of a block with `l3` is run above, is a session, or says why it is not."""
     run = {line for block in SHELL for line in block.splitlines()}
@@ -218,7 +222,7 @@ def test_no_block_is_left_out() -> None:
 
 def test_the_session_of_check_prints_what_is_shown(l3: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    (session,) = [block for name, block in BLOCKS if name == "recipes.md" and "$ l3 check" in block]
+    (session,) = [block for name, block in BLOCKS if name == "commands.md" and "$ l3 check" in block]
     printed = [" ".join(line.split()) for line in l3("check", "from_curves")[1].replace(f"{ROOT}/", "").splitlines()]
     for line in session.partition("$ l3 ")[2].splitlines()[1:]:
         assert line.strip() == "…" or " ".join(line.split()) in printed, line

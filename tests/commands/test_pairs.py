@@ -1,15 +1,18 @@
 """Real pairs: a raw file and its picture enter a training set, and training takes them at their CFA phase only."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, open_training_set
 from l3cli.classes.windows import neighbourhoods
-from l3cli.frame import RawFrame, as_taken, upright
+from l3cli.frames.frame import RawFrame, as_taken, upright
+from l3cli.io.images import read_image
 from l3cli.simulation.pairs import make_pair
 from l3cli.simulation.recipe import Pair
 from l3cli.training.patches import expose_patches, noise_share, sample_pair
@@ -140,6 +143,22 @@ def test_pairs_and_frames_train_one_table(
         assert code == 0, err
         error[name] = json.loads(out)["mean"]["ours"]["median_delta_e"]
     assert max(error.values()) < 8
+
+
+def test_a_picture_is_turned_upright_by_its_tag(
+    l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path, pair_recipe: str
+) -> None:
+    first = pair_recipe.split("[[pair]]")[1]
+    ideal = min((tmp_path / "p").glob("*_ideal.png"))
+    pixels, _ = read_image(ideal)
+    tifffile.imwrite(tmp_path / "p/turned.tif", pixels[::-1, ::-1], photometric="rgb", extratags=[(274, 3, 1, 3, True)])
+    turned = re.sub(r'picture = ".*"', 'picture = "p/turned.tif"', first)
+    (tmp_path / "two.toml").write_text(f"[[pair]]{first}[[pair]]{turned}")
+    code, _, err = l3("simulate", tmp_path / "two.toml", "--camera", bayer_recipe, "-o", tmp_path / "two.h5")
+    assert code == 0, err
+    with open_training_set(tmp_path / "two.h5") as reader:
+        one, other = reader
+    np.testing.assert_array_equal(one.target, other.target)
 
 
 def test_a_wrong_pair_is_one_line(

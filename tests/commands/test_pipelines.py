@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import shlex
 import shutil
 import signal
 import sys
@@ -18,8 +19,9 @@ from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
 from l3cli.io.images import read_image, write_picture
-from l3cli.locks import sole_writer_of_file, sole_writer_of_folder
+from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder
 from tests.helpers.cameras import bayer_camera
+from tests.helpers.hostile_names import Pipelines
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.recipes import FEW_CLASSES, SMALL
 from tests.helpers.workplace import PATH, Workplace, a_workplace
@@ -119,17 +121,63 @@ def test_another_camera_takes_its_unseen_frames(workplace: Workplace, folder: Pa
         )
 
 
-@pytest.mark.parametrize(("recipe", "named"), [("bayer_bggr", "bayer.toml"), ("from_curves", "from_curves.csv")])
+@pytest.mark.parametrize(
+    ("recipe", "named", "first"), [("bayer_bggr", "bayer.toml", "lab"), ("from_curves", "from_curves.csv", "simulate")]
+)
 def test_a_file_that_the_camera_is_made_of_makes_all_of_it_again(
-    recipe: str, named: str, workplace: Workplace, tmp_path: Path
+    recipe: str, named: str, first: str, workplace: Workplace, tmp_path: Path
 ) -> None:
-    assert run(["init", recipe, str(tmp_path / "folder"), "--quiet"]) == 0
-    (tmp_path / "folder/virtual_lab").mkdir()
-    measured = "virtual_lab/MEASUREMENTS.toml"
-    (tmp_path / "folder" / measured).touch()
-    (tmp_path / "folder/.asked").touch()
-    assert "l3 lab" not in workplace.do(tmp_path / "folder", f"make -n {measured}")[0]
-    assert "l3 lab" in workplace.do(tmp_path / "folder", f"make -n -W {named} {measured}")[0]
+    folder = tmp_path / "folder"
+    assert run(["init", recipe, str(folder), "--quiet"]) == 0
+    workplace.do(folder, "make -n")
+    (folder / "virtual_lab").mkdir()
+    for made in ("virtual_lab/MEASUREMENTS.toml", "camera.h5", "training.h5"):
+        (folder / made).touch()
+    assert CALL.findall(workplace.do(folder, "make -n training.h5")[0]) == []
+    text = (folder / named).read_text()
+    (folder / named).write_text(text.replace("450,", "451,") if named.endswith("csv") else f"{text} # mended")
+    assert f"l3 {first} " in workplace.do(folder, "make -n training.h5")[0].splitlines()[0]
+
+
+HOSTILE = ("d`touch PWNED`", "$(shell touch PWNED)", ";touch PWNED #", "a 'b\"", "a\ntouch PWNED", "100%", "-f", "字é")
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> Pipelines:
+    return Pipelines(tmp_path_factory.mktemp("names"))
+
+
+@pytest.mark.parametrize("place", ["clip", "camera"])
+@pytest.mark.parametrize("name", HOSTILE)
+def test_make_runs_nothing_that_a_name_says(place: str, name: str, hostile: Pipelines) -> None:
+    assert hostile.judge_name("make", place, name) is None
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "place", "name"),
+    [
+        ("make", "folder", "".join(HOSTILE)),
+        ("make", "curves", HOSTILE[0]),
+        ("make", "curves", HOSTILE[2]),
+        ("slurm", "folder", "".join(HOSTILE)),
+        ("slurm", "camera", HOSTILE[1]),
+        pytest.param("snakemake", "folder", "".join(HOSTILE), marks=needs_snakemake),
+        pytest.param("snakemake", "camera", HOSTILE[2], marks=needs_snakemake),
+    ],
+)
+def test_no_pipeline_runs_what_a_name_says(pipeline: str, place: str, name: str, hostile: Pipelines) -> None:
+    assert hostile.judge_name(pipeline, place, name) is None
+
+
+@pytest.mark.parametrize("name", ["a b.toml", "$(shell touch PWNED).toml", "-x", "100%.toml", ""])
+def test_a_name_that_make_cannot_hold_is_refused(name: str, workplace: Workplace, tmp_path: Path) -> None:
+    assert run(["init", "bayer", str(tmp_path / "folder"), "--quiet"]) == 0
+    process = workplace.start(tmp_path / "folder", shlex.join(["make", "-n", f"CAMERA={name}"]))
+    said = process.communicate()[1]
+    assert "CAMERA must be the name of one file" in said
+    assert "rename the file" in said
+    assert (process.returncode, said.count("\n")) == (2, 1)
+    assert not (tmp_path / "folder/PWNED").exists()
 
 
 def test_a_stopped_make_goes_on_where_it_was(workplace: Workplace, folder: Path, tmp_path: Path) -> None:
@@ -260,14 +308,11 @@ def test_a_batch_of_clips_becomes_videos(workplace: Workplace, folder: Path) -> 
         shutil.copy(frame, clip / f"{number:04d}.tif")
     np.save(folder / "clips/night.npy", np.stack([mosaic // 2] * 4))
     (folder / "clips/broken.npy").write_bytes(b"no frames")
-    command = 'make -k -j2 video "VIDEO=--fps 25"'
-    _, calls = workplace.do(folder, command, code=2)
-    assert sorted(calls) == [f"render videos/{name}.mp4" for name in ("broken.npy", "night.npy", "street")]
+    command = 'make video "VIDEO=--fps 25"'
+    assert workplace.do(folder, command, code=2)[1] == ["render videos"]
     (folder / "clips/broken.npy").unlink()
-    out, calls = workplace.do(folder, command)
-    assert calls == []
-    for name, frames in (("street", 3), ("night.npy", 4)):
-        assert f"{name}.mp4" in out
+    assert workplace.do(folder, command)[1] == ["render videos"]
+    for name, frames in (("street", 3), ("night", 4)):
         with av.open(str(folder / f"videos/{name}.mp4")) as video:
             assert video.streams.video[0].average_rate == 25
             assert sum(1 for _ in video.decode(video=0)) == frames

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from l3cli.errors import InputFileError
-from l3cli.frame import with_one_black_level
+from l3cli.frames.frame import with_one_black_level
 from l3cli.io.raw.cfa_codes import channel_codes, find_phase
-from l3cli.io.raw.files import KnownBetter, read_raw
+from l3cli.io.raw.files import RawOverrides, read_raw
 from tests.helpers.calls import Refused
 from tests.helpers.cameras import FIVE_BAND
 from tests.helpers.dng_files import BYTE, LONG, RATIONAL, SHORT, SRATIONAL, lossless_jpeg, packed, write_dng
@@ -100,7 +100,7 @@ def tiles(values: np.ndarray, size: tuple[int, int], encode: Callable[[np.ndarra
 
 
 def read_bayer(path: Path, phase: tuple[int, int] | None = None) -> Any:
-    return read_raw(path, RGGB, KnownBetter(phase=phase))
+    return read_raw(path, RGGB, RawOverrides(phase=phase))
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -194,7 +194,7 @@ def test_linearisation_table_is_applied(tmp_path: Path, mosaic: np.ndarray) -> N
     ("tags", "word"),
     [
         ({33421: (SHORT, [4, 4]), 33422: (BYTE, QUAD.ravel().tolist())}, "rrgg/rrgg/ggbb/ggbb, the table rg/gb"),
-        ({50829: (SHORT, [8, 0, 33, 40])}, "active area"),
+        ({50829: (SHORT, [8, 0, 33, 40])}, "active area (8, 0, 33, 40) is not within its 32×40 pixels"),
         ({50720: (SHORT, [41, 24])}, "crop"),
         ({50714: (SHORT, [4000])}, "black levels are not below its white level"),
         ({50715: (SRATIONAL, [1, 1])}, "instead of 40"),
@@ -203,7 +203,7 @@ def test_linearisation_table_is_applied(tmp_path: Path, mosaic: np.ndarray) -> N
         ({33421: (SHORT, [0, 4])}, "tags are damaged"),
         ({33421: (SHORT, [65535, 65535])}, "tags are damaged"),
         ({50713: (SHORT, [65535, 65535])}, "tags are damaged"),
-        ({274: (SHORT, [99])}, "tags are damaged"),
+        ({274: (SHORT, [99])}, "its orientation is 99, TIFF knows 1…8"),
     ],
 )
 def test_a_dng_that_does_not_fit_is_refused(
@@ -227,7 +227,7 @@ def test_libraw_gives_the_phase_of_any_array_it_knows(tmp_path: Path, mosaic: np
     assert (frame.phase, frame.black_level, frame.white_level) == ((1, 1), 64, 4000)
     with pytest.raises(InputFileError, match="‹phase›"):
         read_raw(path, sensor(RGB, QUAD))
-    assert read_raw(path, sensor(RGB, QUAD), KnownBetter(phase=(2, 3))).phase == (2, 3)
+    assert read_raw(path, sensor(RGB, QUAD), RawOverrides(phase=(2, 3))).phase == (2, 3)
 
 
 @pytest.mark.parametrize("name", ["a.dng", "a.nef"])

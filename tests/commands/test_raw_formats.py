@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image
-from l3cli.io.raw.files import KnownBetter, read_raw
+from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.io.raw.fits import INSTALL
 from l3cli.io.raw.packed import PACKED, PACKINGS, make_layout, row_bytes
 from l3cli.io.sequences import find_frames
@@ -195,7 +195,14 @@ def test_packed_fits_and_its_header(tmp_path: Path, mosaic: np.ndarray) -> None:
     frame = read_raw(tmp_path / "a.fits", RGGB)
     np.testing.assert_array_equal(frame.values, mosaic)
     assert frame.phase == (0, 1)
-    assert read_raw(tmp_path / "a.fits", RGGB, KnownBetter(phase=(1, 1))).phase == (1, 1)
+    assert read_raw(tmp_path / "a.fits", RGGB, RawOverrides(phase=(1, 1))).phase == (1, 1)
+    fits.setval(tmp_path / "a.fits", "BAYERPAT", value="RGB", ext=1)
+    (note,) = read_raw(tmp_path / "a.fits", RGGB).notes
+    assert 'BAYERPAT "RGB" is no array of 2×2 colours' in note
+    fits.setval(tmp_path / "a.fits", "ROWORDER", value="BOTTOM", ext=1)
+    with pytest.raises(InputFileError, match='ROWORDER is "BOTTOM"; mend the header to TOP-DOWN or BOTTOM-UP'):
+        read_raw(tmp_path / "a.fits", RGGB)
+    fits.setval(tmp_path / "a.fits", "ROWORDER", value="TOP-DOWN", ext=1)
     fits.setval(tmp_path / "a.fits", "BAYERPAT", value="CMYG", ext=1)
     with pytest.raises(InputFileError, match="colour filter array mc/gy, the table rg/gb"):
         read_raw(tmp_path / "a.fits", RGGB)
@@ -203,8 +210,8 @@ def test_packed_fits_and_its_header(tmp_path: Path, mosaic: np.ndarray) -> None:
 
 def test_a_fits_cube_is_a_sequence(tmp_path: Path, mosaic: np.ndarray) -> None:
     fits.writeto(tmp_path / "a.fits", np.stack([mosaic, mosaic // 2, mosaic // 3]))
-    footage = find_frames((tmp_path / "a.fits",), RGGB, KnownBetter())
-    read = [(each.stem, each.read()) for each in footage.frames]
+    sequence = find_frames((tmp_path / "a.fits",), RGGB, RawOverrides())
+    read = [(each.stem, each.read()) for each in sequence.frames]
     assert [stem for stem, _ in read] == ["a_000000", "a_000001", "a_000002"]
     for divisor, (_, frame) in enumerate(read, 1):
         assert frame is not None

@@ -10,17 +10,19 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from l3cli.api import Renderer
 from l3cli.artifacts.store import save
-from l3cli.files import sha256
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image, write_picture
-from l3cli.io.raw.files import KnownBetter, read_raw
+from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.io.raw.tiff_tags import LIBRAW_FLIP
 from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, scene_white, srgb_from_xyz_matrix
-from l3cli.rendering import opencl_devices, renderer
+from l3cli.rendering import renderer
 from l3cli.rendering.display import make_display
+from l3cli.rendering.opencl import devices
 from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.system.files import sha256
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import XYZ, random_table
@@ -100,7 +102,7 @@ def test_a_picture_is_not_taken_for_a_stack_of_narrow_frames(
 
 def test_what_the_caller_knows_better_wins(tmp_path: Path, mosaic: np.ndarray) -> None:
     mosaic[:10, :6].tofile(tmp_path / "a.raw")
-    frame = read_raw(tmp_path / "a.raw", RGGB, KnownBetter(black_level=7.0, white_level=99.0, phase=(1, 3), size=(10, 6)))
+    frame = read_raw(tmp_path / "a.raw", RGGB, RawOverrides(black_level=7.0, white_level=99.0, phase=(1, 3), size=(10, 6)))
     assert (frame.values.shape, frame.black_level, frame.white_level, frame.phase) == ((10, 6), 7.0, 99.0, (1, 1))
 
 
@@ -190,6 +192,20 @@ def test_force_replaces(l3: L3, tmp_path: Path, table: Path, raw: Path) -> None:
     assert read_image(tmp_path / "a.png")[0].shape == (RGGB.rows, RGGB.cols, 3)
 
 
+def test_values_above_the_converter_in_later_frames_are_said_once(
+    l3: L3, tmp_path: Path, table: Path, mosaic: np.ndarray
+) -> None:
+    frames = np.stack([mosaic] * 4)
+    frames[2:, 0, 0] = 65535
+    np.save(tmp_path / "clip.npy", frames)
+    code, _, err = l3("render", table, tmp_path / "clip.npy", "-o", tmp_path / "out", "--backend", "reference")
+    assert code == 0
+    (line,) = (line for line in err.splitlines() if "16383 DN" in line)
+    assert "frame 2 and 1 more: some of its values are above 16383 DN, the most that the table's 14 bits hold" in line
+    with pytest.warns(UserWarning, match="the array: some of its values are above 16383 DN"):
+        Renderer(RGGB, backend="reference").picture(frames[2])
+
+
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
@@ -199,6 +215,10 @@ def test_force_replaces(l3: L3, tmp_path: Path, table: Path, raw: Path) -> None:
         (("-o", "a.png", "--exposure", "bright"), "no number; give one within"),
         (("-o", "a.png", "--exposure", -1), "the nearest is 1e-09"),
         (("-o", "a.png", "--exposure", "nan"), "no number"),
+        (("-o", "a.png", "--exposure", "+1"), "give 1 (times Y), or +1EV (brighter than auto)"),
+        (("-o", "a.png", "--exposure", "-1"), "auto, or stops from it such as -1EV"),
+        (("-o", "a.png", "--exposure", "30EV"), "-20…20 EV"),
+        (("-o", "a.exr", "--exposure", "+1EV"), "--exposure"),
         (("-o", "a.png", "--white", "moonlight"), "moonlight"),
         (("-o", "a.png", "--white", "0.5;0.2"), "0.5;0.2"),
         (("-o", "a.png", "--phase", "1"), "ROW,COL"),
@@ -245,7 +265,7 @@ def test_broken_inputs_are_refused_in_one_line(
     made("short.raw", b"\0" * 10)
     inputs["short.raw"] = "--size"
     made("text.dng", b"not a raw file")
-    inputs["text.dng"] = "LibRaw"
+    inputs["text.dng"] = "no DNG file"
     made("text.tif", b"not an image")
     inputs["text.tif"] = "not an image"
     made("text.npy", b"not an array")
@@ -288,7 +308,7 @@ def test_no_device_is_exit_code_4(
 ) -> None:
     monkeypatch.setenv("L3_DEVICE", "no such device")
     assert "L3_DEVICE" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
-    monkeypatch.setattr(opencl_devices, "_platforms", list)
+    monkeypatch.setattr(devices, "_platforms", list)
     assert "pip install" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
 
 

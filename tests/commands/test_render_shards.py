@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.temporal import chunks
 from l3cli.stages.rendering import shards
 from tests.helpers.calls import Refused
@@ -99,12 +99,12 @@ def test_wrong_shards_are_one_line(
 
 @pytest.mark.parametrize("count", [1000, 1079, 1080, 1200, 1201, 4999])
 def test_shards_of_long_sequences_begin_with_chunks(count: int) -> None:
-    from l3cli.io.sequences import Footage
+    from l3cli.io.sequences import FrameSequence
 
-    footage = Footage("clip", None, count, stills=False)  # type: ignore[arg-type]
-    parts = [shards.part_of(footage, (number, 4), temporal=True) for number in range(1, 5)]
+    sequence = FrameSequence("clip", None, count, stills=False)  # type: ignore[arg-type]
+    parts = [shards.part_of(sequence, (number, 4), temporal=True) for number in range(1, 5)]
     assert [place for part in parts for place in part] == [*range(count)]
     assert all(parts)
     assert all(part.start % 240 == 0 for part in parts)
-    assert shards.part_of(footage, (2, 4), temporal=False).start == count // 4
-    assert shards.part_of(footage, (2, 5), temporal=True).start % 240 == (0 if count >= 1200 else count // 5)
+    assert shards.part_of(sequence, (2, 4), temporal=False).start == count // 4
+    assert shards.part_of(sequence, (2, 5), temporal=True).start % 240 == (0 if count >= 1200 else count // 5)

@@ -13,7 +13,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import save
-from l3cli.artifacts.training_set import TrainingSet, write_training_set
+from l3cli.artifacts.training_set import Shown, TrainingSet, write_training_set
 from l3cli.cli import run
 from tests.helpers.browser import Browser
 from tests.helpers.calls import L3
@@ -33,8 +33,15 @@ def quad(tmp_path_factory: pytest.TempPathFactory) -> CameraModel:
     return load_camera(path)
 
 
-def write(folder: Path, name: str, camera: CameraModel, seeds: tuple[int, ...], size: tuple[int, int] = SIZE) -> list[Path]:
-    """A table of a camera and frames that it has not seen, one a seed."""
+def write(
+    folder: Path,
+    name: str,
+    camera: CameraModel,
+    seeds: tuple[int, ...],
+    size: tuple[int, int] = SIZE,
+    light: str | None = "",
+) -> list[Path]:
+    """A table of a camera and frames that it has not seen, one a seed, which say what they show, unless `light` is None."""
     table = colorimetric_table(camera)
     files = [folder / f"{name}.h5", folder / f"{name} unseen.h5"]
     save(table, files[0])
@@ -42,7 +49,10 @@ def write(folder: Path, name: str, camera: CameraModel, seeds: tuple[int, ...], 
     with write_training_set(files[1], head) as writer:
         for seed in seeds:
             raw = frame_of_all_levels(table, np.random.default_rng(seed), size)
-            writer.append(dataclasses.replace(a_frame(camera, seed, smooth=False, size=size), raw=raw.values))
+            frame = a_frame(camera, seed, smooth=False, size=size)
+            writer.append(
+                dataclasses.replace(frame, raw=raw.values, shown=None if light is None else Shown(np.ones(8) * seed, light))
+            )
     return files
 
 
@@ -126,6 +136,24 @@ def test_without_common_frames_nothing_is_compared(
     assert "evaluated on different frames: their figures are not comparable" in first
     assert "nearest" not in first
     assert "<img" not in first
+
+
+def test_frames_of_one_name_that_show_other_scenes_are_not_compared(
+    files: list[Path], bayer: CameraModel, page: Callable, tmp_path: Path
+) -> None:
+    other = dataclasses.replace(bayer, cfa=bayer.cfa[::-1])
+    first = side_by_side(page(*files[:2], *write(tmp_path, "other", other, (2, 3), light="other"))[0])
+    assert (
+        "on different frames (frames of one name show other scenes or lights; simulate all with one recipe and seed)"
+        in first
+    )
+    assert "nearest" not in first
+    assert "Scenes and lights are the same" not in first
+    text = page(*files[:2], *write(tmp_path, "older", other, (2, 3), light=None))[0]
+    assert "frames of older versions, and real ones, do not say what they show" in side_by_side(text)
+    assert "Scenes and lights are the same" not in text
+    assert "Colour filter array: small Bayer (older.h5)" in side_by_side(text)
+    assert {"Camera: small Bayer (<i>bayer unseen.h5)", "Camera: small Bayer (older unseen.h5)"} <= {*sections(text)}
 
 
 def test_frames_of_other_sizes_stand_beside_one_another(

@@ -20,11 +20,11 @@ from l3cli.artifacts.training_set import TrainingSet, write_training_set
 from l3cli.classes.names import class_words, plane_class_words
 from l3cli.classes.structure import name, structures
 from l3cli.cli import run
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.report.pixels import Crop, Layer, Sites, packed, richest
 from l3cli.stages.reporting.pixels import crop_of
-from l3cli.stages.reporting.sections import CLASS_BYTES
+from l3cli.stages.reporting.report import CLASS_BYTES
 from tests.helpers.browser import Browser
 from tests.helpers.tables import colorimetric_table, frame_of_all_levels, with_later, with_tree
 from tests.helpers.training_sets import a_frame

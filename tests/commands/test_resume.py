@@ -181,6 +181,18 @@ def test_resuming_takes_frames_that_were_mended_since_and_notices_those_that_are
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
+def test_resuming_notices_another_frame_of_the_same_size_and_time(
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
+) -> None:
+    call = ("render", table, folder, "--exposure", 0.8, *FAST, "-o", tmp_path / "out")
+    stopped(l3, monkeypatch, 2, *call)
+    frame, before = folder / "frame_08.tif", (folder / "frame_08.tif").stat()
+    shutil.copyfile(folder / "frame_11.tif", frame)
+    os.utime(frame, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert frame.stat().st_size == before.st_size
+    assert "frame_08.png was made of another input" in refused(2, *call, "--resume")
+
+
 def test_resuming_notices_a_frame_that_others_took_their_exposure_from(
     l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
 ) -> None:

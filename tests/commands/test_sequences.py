@@ -12,15 +12,15 @@ import pytest
 import tifffile
 
 from l3cli.artifacts.store import save
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.io.numbered import numbered_files, numbered_name
-from l3cli.io.raw.files import KnownBetter
+from l3cli.io.raw.files import RawOverrides
 from l3cli.io.sequences import find_frames
 from l3cli.physics.display import exposure_scale
-from l3cli.rendering.balance import TIME_CONSTANT
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
 from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.white.balance import TIME_CONSTANT
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_stack
@@ -99,7 +99,7 @@ def test_cinema_dng_states_its_rate(tmp_path: Path) -> None:
     rate_tag = [(51044, "2i", 1, (24000, 1001), True)]
     for name, tags in (("a_1.dng", rate_tag), ("a_2.dng", rate_tag), ("b_1.dng", []), ("b_2.dng", [])):
         tifffile.imwrite(tmp_path / name, frames()[0], extratags=tags)
-    known = KnownBetter()
+    known = RawOverrides()
     assert find_frames((tmp_path / "a_*.dng",), RGGB, known).rate == Fraction(24000, 1001)
     assert find_frames((tmp_path / "a_%d.dng",), RGGB, known).rate == Fraction(24000, 1001)
     assert find_frames((tmp_path / "b_%d.dng",), RGGB, known).rate is None
@@ -119,11 +119,11 @@ def test_raw_frames_are_never_replaced(refused: Refused, tmp_path: Path, table: 
 
 
 def test_numbers_come_from_names_where_names_have_them(tmp_path: Path) -> None:
-    known = KnownBetter()
+    known = RawOverrides()
     for name in ("b_9.npy", "b_10.npy"):
         np.save(tmp_path / name, frames()[0])
-    footage = find_frames((tmp_path,), RGGB, known)
-    assert [(each.number, each.stem) for each in footage.frames] == [(9, "b_9"), (10, "b_10")]
+    sequence = find_frames((tmp_path,), RGGB, known)
+    assert [(each.number, each.stem) for each in sequence.frames] == [(9, "b_9"), (10, "b_10")]
     np.save(tmp_path / "c.npy", frames()[0])
     assert [each.number for each in find_frames((tmp_path,), RGGB, known).frames] == [0, 1, 2]
 

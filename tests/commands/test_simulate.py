@@ -13,6 +13,7 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
+from l3cli.frames.scene import shown_alike
 from l3cli.simulation import charts
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
@@ -45,6 +46,36 @@ def test_frames_are_scenes_times_lights_times_exposures(
     assert "small Bayer" in stage.recipe
     assert str(tmp_path) not in json.dumps(dataclasses.asdict(stage))
     assert len(list(pictures.glob("*_raw.tif"))) == len(list(pictures.glob("*_ideal.png"))) == len(frames)
+
+
+def test_frames_say_what_they_show_whatever_the_camera_sees(
+    l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "uv.toml").write_text(bayer_camera().replace("[400, 700, 10]", "[350, 830, 10]"))
+    (tmp_path / "lamp.csv").write_text("nm,power\n" + "".join(f"{nm},{nm}\n" for nm in range(380, 781, 10)))
+    text = (
+        'illuminants = ["D65", "lamp.csv"]\nluminances_cd_m2 = [10.0, 100.0]\nexposure_share = [0.9]\n'
+        '[[scene]]\nsource = "dead leaves"\nsize = [32, 48]\nscale = 1.5\n'
+    )
+    (tmp_path / "scenes.toml").write_text(text)
+    (tmp_path / "moving.toml").write_text(
+        text + "motion = { frames = 2, size = [24, 32], pan_pixels_per_frame = [0.0, 1.0], leaves = { count = 3 } }\n"
+    )
+    frames = {}
+    for recipe in ("scenes", "moving"):
+        for camera, seed in ((bayer_recipe, 5), (tmp_path / "uv.toml", 5), (bayer_recipe, 6)):
+            file = tmp_path / f"{recipe}{camera.stem}{seed}.h5"
+            code, _, err = l3("simulate", tmp_path / f"{recipe}.toml", "--camera", camera, "-o", file, "--seed", seed)
+            assert code == 0, err
+            with open_training_set(file) as reader:
+                frames[camera.stem == "uv", seed] = list(reader)
+        here, there, elsewhere = (frames[key] for key in ((False, 5), (True, 5), (False, 6)))
+        shown = [[vars(frame.shown) for frame in each] for each in (here, there, elsewhere)]
+        assert all(shown_alike(one, other) for one, other in zip(*shown[:2], strict=True))
+        assert not any(shown_alike(one, other) for one, other in zip(shown[0], shown[2], strict=True))
+        assert shown[0][0]["light"] != shown[0][-1]["light"]  # that of a file
+        for one, other in zip(here, there, strict=True):  # what is known beyond the visible ends hardly matters to an eye
+            np.testing.assert_allclose(one.target, other.target, atol=2e-3 * one.luminance)
 
 
 def test_pictures_hold_the_raw_frame_and_a_white_that_is_white(

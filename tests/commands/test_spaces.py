@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+import tifffile
 from PIL import Image, ImageCms
 
 import l3cli as l3_python
 from l3cli.artifacts.store import save
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.io.icc import icc_profile
 from l3cli.io.images import picture_file, read_image
 from l3cli.physics.display import scene_white
@@ -133,6 +134,33 @@ def test_floating_point_is_linear_and_whole(l3: Callable, desk: Path, name: str,
     assert channels == (("X", "Y", "Z") if (name, file) == ("xyz", "a.exr") else ("R", "G", "B"))
     again = l3_python.Renderer(TABLE).picture(np.load(desk / "frame.npy"), exposure=2, white="A", space=name, bits=32)
     np.testing.assert_array_equal(again, pixels)
+
+
+@pytest.mark.parametrize(("stops", "times"), [("+1EV", 2.0), ("-1.5 ev", 2**-1.5)])
+def test_stops_are_from_the_automatic_exposure(l3: Callable, desk: Path, tmp_path: Path, stops: str, times: float) -> None:
+    frame = np.load(desk / "frame.npy")
+    np.save(tmp_path / "still.npy", frame)
+    np.save(tmp_path / "clip.npy", np.stack([frame, frame // 2]))
+    for frames in ("still", "clip"):
+        call = ("render", desk / "table.h5", tmp_path / f"{frames}.npy", "--space", "xyz", "--format", "exr")
+        for name, exposure in (("auto", "auto"), ("other", stops)):
+            output = tmp_path / frames / name
+            assert l3(*call, "-o", output, "--exposure", exposure, "--backend", "reference", "--quiet")[0] == 0
+        for path in (tmp_path / frames / "auto").iterdir():
+            usual, other = (read_image(tmp_path / frames / name / path.name)[0] for name in ("auto", "other"))
+            np.testing.assert_allclose(other, usual * times, rtol=1e-5, atol=1e-6)
+
+
+def test_stops_of_a_picture_and_of_what_a_raw_file_states(l3: Callable, desk: Path) -> None:
+    call = ("render", desk / "table.h5", desk / "frame.npy", "--backend", "reference", "--quiet")
+    stated = []
+    for exposure in ("auto", "+1EV"):
+        assert l3(*call, "--exposure", exposure, "-o", desk / "a.dng", "--force")[0] == 0
+        with tifffile.TiffFile(desk / "a.dng") as file:
+            stated.append(np.divide(*file.pages[0].tags.valueof(50730)))
+        assert l3(*call, "--exposure", exposure, "-o", desk / f"{exposure}.png")[0] == 0
+    assert stated[1] - stated[0] == pytest.approx(1, abs=0.01)
+    assert read_image(desk / "+1EV.png")[0].mean() > 1.1 * read_image(desk / "auto.png")[0].mean()
 
 
 def test_outputs_as_they_are_say_their_white(l3: Callable, desk: Path) -> None:

@@ -50,11 +50,6 @@ def pixels(frame: Any) -> np.ndarray:
     return np.stack([np.asarray(frame[plane]) for plane in range(3)], axis=-1)
 
 
-def raw_size(clip: Any) -> tuple[int, int]:
-    """Rows and columns of a clip."""
-    return clip.height, clip.width
-
-
 def rendered(l3: L3, folder: Path, out: Path, *options: object, clip: str = "clip.mkv") -> np.ndarray:
     """What the command makes of a clip, (frame, row, col, 3)."""
     code, _, err = l3("render", folder / "table.h5", folder / clip, "-o", out, "--quiet", *options)
@@ -66,7 +61,7 @@ def rendered(l3: L3, folder: Path, out: Path, *options: object, clip: str = "cli
 def test_the_example_gives_the_pixels_of_the_command(
     l3: L3, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bits: int
 ) -> None:
-    (script,) = (text for text in fenced(PAGES["video-hosts.md"], "python") if "vapoursynth" in text)
+    (script,) = (text for text in fenced(PAGES["video.md"], "python") if "vapoursynth" in text)
     assert len(script.splitlines()) <= 10
     script = script.replace('"clip.mkv"', '"clip.mkv", cachemode=0').replace("bits=16", f"bits={bits}, exposure=0.7")
     monkeypatch.chdir(folder)
@@ -137,7 +132,7 @@ def test_frames_filtered_in_time_are_those_of_the_command_in_any_order(
     expected = [read_image(path)[0] for path in sorted((tmp_path / "out").glob("*.png"))]
     vs.core.num_threads, before = threads, vs.core.num_threads
     raw = mosaics(still_scene.mosaics())
-    options: Any = {"size": raw_size(raw), "exposure": 0.7, "temporal": True}
+    options: Any = {"exposure": 0.7, "temporal": True}
     in_order = [pixels(frame) for frame in render(raw, tmp_path / "table.h5", **options).frames()]
     asked = [*range(still_scene.COUNT)] * 3
     random.Random(2).shuffle(asked)
@@ -147,7 +142,7 @@ def test_frames_filtered_in_time_are_those_of_the_command_in_any_order(
     vs.core.num_threads = before
     np.testing.assert_array_equal(in_order, expected)
     assert all(np.array_equal(picture, expected[number]) for number, picture in got)
-    alone = pixels(render(raw, tmp_path / "table.h5", size=raw_size(raw), exposure=0.7).get_frame(2))
+    alone = pixels(render(raw, tmp_path / "table.h5", exposure=0.7).get_frame(2))
     assert (alone != expected[2]).any()
 
 
@@ -171,14 +166,26 @@ def test_eight_bits_with_levels_and_a_phase(l3: L3, folder: Path, tmp_path: Path
     assert all(np.array_equal(pixels(clip.get_frame(number)), picture) for number, picture in enumerate(expected))
 
 
+def test_a_clip_has_the_size_that_it_has(folder: Path) -> None:
+    from l3cli.video_hosts.vapoursynth import render
+
+    half = frames()[:, :10, :16]
+    expected = l3cli.Renderer(RGGB).picture(half[1], exposure=0.7)
+    for options in ({}, {"size": (10, 16)}, {"size": "10x16", "phase": "0,0"}):
+        made = render(mosaics(half), folder / "table.h5", exposure=0.7, **options).get_frame(1)
+        np.testing.assert_array_equal(pixels(made), expected)
+
+
 @pytest.mark.parametrize(
     ("clip", "options", "said"),
     [
         ({}, {"exposure": -1.0}, r"exposure -1 is not within 1e-09…1e\+09 times Y"),
-        ({}, {"bits": 10}, "10 bits cannot be; ask for 8, 16 or 32"),
+        ({}, {"bits": 10}, "10 bits is not a depth of pictures; ask for 8, 16 or 32"),
         ({}, {"white": "D5"}, "did you mean"),
         ({}, {"temporal": True}, "temporal needs the camera's noise"),
         ({}, {"size": (30, 28)}, "frames of 20×28 pixels .* not of the 30×28 expected; .* give size 20x28"),
+        ({}, {"size": "30x28"}, "frames of 20×28 pixels .* not of the 30×28 expected; .* give size 20x28"),
+        ({}, {"size": "30"}, 'size "30" is not two whole numbers with "x" between them'),
         ({}, {"white_level": 3.0}, "black level 64 and white level 3 do not fit; give black_level and white_level"),
         ({}, {"table": "nothing.h5"}, "nothing.h5 does not exist"),
         ({}, {"table": "/"}, "/ is a folder"),

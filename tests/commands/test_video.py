@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import json
 import signal
 import subprocess
 import sys
@@ -43,6 +44,12 @@ def decoded(path: Path, pixels: str = "rgb24") -> np.ndarray:
     """Frames (frame, row, col, …) of a video."""
     with av.open(str(path)) as video:
         return np.stack([frame.to_ndarray(format=pixels) for frame in video.decode(video=0)])
+
+
+def frame_times(path: Path) -> list[float]:
+    """Seconds of each frame of a video."""
+    with av.open(str(path)) as video:
+        return [frame.time for frame in video.decode(video=0)]
 
 
 # ------------------------------------------------------------------------------------------------------------- outputs
@@ -317,3 +324,77 @@ def test_the_opencl_device_feeds_the_encoder(l3: Callable, tmp_path: Path, table
     np.save(tmp_path / "one.npy", frames()[2])
     assert l3("render", tmp_path / "one.h5", tmp_path / "one.npy", "-o", tmp_path / "one.png", "--exposure", 0.8)[0] == 0
     np.testing.assert_array_equal(read_image(tmp_path / "one.png")[0], decoded(tmp_path / "a.mkv")[2])
+
+
+# --------------------------------------------------------------------------------------------------------------- times
+
+UNEVEN = (0, 40, 80, 480, 500)  # ms
+
+
+@pytest.fixture
+def rendered(l3: L3, tmp_path: Path, table: Path) -> Callable[..., tuple[str, list[str]]]:
+    """Render a clip to an output in tmp_path; what the document says of its times, and its warnings."""
+
+    def call(clip: Path, output: str, *options: object, code: int = 0) -> tuple[str, list[str]]:
+        got, out, err = l3("render", table, clip, "-o", tmp_path / output, *options, "--json", *FAST)
+        assert got == code, err
+        about = json.loads(out)["clips"][0]
+        return about["frame_times"], about["warnings"]
+
+    return call
+
+
+@pytest.mark.parametrize("output", ["a.mp4", "a.mov", "a.mkv"])
+def test_the_times_of_a_variable_rate_are_kept(rendered: Callable, tmp_path: Path, output: str) -> None:
+    clip = write_raw_video(tmp_path / "v.mkv", times=UNEVEN)
+    assert rendered(clip, output) == ("kept", [])
+    np.testing.assert_allclose(frame_times(tmp_path / output), np.array(UNEVEN) / 1000, atol=1e-3)
+
+
+def test_times_that_an_output_cannot_hold_are_said(rendered: Callable, tmp_path: Path) -> None:
+    clip = write_raw_video(tmp_path / "v.mkv", times=UNEVEN)
+    for output, why in (("a.y4m", "y4m shows 24 a second"), ("pictures", "pictures have no times"), ("a.tif", "no times")):
+        state, (warning,) = rendered(clip, output)
+        assert state == "lost"
+        assert "its frames follow after 0.02–0.4 s, and" in warning
+        assert why in warning
+    assert rendered(clip, "b.mp4", "--fps", 25) == ("even", [])
+    np.testing.assert_allclose(frame_times(tmp_path / "b.mp4"), np.arange(COUNT) / 25, atol=1e-4)
+
+
+def test_every_second_frame_of_a_variable_rate_is_shown_in_half_the_time(rendered: Callable, tmp_path: Path) -> None:
+    clip = write_raw_video(tmp_path / "v.mkv", times=UNEVEN)
+    assert rendered(clip, "a.mp4", "--frames", "0-4x2")[0] == "kept"
+    np.testing.assert_allclose(frame_times(tmp_path / "a.mp4"), [0, 0.04, 0.25], atol=1e-3)
+
+
+def test_a_rate_that_a_container_rounds_is_constant(rendered: Callable, tmp_path: Path) -> None:
+    clip = write_raw_video(tmp_path / "v.mkv", rate=30, times=(0, 33, 67, 100, 133))
+    assert rendered(clip, "a.mp4") == ("even", [])
+    np.testing.assert_allclose(frame_times(tmp_path / "a.mp4"), np.arange(COUNT) / 30, atol=1e-4)
+
+
+def test_gaps_in_the_numbers_of_a_folder_are_gaps_of_its_video(rendered: Callable, tmp_path: Path) -> None:
+    clip = tmp_path / "clip"
+    clip.mkdir()
+    for number, mosaic in zip((1, 2, 3, 7, 8), frames(), strict=True):
+        np.save(clip / f"f_{number}.npy", mosaic)
+    gap = f"{clip}: no frame is there between 3 and 7"
+    assert rendered(clip, "a.mp4") == ("kept", [f"{gap}; the frame before is shown for as long"])
+    np.testing.assert_allclose(frame_times(tmp_path / "a.mp4"), np.array([0, 1, 2, 6, 7]) / 30, atol=1e-4)
+    state, (warning,) = rendered(clip, "a.y4m")
+    assert (state, gap in warning) == ("lost", True)
+    assert rendered(clip, "pictures") == (None, [])
+    for number in (1, 2, 3, 7, 8):
+        (clip / f"f_{number}.npy").rename(clip / f"g_{number**3 + 10**17}.npy")
+    state, (warning,) = rendered(clip, "b.mp4")
+    assert (state, "do not count frames" in warning) == ("lost", True)
+
+
+def test_a_frame_left_out_leaves_its_time(rendered: Callable, tmp_path: Path) -> None:
+    (tmp_path / "clip").mkdir()
+    for number, mosaic in enumerate(frames()):
+        np.save(tmp_path / f"clip/f_{number}.npy", mosaic)
+    (tmp_path / "clip/f_2.npy").write_bytes(b"broken")
+    assert rendered(tmp_path / "clip", "a.mp4", "--skip-bad", code=1)[0] == "kept"
+    np.testing.assert_allclose(frame_times(tmp_path / "a.mp4"), np.array([0, 1, 3, 4]) / 30, atol=1e-4)

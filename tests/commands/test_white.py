@@ -18,10 +18,10 @@ from l3cli.io.images import read_image
 from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
 from l3cli.physics import spectra
 from l3cli.physics.display import display_white
-from l3cli.rendering.balance import adaptation
-from l3cli.rendering.lights import Mix, mixed
-from l3cli.rendering.white import Whites
-from l3cli.rendering.white_source import CAMERA
+from l3cli.rendering.white.balance import adaptation
+from l3cli.rendering.white.lights import Mix, mixed
+from l3cli.rendering.white.scene_white import Whites
+from l3cli.rendering.white.source import CAMERA
 from tests.helpers.tables import colorimetric_table
 
 FAST = ("--backend", "reference")

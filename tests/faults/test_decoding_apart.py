@@ -1,4 +1,4 @@
-"""Foreign files are decoded by a process apart, within limits of time and memory."""
+"""Foreign files are decoded by an isolated process, within limits of time and memory, that reaches nothing else."""
 
 import dataclasses
 import os
@@ -13,11 +13,27 @@ import pytest
 
 from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
-from l3cli.io import apart
+from l3cli.io import isolated
+from l3cli.io.confinement import LANDLOCK, SECCOMP
+from l3cli.io.decoder_process import measures
 from l3cli.io.images import write_mosaic
-from l3cli.limits import MEGAPIXELS, TRUST
+from l3cli.system.limits import MEGAPIXELS, TRUST
 from tests.helpers.cameras import BAYER
-from tests.helpers.decoders import abort, crash, echo, hoard, sleep, stumble, work, write_much
+from tests.helpers.decoders import (
+    BY_SECCOMP,
+    REACHES,
+    abort,
+    count,
+    crash,
+    echo,
+    hoard,
+    reach,
+    read,
+    sleep,
+    stumble,
+    work,
+    write_much,
+)
 from tests.helpers.tables import random_table
 from tests.helpers.tasks import PATIENCE
 
@@ -62,8 +78,40 @@ def test_a_file_at_worst_ends_its_decoder(limited: None, decoder: Callable[[Path
     assert echo(Path("f"), "still here", 0)["told"][0] == "still here"
 
 
+@pytest.mark.parametrize("what", REACHES)
+def test_a_decoder_reaches_nothing_but_its_file(limited: None, what: str) -> None:
+    Path("secret").write_text("the caller's")
+    needed = SECCOMP if what in BY_SECCOMP else LANDLOCK
+    if needed not in measures(Path("f")):
+        pytest.skip(f"this kernel has no {needed}")
+    assert reach(Path("f"), what, "secret") in ("EACCES", "EPERM")
+    assert {path.name for path in Path().iterdir()} == {"f", "bad.dng", "secret"}
+
+
+def test_a_confined_decoder_reads_its_file_and_the_installation(limited: None) -> None:
+    Path("f").write_bytes(b"content")
+    Path("link").symlink_to("f")
+    assert read(Path("f"))[0] == read(Path("link"))[0] == 7
+    Path("new").write_bytes(b"other")
+    Path("new").replace("f")  # another file of the name
+    assert read(Path("f"))[0] == 5
+    name = Path(os.fsdecode(b"\xff.dng"))
+    name.write_bytes(b"three")
+    assert read(name)[0] == 5
+
+
+def test_files_read_in_turn_keep_their_processes(limited: None) -> None:
+    names = [Path(f"{number}") for number in range(10)]
+    for name in names:
+        name.touch()
+    assert [count(name) for name in names[:3] * 2] == [1, 1, 1, 2, 2, 2]
+    assert [count(name) for name in names] == [3, 3, 3] + [1] * 7
+    assert count(names[-1]) == 2
+    assert count(names[0]) == 1  # the one asked longest ago has ended
+
+
 def test_a_decoder_that_sleeps_is_ended_by_the_clock(limited: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(apart, "PATIENCE", 1)
+    monkeypatch.setattr(isolated, "PATIENCE", 1)
     with pytest.raises(InputFileError, match="takes longer"):
         sleep(Path("bad.dng"))
 
@@ -77,7 +125,7 @@ def test_who_trusts_decodes_here(limited: None, monkeypatch: pytest.MonkeyPatch)
 
 def test_trust_is_an_option(l3: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
-    monkeypatch.setattr(apart._Child, "ask", lambda *_: seen.append("asked"))
+    monkeypatch.setattr(isolated._Child, "ask", lambda *_: seen.append("asked"))
     table = dataclasses.replace(random_table(BAYER, bits=12, black_level=64.0), rows=20, cols=24)
     save(table, tmp_path / "table.h5")
     write_mosaic(tmp_path / "a.tif", np.full((20, 24), 900, np.uint16))
@@ -101,8 +149,8 @@ def test_trust_is_an_option(l3: Callable, tmp_path: Path, monkeypatch: pytest.Mo
     ],
 )
 def test_a_child_that_lies_is_not_believed(limited: None, monkeypatch: pytest.MonkeyPatch, answer: bytes) -> None:
-    monkeypatch.setattr(apart, "receive", lambda *_: answer)
-    with pytest.raises(InputFileError, match=r"^f makes its decoder talk nonsense"):
+    monkeypatch.setattr(isolated, "receive", lambda *_: answer)
+    with pytest.raises(InputFileError, match=r"^f: the decoder returned an invalid reply"):
         echo(Path("f"), "", 0)
 
 

@@ -1,12 +1,10 @@
 """Where a command runs: closed streams, small and foreign disks, other locales, odd file names, odd variables."""
 
-import hashlib
 import json
 import os
 import shutil
 import subprocess
 import sys
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,11 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from l3cli.config import Recipe, load_recipe
 from l3cli.errors import RecipeError
 from l3cli.io.images import write_picture
 from l3cli.io.raw.libraw import read_camera_raw
-from l3cli.limits import TRUST, trusted
+from l3cli.recipes.toml import Recipe, load_recipe
+from l3cli.system.limits import MEGAPIXELS, SECONDS, TRUST, trusted
+from tests.helpers.calls import Refused
 from tests.helpers.dng_files import write_dng
 from tests.helpers.fuzz import Seeded
 from tests.helpers.hostile_environments import PLACES, Place, judge, make_desk
@@ -172,68 +171,100 @@ def test_who_says_yes_trusts_and_what_is_neither_is_refused(monkeypatch: pytest.
         trusted()
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [(TRUST, "maybe", "neither yes nor no"), (SECONDS, "soon", "no number"), (MEGAPIXELS, "-1", "not within")],
+)
+def test_what_a_variable_says_is_checked_where_nothing_depends_on_it(
+    name: str, value: str, words: str, desk: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(name, value)
+    line = refused(2, "info", desk / "table.h5")
+    assert name in line
+    assert words in line
+
+
 # --------------------------------------------------------------------------------------------------------- caches
 PROGRAM = """
-import numpy as np
-from l3cli.rendering import opencl_devices
-from l3cli.rendering.opencl_programs import Compiler
-cl = opencl_devices.pyopencl()
-device = opencl_devices.choose_device("")
+import os, numpy as np
+from l3cli.rendering.opencl import devices, kernel_cache
+from l3cli.rendering.opencl.programs import Compiler
+device = devices.choose_device("")
+cl = devices.pyopencl()
 context = cl.Context([device])
-compiler = Compiler(context, device)
-made = compiler.build("__kernel void f(__global int *a) { a[get_global_id(0)] = 7; }", {})
-kernel = compiler.kernel(made, "f")
+with devices.refusals(device):
+    program = Compiler(context, device).build("__kernel void f(__global int *a) { a[get_global_id(0)] = 7; }", {})
+    kernel = cl.Kernel(program, "f")
 queue, numbers = cl.CommandQueue(context), np.zeros(16, np.int32)
 buffer = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, numbers.nbytes)
 kernel(queue, (16,), None, buffer)
 cl.enqueue_copy(queue, numbers, buffer)
 assert (numbers == 7).all()
-from l3cli.rendering import kernels
-was_compiled = bool(kernels._cache()._new)
-compiler.keep()
-print(kernels.unkept(), "compiled" if was_compiled else "kept")
+print(os.environ["POCL_CACHE_DIR"], kernel_cache.cache_warning())
 """
 
 
-def computed(**variables: str) -> str:
-    """What a process says of its cache that has compiled and run a small kernel."""
+def compute(**variables: str) -> "subprocess.CompletedProcess[str]":
+    """Compile and run a small kernel in a process, which tells PoCL's folder and what is said of it."""
     known = {key: value for key, value in environment().items() if key not in ("POCL_CACHE_DIR", "XDG_CACHE_HOME")}
-    ended = subprocess.run(
+    return subprocess.run(
         [sys.executable, "-c", PROGRAM], env={**known, **variables}, capture_output=True, text=True, check=False
     )
+
+
+def computed(**variables: str) -> str:
+    ended = compute(**variables)
     assert (ended.returncode, ended.stderr) == (0, "")
     return ended.stdout.strip()
 
 
-def tree(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+def compiled(folder: Path) -> dict[Path, int]:
+    """When each file that holds something was written."""
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file() and path.stat().st_size}
 
 
-def test_kernels_are_kept_and_a_damaged_cache_is_built_anew(tmp_path: Path) -> None:
-    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "compiled"
-    kept = tree(tmp_path)
-    assert list(map(os.path.dirname, kept)) == ["l3cli/kernels"]
-    written = {name: (tmp_path / name).stat().st_mtime_ns for name in kept}
-    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "kept"
-    assert {name: (tmp_path / name).stat().st_mtime_ns for name in kept} == written
-    for name, content in kept.items():
-        (tmp_path / name).write_bytes(content[:-9] + bytes([content[-9] ^ 1]) + content[-8:])
-    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "compiled"
-    assert {name: (tmp_path / name).stat().st_mtime_ns for name in kept}.items().isdisjoint(written.items())
+def test_kernels_are_cached_for_this_user_alone(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        assert computed(XDG_CACHE_HOME=str(tmp_path)) == f"{tmp_path}/l3cli/pocl"
+    finally:
+        os.umask(before)
+    assert (tmp_path / "l3cli/pocl").stat().st_mode & 0o777 == 0o700
+    cached = compiled(tmp_path)
+    assert cached
+    old = tmp_path / "l3cli/pocl/tempfile_old"  # as PoCL leaves one in each process
+    old.touch()
+    os.utime(old, (0, 0))
+    computed(XDG_CACHE_HOME=str(tmp_path))
+    assert compiled(tmp_path) == cached
+    assert not old.exists()
 
 
-def test_a_binary_that_the_driver_refuses_is_compiled_anew(tmp_path: Path) -> None:
-    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "compiled"
-    (file,) = tmp_path.rglob("*.program")
-    content = zlib.compress(b"of another driver")
-    file.write_bytes(hashlib.sha256(content).digest() + content)
-    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "compiled"
-    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "kept"
+def test_an_error_of_a_damaged_cache_names_the_folder(tmp_path: Path) -> None:
+    computed(XDG_CACHE_HOME=str(tmp_path))
+    programs = list(tmp_path.rglob("program.bc"))
+    if not programs:
+        pytest.skip("no cache of PoCL")
+    for path in programs:
+        os.truncate(path, path.stat().st_size // 2)
+    said = compute(XDG_CACHE_HOME=str(tmp_path)).stderr
+    assert f"DeviceError: {tmp_path}/l3cli/pocl holds damaged kernels; remove that folder" in said
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o703])
+def test_a_cache_that_others_may_write_to_is_not_used(tmp_path: Path, mode: int) -> None:
+    tmp_path.chmod(mode)
+    said = computed(POCL_CACHE_DIR=str(tmp_path))
+    assert "compiled kernels cannot be cached" in said
+    assert "other users may write to it" in said
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize("variables", [{"HOME": "/proc"}, {"HOME": ""}])
-def test_kernels_are_compiled_without_a_place_to_keep_them(variables: dict[str, str]) -> None:
-    assert "compiled kernels cannot be kept" in computed(**variables)
+def test_kernels_are_compiled_without_a_cache(variables: dict[str, str]) -> None:
+    said = computed(**variables)
+    assert "compiled kernels cannot be cached" in said
+    assert not Path(said.split()[0]).exists()
 
 
 def test_a_full_disk_for_the_cache_is_one_warning(desk: Path, tmp_path: Path) -> None:
@@ -249,7 +280,7 @@ def test_a_full_disk_for_the_cache_is_one_warning(desk: Path, tmp_path: Path) ->
     assert ended.returncode == 0, ended.stderr
     assert (desk / "full.png").exists()
     (warning,) = [line for line in ended.stderr.splitlines() if "kernels" in line]
-    assert warning.startswith("warning: compiled kernels cannot be kept")
+    assert warning.startswith("warning: compiled kernels cannot be cached")
     assert "No space left" in warning
 
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import files
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.container import new_file
-from l3cli.errors import L3Error
-from l3cli.files import atomic_output, write_whole
+from l3cli.errors import InputFileError, L3Error
 from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
 from l3cli.io.video import VideoChoice, new_video, new_y4m
-from l3cli.locks import sole_writer_of_file, sole_writer_of_folder
+from l3cli.system import files
+from l3cli.system.files import atomic_output, require_same, sha256, write_whole
+from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder
 
 DEAD = ".a.01234567.l3tmp.h5"
 
@@ -297,3 +297,14 @@ def test_names_as_long_as_names_may_be(tmp_path: Path, name: str) -> None:
         temporary.write_text("whole")
     assert names(tmp_path) == [name]
     os.fsencode(temporary.name).decode("utf-8")  # no letter is cut in two
+
+
+def test_a_worker_notices_another_file_of_the_same_size_and_time(tmp_path: Path) -> None:
+    path = tmp_path / "frame.raw"
+    path.write_bytes(b"one")
+    digest, before = sha256(path), path.stat()
+    require_same(path, digest)
+    path.write_bytes(b"two")
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    with pytest.raises(InputFileError, match="another file for a worker"):
+        require_same(path, digest)

@@ -16,12 +16,16 @@ from hypothesis import strategies as st
 
 from l3cli.artifacts.layers import MosaicLayer
 from l3cli.classes.names import kind_name
-from tests.helpers import hostile_numbers, hostile_physics
+from tests.helpers import hostile_forks, hostile_numbers, hostile_physics
 from tests.helpers.fuzz import Seeded
 from tests.helpers.hostile import SUBJECTS, Subject, Workshop, confined, watched
+from tests.helpers.hostile_dng import DngTags
+from tests.helpers.hostile_frame_times import FrameTimes
 from tests.helpers.hostile_identities import Identities
+from tests.helpers.hostile_large_recipes import SHAPES, LargeRecipes
 from tests.helpers.hostile_numbers import OPTIONS, RECIPES, Call
 from tests.helpers.hostile_special_files import SpecialFiles
+from tests.helpers.hostile_wavelengths import WavelengthGrids
 from tests.helpers.tables import random_table
 
 IDENTITIES = 40
@@ -75,6 +79,11 @@ def test_an_output_that_is_an_input_is_refused_whatever_it_is_called(shop: Works
         assert identities.judge(Seeded(seed)) is None
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_small_recipe_is_little_work(shop: Workshop, shape: str) -> None:
+    assert LargeRecipes().judge(shop, (shape, 50_000)) is None
+
+
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> hostile_physics.Lab:
     return hostile_physics.Lab(tmp_path_factory.mktemp("physics") / "lab")
@@ -100,6 +109,24 @@ def test_a_number_that_nobody_meant_is_refused_or_taken(shop: Workshop, name: st
 def test_a_place_that_is_no_file_is_refused_at_once(shop: Workshop, seed: int) -> None:
     trial = SpecialFiles().draw(Seeded(seed))
     assert SpecialFiles().judge(shop, trial) is None, trial
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_camera_of_any_wavelengths_is_shown_the_same(shop: Workshop, seed: int) -> None:
+    grid = WavelengthGrids().draw(Seeded(seed))
+    assert WavelengthGrids().judge(shop, grid) is None, str(grid)
+
+
+def test_a_dng_is_read_to_the_pixels_that_its_tags_describe_or_refused(shop: Workshop) -> None:
+    for seed in range(60):
+        trial = DngTags().draw(Seeded(seed))
+        assert DngTags().judge(shop, trial) is None, trial
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_frames_keep_their_times_or_it_is_said(shop: Workshop, seed: int) -> None:
+    clip = FrameTimes().draw(Seeded(seed))
+    assert FrameTimes().judge(shop, clip) is None, clip
 
 
 KEPT_NUMBERS = [
@@ -187,3 +214,15 @@ def test_a_camera_of_many_channels_does_not_compare_all_patterns_in_pairs() -> N
     table = dataclasses.replace(table, first=first, channels=tuple("abcdefghijklmnop"))
     assert kind_name(table, table.first.rule.chromas) == "saturated a"
     assert kind_name(table, table.first.rule.chromas + 1) == "saturated a+b+c+d+e+f+g+h+i+j+k+l+m+n+o+p"
+
+
+def test_a_forked_child_does_as_its_parent_or_names_the_cure() -> None:
+    cases: list[hostile_forks.Case] = [
+        (["use"], "use"),
+        (["devices"], "command"),
+        (["hold"], "by reference"),
+        (["decode", "open"], "decode"),
+        (["open"], "read"),
+        (["use"], "leave"),
+    ]
+    assert list(hostile_forks.judge_cases(cases)) == []

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import recipes
 from l3cli.artifacts.store import save
-from l3cli.files import atomic_output, refuse_spared, sparing
 from l3cli.io.images import write_picture
+from l3cli.recipes import builtin
 from l3cli.stages import starting
+from l3cli.system.files import atomic_output, protecting, refuse_protected
 from tests.helpers.hostile_inputs import CURVE_CAMERA, DRAWN, LAB, TABLE
 from tests.helpers.sequences import FAST, RGGB, RUN, frames
 
@@ -24,7 +24,7 @@ CUBE = 'exposure_share = [0.9]\n[[scene]]\nsource = "cube"\nfile = "cube.npy"\nw
 
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder to work in: a camera that names its curves, measurements that name theirs, a scene, footage and a table."""
+    """A folder to work in: a camera that names its curves, measurements that name theirs, a scene, sequence and a table."""
     texts = {"camera.toml": CURVE_CAMERA, "lab.toml": LAB, "drawn.toml": DRAWN, "cube.toml": CUBE, "curves.csv": CURVES}
     texts |= {"measured.toml": TABLE.replace("sweep.csv", "responsivity.csv"), "diode.csv": "390,0.5\n710,0.9\n"}
     texts["responsivity.csv"] = "\n".join(f"{x},100,110,{90 + x / 10},64,64,64,{x / 10},1" for x in (400, 500, 600, 700))
@@ -42,7 +42,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture
-def spared(desk: Path, refused: Callable[..., str]) -> Callable[..., str]:
+def protected(desk: Path, refused: Callable[..., str]) -> Callable[..., str]:
     """Run a command that must be refused because of an output, by one line, and must change nothing."""
 
     def call(line: str) -> str:
@@ -55,32 +55,32 @@ def spared(desk: Path, refused: Callable[..., str]) -> Callable[..., str]:
     return call
 
 
-def test_what_measurements_name_is_not_exported_over(spared: Callable[..., str]) -> None:
-    spared("calibrate measured.toml -o camera.h5 --accept --export . --force")
+def test_what_measurements_name_is_not_exported_over(protected: Callable[..., str]) -> None:
+    protected("calibrate measured.toml -o camera.h5 --accept --export . --force")
 
 
-def test_the_curves_of_a_camera_are_not_replaced(desk: Path, spared: Callable[..., str]) -> None:
-    spared("simulate drawn.toml --camera camera.toml -o curves.csv --force")
+def test_the_curves_of_a_camera_are_not_replaced(desk: Path, protected: Callable[..., str]) -> None:
+    protected("simulate drawn.toml --camera camera.toml -o curves.csv --force")
     (desk / "lab/spectra").mkdir(parents=True)
     (desk / "curves.csv").rename(desk / "lab/spectra/mono.csv")
     (desk / "camera.toml").write_text(CURVE_CAMERA.replace("curves.csv", "lab/spectra/mono.csv"))
-    spared("lab camera.toml --recipe lab.toml -o lab --force")
+    protected("lab camera.toml --recipe lab.toml -o lab --force")
 
 
-def test_a_source_cube_is_not_replaced(spared: Callable[..., str]) -> None:
-    spared("simulate cube.toml --camera camera.toml -o cube.npy --force")
-    spared("simulate cube.toml --camera camera.toml -o ./lab/../cube.npy --force")
+def test_a_source_cube_is_not_replaced(protected: Callable[..., str]) -> None:
+    protected("simulate cube.toml --camera camera.toml -o cube.npy --force")
+    protected("simulate cube.toml --camera camera.toml -o ./lab/../cube.npy --force")
 
 
-def test_stored_frames_are_not_removed_where_they_are_what_is_read(desk: Path, spared: Callable[..., str]) -> None:
+def test_stored_frames_are_not_removed_where_they_are_what_is_read(desk: Path, protected: Callable[..., str]) -> None:
     (desk / "t.h5.parts").mkdir()
     (desk / "t.h5.parts/run").write_text("")
     os.link(desk / "cube.npy", desk / "t.h5.parts/000000.h5")
-    spared("simulate cube.toml --camera camera.toml -o t.h5")
+    protected("simulate cube.toml --camera camera.toml -o t.h5")
 
 
 def test_what_is_named_like_ours_is_not_removed_where_it_is_read(
-    desk: Path, spared: Callable[..., str], l3: Callable
+    desk: Path, protected: Callable[..., str], l3: Callable
 ) -> None:
     spared_name = desk / ".a.0123abcd.l3tmp.npy"
     np.save(spared_name, frames()[0])
@@ -89,17 +89,17 @@ def test_what_is_named_like_ours_is_not_removed_where_it_is_read(
     assert l3("render", "table.h5", spared_name, "-o", "pictures", *FAST)[0] == 0
     np.save(desk / "a.npy", frames()[0])
     (desk / "a.npy").rename(desk / ".b.png.l3lock")
-    spared("render table.h5 .b.png.l3lock -o b.png")
+    protected("render table.h5 .b.png.l3lock -o b.png")
     assert spared_name.read_bytes() == held
 
 
 def test_recipes_are_not_copied_over_themselves(
-    desk: Path, spared: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+    desk: Path, protected: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shutil.copytree(recipes.recipe_folder(), desk / "configs")
-    for module in (starting, recipes):
+    shutil.copytree(builtin.recipe_folder(), desk / "configs")
+    for module in (starting, builtin):
         monkeypatch.setattr(module, "recipe_folder", lambda: desk / "configs")
-    spared("init bayer configs/pipelines --force")
+    protected("init bayer configs/pipelines --force")
 
 
 def streamed(line: str, more: str) -> tuple[int, str]:
@@ -156,11 +156,11 @@ def test_a_name_is_compared_by_what_it_leads_to(tmp_path: Path) -> None:
     other.write_text("other")
     (tmp_path / "link").symlink_to(source)
     os.link(source, tmp_path / "hard")
-    with sparing([tmp_path / "link", tmp_path / "none"]), sparing([source]):
+    with protecting([tmp_path / "link", tmp_path / "none"]), protecting([source]):
         for name in ("source", "link", "hard"):
             with pytest.raises(Exception, match="is an input"), atomic_output(tmp_path / name):
                 raise AssertionError("work is done")
         with atomic_output(other) as temporary:
             temporary.write_text("new")
-    refuse_spared(source)  # no longer
+    refuse_protected(source)  # no longer
     assert (source.read_text(), other.read_text()) == ("raw", "new")

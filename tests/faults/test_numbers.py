@@ -17,10 +17,10 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as every_command
 from l3cli.cli.options import Number
-from l3cli.config import parse_recipe
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.images import write_mosaic
-from l3cli.quantities import NoSuchNumber, Quantity
+from l3cli.recipes.toml import parse_recipe
+from l3cli.system.numbers import NoSuchNumber, Quantity
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.calls import L3, Refused
 from tests.helpers.hostile import timed
@@ -109,7 +109,7 @@ REFUSED = f"""
     render a b -o c.png --exposure 5e-324
         the nearest is 1e-09
     render a b -o c.png --exposure bright
-        "bright" is no number; give one within 1e-09…1e+09 times Y, or auto
+        "bright" is no number; give one within 1e-09…1e+09 times Y, auto, or stops from it such as -1EV
     render a b -o c.mp4 --fps 1e999999999
         1e999999999 is not within 0.001…1000 frames/s; the nearest is 1000
     render a b -o c.mp4 --fps 1/3000000000
@@ -146,7 +146,7 @@ def test_a_number_is_refused_when_it_is_parsed(refused: Callable, call: str, wor
 
 def test_every_option_with_a_number_declares_its_range() -> None:
     """And is fuzzed: what takes a text, but no number, is listed here."""
-    texts = {"--format", "--dataset", "--figure", "--light"}
+    texts = {"--format", "--dataset", "--figure", "--light", "--prefix", "--watch"}
     numbers = set()
     for name in COMMANDS:
         command = every_command.get_command(click.Context(every_command), name)
@@ -165,7 +165,7 @@ def test_every_option_with_a_number_declares_its_range() -> None:
 def test_variables_have_ranges_too(
     refused: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, name: str, number: str
 ) -> None:
-    write_mosaic(tmp_path / "raw.png", frames()[0])  # decoded in the sandbox, as plain TIFFs are not
+    write_mosaic(tmp_path / "raw.png", frames()[0])  # decoded by the isolated process, as plain TIFFs are not
     monkeypatch.setenv(name, number)
     line = refused(2, "render", table, tmp_path / "raw.png", "-o", tmp_path / "a.png", *FAST)
     assert line.startswith(f"l3: {name}: ")
@@ -346,25 +346,25 @@ def test_what_cannot_be_loaded_or_started_is_one_line(
     def unmapped(*_: object) -> None:
         raise ImportError("libfoo.so: failed to map segment from shared object")
 
-    monkeypatch.setattr("l3cli.stages.rendering.render.open_table", unmapped)
+    monkeypatch.setattr("l3cli.stages.rendering.render.load", unmapped)
     assert "libfoo.so: failed to map segment" in refused(1, "render", table, stack, "-o", tmp_path / "out", *FAST)
 
 
 def test_a_decoder_that_cannot_start_is_no_damaged_file(
     refused: Refused, tmp_path: Path, table: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from l3cli.io import apart
+    from l3cli.io import isolated
 
     write_mosaic(tmp_path / "raw.png", frames()[0])
     call = ("render", table, tmp_path / "raw.png", "-o", tmp_path / "a.png", *FAST)
-    apart._end_child()
+    isolated._end_child()
     with monkeypatch.context() as patched:
         patched.setattr(sys, "executable", "/bin/false")
         assert "the process that decodes files cannot be started" in refused(1, *call)
 
 
 def test_a_library_that_cannot_be_loaded_is_no_damaged_file() -> None:
-    from l3cli.io.apart import _decoded
+    from l3cli.io.isolated import _decoded
 
     def decode(path: Path) -> None:
         raise ImportError("libfoo.so: failed to map segment from shared object")

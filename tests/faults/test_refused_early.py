@@ -20,7 +20,7 @@ import pytest
 from l3cli.artifacts.container import seal
 from l3cli.artifacts.store import save
 from l3cli.io.images import read_image, write_mosaic
-from l3cli.limits import MEGAPIXELS, MOST_TEXT, TRUST
+from l3cli.system.limits import MEGAPIXELS, MOST_TEXT, TRUST
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.tables import random_table

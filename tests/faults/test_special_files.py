@@ -9,9 +9,9 @@ import pytest
 
 from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
-from l3cli.files import open_regular, require_regular, sha256
 from l3cli.io.images import write_mosaic
-from l3cli.limits import read_bounded
+from l3cli.system.files import open_regular, require_regular, sha256
+from l3cli.system.limits import read_bounded
 from tests.helpers.hostile import Hang, timed
 from tests.helpers.sequences import FAST, RGGB, frames
 
@@ -59,7 +59,7 @@ def test_only_regular_files_are_opened(places: Path, kind: str) -> None:
 def test_a_file_is_opened_without_waiting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pipe that takes the name between check and opening is refused when it is open."""
     os.mkfifo(tmp_path / "pipe")
-    monkeypatch.setattr("l3cli.files.require_regular", lambda *_: None)
+    monkeypatch.setattr("l3cli.system.files.require_regular", lambda *_: None)
     with timed(SECONDS), pytest.raises(InputFileError, match="is a pipe"):
         open_regular(tmp_path / "pipe")
     (tmp_path / "file").write_bytes(b"content")

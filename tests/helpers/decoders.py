@@ -1,56 +1,61 @@
 """Stand-ins for decoders of foreign files, that fail variously. A light module: the process that decodes imports it."""
 
+import errno
+import importlib
 import os
+import resource
 import signal
-import tempfile
+import socket
+import sys
+import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from l3cli.io.apart import apart
+from l3cli.io.isolated import isolated
 
 
-@apart
+@isolated()
 def crash(path: Path) -> None:
     os.kill(os.getpid(), signal.SIGSEGV)
 
 
-@apart
+@isolated()
 def work(path: Path) -> None:
     while True:
         pass
 
 
-@apart
+@isolated()
 def sleep(path: Path) -> None:
     time.sleep(600)
 
 
-@apart
+@isolated()
 def hoard(path: Path) -> None:
     hoarded = [np.empty(1 << 28, np.uint8) for _ in range(1000)]
     assert hoarded
 
 
-@apart
+@isolated()
 def abort(path: Path) -> None:
     os.abort()
 
 
-@apart
+@isolated()
 def stumble(path: Path) -> None:
     raise IndexError("list index\nout of range")
 
 
-@apart
+@isolated()
 def write_much(path: Path) -> None:
-    with tempfile.TemporaryFile() as file:
-        os.posix_fallocate(file.fileno(), 0, 1 << 40)
+    os.posix_fallocate(os.memfd_create("much"), 0, 1 << 40)
 
 
-@apart
+@isolated()
 def echo(path: Path, text: str, number: int | None) -> dict[str, Any]:
     ordered = np.asfortranarray(np.arange(6, dtype=">u2").reshape(2, 3))
     return {
@@ -58,3 +63,62 @@ def echo(path: Path, text: str, number: int | None) -> dict[str, Any]:
         "told": (text, number, [1.5, True]),
         "arrays": {"empty": np.zeros((0, 3), np.float32), "one": np.float64(2.5), "F": ordered, "C": np.arange(4) > 1},
     }
+
+
+REACHES: dict[str, Callable[[Path, str], object]] = {
+    "connect": lambda path, other: socket.create_connection(("127.0.0.1", 9)),
+    "socket pair": lambda path, other: socket.socketpair(),
+    "exec": lambda path, other: os.execv(sys.executable, [sys.executable, "-c", ""]),
+    "fork": lambda path, other: os.fork(),
+    "signal": lambda path, other: os.kill(os.getppid(), 0),
+    "leave the group": lambda path, other: os.setsid(),
+    "limits of others": lambda path, other: resource.prlimit(os.getppid(), resource.RLIMIT_NOFILE),
+    "mode": lambda path, other: path.chmod(0o600),
+    "time": lambda path, other: os.utime(path),
+    "truncate": lambda path, other: os.truncate(path, 0),
+    "truncate by reading": lambda path, other: os.open(path, os.O_RDONLY | os.O_TRUNC),
+    "write": lambda path, other: path.write_bytes(b"x"),
+    "append": lambda path, other: os.open(path, os.O_WRONLY | os.O_APPEND),
+    "new file": lambda path, other: path.with_name("new").touch(),
+    "new folder": lambda path, other: path.with_name("new").mkdir(),
+    "remove": lambda path, other: path.unlink(),
+    "rename": lambda path, other: path.rename(path.with_name("new")),
+    "link": lambda path, other: path.with_name("new").symlink_to(path),
+    "passwords": lambda path, other: Path("/etc/passwd").read_bytes(),
+    "another file": lambda path, other: Path(other).read_bytes(),
+    "its folder": lambda path, other: os.listdir(path.parent),
+    "environment of others": lambda path, other: Path(f"/proc/{os.getppid()}/environ").read_bytes(),
+    "memory": lambda path, other: os.open("/proc/self/mem", os.O_RDONLY),
+}
+BY_SECCOMP = ("connect", "socket pair", "fork", "signal", "leave the group", "limits of others", "mode", "time", "truncate")
+
+
+@isolated()
+def reach(path: Path, what: str, other: str) -> str:
+    """Try to reach something beyond the file; return the name of the error, or none."""
+    try:
+        REACHES[what](path, other)
+    except OSError as error:
+        return errno.errorcode[error.errno or 0]
+    return ""
+
+
+@isolated()
+def read(path: Path) -> tuple[int, int]:
+    """Return the length of the file, read by a thread, and the number of modules of an import."""
+    made: list[int] = []
+    thread = threading.Thread(target=lambda: made.append(len(path.read_bytes())))
+    thread.start()
+    thread.join()
+    return made[0], len(importlib.import_module("wave").__all__)
+
+
+_calls = 0
+
+
+@isolated()
+def count(path: Path) -> int:
+    """Return how many times this process has been asked."""
+    global _calls
+    _calls += 1
+    return _calls

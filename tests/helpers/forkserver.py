@@ -128,7 +128,8 @@ def _send(answer: Any) -> None:
 
 def _become(arguments: list[str]) -> None:
     """The run, in the forked process, which ends with it; its words go to files called after the server's number."""
-    from l3cli import cli, interrupts
+    from l3cli import cli
+    from l3cli.system import signals
 
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for number, name in ((1, "out"), (2, "err")):
@@ -138,7 +139,7 @@ def _become(arguments: list[str]) -> None:
         os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), number)
     sys.argv = ["l3", *arguments]
     for each in ENDING:
-        signal.signal(each, interrupts.end)
+        signal.signal(each, signals.end)
     group = cli.l3.main
 
     def begin(*arguments: Any, **options: Any) -> Any:

@@ -19,7 +19,9 @@ from typing import Any
 
 BATCH = 1000  # inputs a process
 IDENTITIES = "identities"  # as --only: outputs that are inputs alone
-PHYSICS = 100  # of so many seeds one spoils the physics of a lab instead of a file
+PHYSICS = 100  # of so many seeds one spoils the physics of a lab instead of a file …
+FORKS = 50  # … and one has a process forked that goes on with l3
+NAMES = 50  # of so many seeds one names a file in a pipeline of l3 init
 SLOW = 3  # seconds of processor time of an input that are worth a word
 
 
@@ -49,11 +51,16 @@ class Court:
     def __init__(self, shop: Any, seen: list[str], kept: Path, only: str | None) -> None:
         from tests.helpers import hostile_numbers
         from tests.helpers.hostile import SUBJECTS
+        from tests.helpers.hostile_dng import DngTags
+        from tests.helpers.hostile_frame_times import FrameTimes
         from tests.helpers.hostile_identities import Identities
+        from tests.helpers.hostile_large_recipes import LargeRecipes
         from tests.helpers.hostile_special_files import SpecialFiles
+        from tests.helpers.hostile_wavelengths import WavelengthGrids
 
         self._identities = Identities(shop)
-        every: tuple[Any, ...] = (*SUBJECTS, *hostile_numbers.subjects(shop), SpecialFiles())
+        further = SpecialFiles(), WavelengthGrids(), DngTags(), FrameTimes(), LargeRecipes()
+        every: tuple[Any, ...] = (*SUBJECTS, *hostile_numbers.subjects(shop), *further)
         chosen = [subject for subject in every if only is None or subject.name == only]
         self.subjects = [subject for turn in range(3) for subject in chosen if only or subject.often > turn]
         self._shop, self._seen, self._kept = shop, seen, kept
@@ -104,6 +111,11 @@ def batch(chosen: argparse.Namespace) -> int:
     """Judge the inputs of some seeds, one subject after the other; how many failed."""
     seeds = range(chosen.first, chosen.first + chosen.inputs)
     failed = 0 if chosen.only else physics([seed for seed in seeds if seed % PHYSICS == 0])
+    failed += 0 if chosen.only else forks([seed for seed in seeds if seed % FORKS == 0])
+    if chosen.only in (None, "names"):
+        failed += names([seed for seed in seeds if chosen.only or seed % NAMES == 0])
+    if chosen.only == "names":
+        return failed
     with court(chosen.kept, chosen.only) as judges:
         for seed in seeds:
             if chosen.only == IDENTITIES or (chosen.only is None and seed % 10 == 0):
@@ -123,6 +135,31 @@ def physics(seeds: list[int]) -> int:
     for seed, verdict in judge_seeds(seeds):
         failed += 1
         print(f"physics {seed}: {verdict.strip()}", flush=True)
+    return failed
+
+
+def forks(seeds: list[int]) -> int:
+    """Judge a forked child of each seed; how many hung, or did another thing than their parent."""
+    from tests.helpers.hostile_forks import drawn, judge_cases
+
+    failed = 0
+    for verdict in judge_cases(drawn(Seeded(seed)) for seed in seeds):
+        failed += 1
+        print(f"forks: {verdict.strip()}", flush=True)
+    return failed
+
+
+def names(seeds: list[int]) -> int:
+    """Run pipelines with a hostile name of each seed; how many ran it, or lost it."""
+    from tests.helpers.hostile_names import Pipelines
+
+    failed = 0
+    with tempfile.TemporaryDirectory(prefix="l3-names-") as name:
+        pipelines = Pipelines(Path(name))
+        for seed in seeds:
+            if (verdict := pipelines.judge(Seeded(seed))) is not None:
+                failed += 1
+                print(f"names {seed}: {verdict.strip()}", flush=True)
     return failed
 
 

@@ -29,7 +29,8 @@ SIMULATE = "simulate drawn.toml --camera camera.toml -o {out}/t.h5"
 OPTIONS = (  # {n} is the number; "=" holds on to what begins with a minus
     "evaluate table.h5 training.h5 --backend reference --border={n}", MOVIE + " --fps={n}", MOVIE + " --crf={n}",
     "render table.h5 stack.npy -o {out}/a.y4m --backend reference --fps={n}",
-    RENDER + " --exposure={n}", RENDER + " --white={n},0.33", RENDER + " --white=0.31,{n}", RENDER + " --white={n}K",
+    RENDER + " --exposure={n}", RENDER + " --exposure={n}EV", RENDER + " --exposure=+{n}",
+    RENDER + " --white={n},0.33", RENDER + " --white=0.31,{n}", RENDER + " --white={n}K",
     RENDER + " --white=D{n}K", RENDER + " --black-level={n}", RENDER + " --white-level={n}", RENDER + " --phase={n},0",
     RENDER + " --exposure-time={n}",
     BARE + " --size={n}x24", BARE + " --size=20x{n}", BARE + " --size=20x24 --stride={n}",
@@ -43,7 +44,7 @@ OPTIONS = (  # {n} is the number; "=" holds on to what begins with a minus
     "lab camera.toml --recipe lab.toml -o {out}/lab --seed={n}", "bench --list --device={n}",
     "calibrate curves_of.toml -o {out}/c.h5 --accept --jobs={n}", SIMULATE + " --scheduler=tcp://127.0.0.1:{n}",
 )  # fmt: skip
-VARIABLES = ("L3_MEGAPIXELS", "L3_DECODE_SECONDS", "L3_DEVICE", "COLUMNS", "LINES")
+VARIABLES = ("L3_MEGAPIXELS", "L3_DECODE_SECONDS", "L3_TRUST", "L3_DEVICE", "COLUMNS", "LINES")
 RENDER_ONE = "render table.h5 frame.tif -o {out}/a.png --backend reference"
 RECIPES = {  # each with a command that reads it, as {file}
     "camera.toml": "simulate drawn.toml --camera {file} -o {out}/t.h5",

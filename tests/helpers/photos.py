@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.calibration.perspective import corner_cells, homography, through
 from l3cli.calibration.photo import estimate
 from l3cli.calibration.photo.estimate import Posterior, Shot
 from l3cli.calibration.photo.prior import WAVELENGTH
+from l3cli.charts.perspective import corner_cells, homography, through
 from l3cli.io.priors import shipped
 from l3cli.physics import charts, spectra
 

@@ -23,6 +23,15 @@ def shown(text: str) -> list[str]:
     return lines
 
 
+def blocks(text: str) -> list[str]:
+    """A page's blocks of code: indented or fenced lines that follow one another, blank lines within."""
+    found = re.findall(
+        r"(?:^(?: {4}.*)?\n)+", re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL), re.MULTILINE
+    )
+    marked = re.findall(r"^```.*?^```$", text, re.MULTILINE | re.DOTALL)
+    return [block for each in (*found, *marked) if (block := "\n".join(shown(each))).strip()]
+
+
 def fenced(text: str, language: str) -> list[str]:
     """The blocks of a page that are marked as of a language, in order."""
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)

@@ -1,6 +1,8 @@
 """A short sequence of small mosaics, a table for them, and how to run and read what is rendered of them."""
 
 import dataclasses
+from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -49,15 +51,22 @@ def pictures(folder: Path, pattern: str = "*.png") -> dict[str, np.ndarray]:
 
 
 def write_raw_video(
-    path: Path, pixels: str = "gray12le", rate: int = 24, group: int = 1, mosaics: np.ndarray | None = None
-) -> Path:
+    path: Path, pixels: str = "gray12le", rate: int = 24, group: int = 1, mosaics: np.ndarray | None = None,
+    times: Sequence[int] | None = None,
+) -> Path:  # fmt: skip
+    """`times`: of its frames in ms, None: at the rate."""
     mosaics = frames() if mosaics is None else mosaics
     with av.open(str(path), "w") as video:
         options = {"level": "3", "slicecrc": "1", "slices": "4", "g": str(group)}
         stream = video.add_stream("ffv1", rate=rate, options=options)
         stream.height, stream.width, stream.pix_fmt = *mosaics.shape[1:], pixels
-        for mosaic in mosaics:
+        if times is not None:
+            stream.codec_context.time_base = Fraction(1, 1000)
+        for number, mosaic in enumerate(mosaics):
             values = (mosaic >> 4).astype(np.uint8) if pixels == "gray" else mosaic
-            video.mux(stream.encode(av.VideoFrame.from_ndarray(values, format=pixels)))
+            frame = av.VideoFrame.from_ndarray(values, format=pixels)
+            if times is not None:
+                frame.pts, frame.time_base = times[number], Fraction(1, 1000)
+            video.mux(stream.encode(frame))
         video.mux(stream.encode())
     return path

@@ -15,8 +15,8 @@ from l3cli.calibration import defects, gain, noise, responsivity
 from l3cli.calibration.captures import Sensor, measure_charts, measure_sweep
 from l3cli.calibration.statistics import mean_value, measure_level
 from l3cli.errors import InputFileError
-from l3cli.files import sha256
-from l3cli.measurement import Body, Capture, ChartCapture, MonoCapture
+from l3cli.frames.measurement import Body, Capture, ChartCapture, MonoCapture
+from l3cli.system.files import sha256
 from tests.helpers.calls import L3
 
 GOALS = {  # % of the truth

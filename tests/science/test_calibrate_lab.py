@@ -1,6 +1,7 @@
 """What a real lab does wrong and calibration knows of: defective pixels, drifting lamps, stray light; EMVA 1288's table."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,12 +15,12 @@ from l3cli.calibration import defects, gain, noise
 from l3cli.calibration.curves import Curves
 from l3cli.calibration.efficiency import efficiency
 from l3cli.cli import run
-from l3cli.curve_file import read_table
+from l3cli.frames.measurement import Body
 from l3cli.io.curves import write_curves
-from l3cli.measurement import Body
 from l3cli.simulation import lab
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.sensor_defects import DefectRecipe, defects_of
+from l3cli.spectra.file import read_table
 from tests.helpers.calls import L3
 
 MEAN = """
@@ -147,6 +148,24 @@ def test_defects_are_patched_by_their_channel() -> None:
     np.testing.assert_array_equal(defects.outliers(spoilt, cfa, 1.0), spots)
     np.testing.assert_array_equal(defects.patched(spoilt, cfa, spots), picture)
     assert defects.outliers(picture, cfa, 1.0).shape == (0, 2)
+
+
+def test_finished_curves_get_no_band_by_the_scale_of_charts(
+    lab_folder: Path, fine_bayer_recipe: Path, tmp_path: Path, l3: L3
+) -> None:
+    """The errors of Eq. 2 and of K alone are no band of curves of which nothing else is known."""
+    truth = load_camera(fine_bayer_recipe)
+    write_curves(lab_folder / "curves.csv", truth.wavelength, truth.responsivity, truth.channels)
+    head, *blocks = re.split(r"(?m)^(?=\[\[?\w)", (lab_folder / "MEASUREMENTS.toml").read_text())
+    blocks = [block for block in blocks if not block.startswith(("[[mono]]", "[uncertainty]"))]
+    curves = '[curves]\nfile = "curves.csv"\nper_energy = false\n'
+    (lab_folder / "finished.toml").write_text("".join([head, *blocks, curves]))
+    result = compared(lab_folder, "finished.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
+    camera = load(CameraModel, tmp_path / "camera.h5")
+    assert camera.absolute
+    assert not camera.responsivity_band.any()
+    assert all("± 95 % (%)" not in channel for channel in result["channels"].values())
+    assert all("within band (%)" not in channel for channel in result["truth"]["channels"].values())
 
 
 def test_the_band_holds_the_errors_of_gain_and_scale(lab_folder: Path, tmp_path: Path, l3: L3) -> None:

@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import CameraModel, Noise
+from l3cli.calibration.model import from_data_sheet
 from l3cli.calibration.series import fit_series
 from l3cli.errors import InputFileError
-from l3cli.measurement import CHART_COLS, CHART_ROWS, BandCapture, Body, Capture
+from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, BandCapture, Body, Capture, Measurements, SensorFigures
 
 WHITE, BLACK = 3800.0, 100.0
 RESPONSE = np.array([[0.05, 0.2, 1.0], [0.1, 0.8, 0.1]])  # (band, channel)
@@ -58,6 +59,12 @@ def test_responses_come_back_and_exposures_predict_each_other(body: Body) -> Non
     longest = next(i for i, c in enumerate(captures) if c.name == "0_0.5.tif")
     assert not fit.used[longest, 12:, 2].any()
     assert fit.used[longest, :, 0].all()
+    figures = SensorFigures(1.0, BLACK, WHITE, Noise(4.0, 0.0, 0.0, 0.0, 4000.0))
+    measured = Measurements(body, bands=tuple(captures), darks=tuple(darks([0.5, 0.05])), datasheet=figures)
+    stated = dataclasses.replace(measured, lamp_drift=0.01)
+    known, more = (from_data_sheet(each, figures).responsivity_band for each in (measured, stated))
+    np.testing.assert_allclose(known, curves.band)
+    np.testing.assert_allclose(more, np.hypot(curves.band, 0.0196 * curves.relative))  # [uncertainty] widens it
 
 
 def test_a_capture_has_no_part_in_its_prediction(body: Body) -> None:

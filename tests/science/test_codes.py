@@ -8,8 +8,8 @@ import pytest
 
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.evaluation.demosaic import tiled
+from l3cli.frames.scene import ChannelPicture
 from l3cli.io.images import write_linear, write_picture
-from l3cli.scene import ChannelPicture
 from tests.helpers.paths import CONFIGS
 
 CAMERA = CONFIGS / "benchmarks/bayer/camera.toml"

@@ -1,4 +1,4 @@
-"""Defects are mended and shading is evened: to the same classes on every backend, and to pictures as of a sound camera."""
+"""Bad pixels and shading are corrected: to the same classes on every backend, and to pictures as of a sound camera."""
 
 import pickle
 from collections.abc import Iterable, Iterator
@@ -15,19 +15,19 @@ from l3cli.artifacts.corrections import DefectMap, FlatField
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
-from l3cli.correction import Correction, correction_of
 from l3cli.errors import InputFileError
-from l3cli.frame import RawFrame
-from l3cli.io.sequences import Pending
-from l3cli.mending import NEIGHBOURS, plan_mending
+from l3cli.frames.bad_pixels import NEIGHBOURS, plan_correction
+from l3cli.frames.correction import Correction, correction_of
+from l3cli.frames.frame import RawFrame
+from l3cli.frames.shading import FRACTION, STEP, clipped_from, evened, shading_of
+from l3cli.io.sequences import FrameReference
 from l3cli.physics.display import displayed, srgb_curve
-from l3cli.rendering import opencl_bands
 from l3cli.rendering.display import make_display
 from l3cli.rendering.exposure import LightMeter
-from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.opencl import bands
+from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.rendering.white_source import usual_balance
-from l3cli.shading import FRACTION, STEP, clipped_from, evened, shading_of
+from l3cli.rendering.white.source import usual_balance
 from l3cli.simulation.sensor import mosaic
 from l3cli.stages.rendering.corrections import CameraFile
 from l3cli.stages.rendering.executors import Local, Remote, RenderSetup
@@ -70,7 +70,7 @@ def test_backends_agree_on_shaded_frames(variant: str, monkeypatch: pytest.Monke
     reference, device = ReferenceRenderer(table), OpenCLRenderer(table, variant=variant)
     display = make_display(table.white_point, 1.0, 8)
     for pixels in (SHAPE[0] * SHAPE[1], 20 * SHAPE[1]):  # a single band, and several
-        monkeypatch.setattr(opencl_bands, "BAND_PIXELS", pixels)
+        monkeypatch.setattr(bands, "BAND_PIXELS", pixels)
         device._frame_bands = None
         for layer in range(len(table.layers)):
             np.testing.assert_array_equal(device.labels(frame, layer), reference.labels(frame, layer))
@@ -108,7 +108,7 @@ def test_mending_takes_the_nearest_sound_pixels_of_the_channel() -> None:
         channel = array[np.ix_(np.arange(60) % array.shape[0], np.arange(84) % array.shape[1])]
         bad = rng.random(shape) < 0.01
         bad[20:27, 30:35] = bad[:, 50:52] = bad[40] = bad[:3, :3] = True
-        plan = plan_mending(bad, array)
+        plan = plan_correction(bad, array)
         np.testing.assert_array_equal(np.sort(plan.target), np.flatnonzero(bad))
         assert plan.source.shape == (bad.sum(), NEIGHBOURS)
         assert not bad.ravel()[plan.source].any()
@@ -116,14 +116,14 @@ def test_mending_takes_the_nearest_sound_pixels_of_the_channel() -> None:
         flat = (1000 + 100 * channel.astype(int)).astype(np.uint16)
         broken = np.where(bad, rng.integers(0, 4096, shape), flat).astype(np.uint16)
         kept = broken.copy()
-        np.testing.assert_array_equal(plan.mended(broken), flat)
+        np.testing.assert_array_equal(plan.corrected(broken), flat)
         np.testing.assert_array_equal(broken, kept)
     with pytest.raises(InputFileError, match="100% of the pixels"):
-        plan_mending(np.ones((8, 8), bool), np.array(BAYER, np.uint8))
+        plan_correction(np.ones((8, 8), bool), np.array(BAYER, np.uint8))
     large = np.zeros((200, 200), bool)
     large[50:100, 50:100] = True
     with pytest.raises(InputFileError, match=r"pixel \(\d+, \d+\) has no sound neighbour within 16 pixels"):
-        plan_mending(large, np.array(BAYER, np.uint8))
+        plan_correction(large, np.array(BAYER, np.uint8))
 
 
 # ------------------------------------------------------------------------------------------------------------ quality
@@ -270,17 +270,17 @@ def test_resume_knows_the_camera(flawed: Path, l3: L3) -> None:
 
 def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
     """Jobs are pickled, as on their way to a worker; neither map nor gains travel with them."""
-    from l3cli.files import sha256
-    from l3cli.io.raw.files import KnownBetter, read_raw
+    from l3cli.io.raw.files import RawOverrides, read_raw
+    from l3cli.system.files import sha256
 
     table = load(TransformTable, flawed / "table.h5")
     file = CameraFile(flawed / "camera.h5", sha256(flawed / "camera.h5"))
-    known = KnownBetter(correction=correction_of(load(CameraModel, file.path)))
+    known = RawOverrides(correction=correction_of(load(CameraModel, file.path)))
     shading = known.correction.shading if known.correction else None
     path, rendition = flawed / "frames/1.npy", Rendition(usual_balance(table), 1.0, 8)
-    frame, pending = read_raw(path, table, known), Pending(1, "1", lambda: None)
+    frame, pending = read_raw(path, table, known), FrameReference(1, "1", lambda: None)
 
-    def crew(function: Any, jobs: Iterable[Any]) -> Iterator[Any]:
+    def pool(function: Any, jobs: Iterable[Any]) -> Iterator[Any]:
         for job in jobs:
             sent = pickle.dumps(job)
             assert shading is not None
@@ -288,11 +288,11 @@ def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
             yield function(pickle.loads(sent))
 
     setup = RenderSetup(
-        flawed / "table.h5", sha256(flawed / "table.h5"), "reference", {}, KnownBetter(), rendition, None, file
+        flawed / "table.h5", sha256(flawed / "table.h5"), "reference", {}, RawOverrides(), rendition, None, file
     )
     ((_, here),) = Local(ReferenceRenderer(table), setup).render(iter([Exposed(pending, frame, 1.0, None)]))
     for given in (frame, Unread(path, sha256(path))):
         exposed = Exposed(pending, given, 1.0, None)
-        ((_, made),) = Remote(crew, setup, True, shading).render(iter([exposed]))  # type: ignore[arg-type]
+        ((_, made),) = Remote(pool, setup, True, shading).render(iter([exposed]))  # type: ignore[arg-type]
         np.testing.assert_array_equal(made.pixels, here.pixels)
     assert STEP % 16 == 0  # of the kernels' vectors none lies over a node

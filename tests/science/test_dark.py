@@ -16,12 +16,12 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
-from l3cli.dark import average_dark, without_dark
 from l3cli.errors import InputFileError
-from l3cli.frame import RawFrame
+from l3cli.frames.dark import average_dark, without_dark
+from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image, write_mosaic
 from l3cli.rendering.exposure import LightMeter
-from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.simulation import sensor
 from tests.helpers.calls import L3, Refused

@@ -14,7 +14,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.calibration.defects import as_map, counts, join, outliers
 from l3cli.calibration.flat_field import corner_falloff, flat_field
 from l3cli.errors import InputFileError
-from l3cli.measurement import Body
+from l3cli.frames.measurement import Body
 from tests.helpers.calls import L3, Refused
 from tests.helpers.flaws import Flaws, flaws, seen, shading
 

@@ -14,8 +14,8 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import terminal
 from l3cli.cli.quality_tables import print_tables
-from l3cli.columns import figure
 from l3cli.physics import spectra
+from l3cli.system.text import figure
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.recipes import FEW_CLASSES
 from tests.helpers.tables import with_first

@@ -9,7 +9,7 @@ import pytest
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.physics import paint, spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.rendering.renderer import make_renderer

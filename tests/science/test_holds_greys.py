@@ -17,7 +17,7 @@ from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods
 from l3cli.cli import run
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import lab
 from l3cli.rendering.renderer import make_renderer

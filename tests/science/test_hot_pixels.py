@@ -11,8 +11,8 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.container import seal
 from l3cli.artifacts.store import save
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
-from l3cli.frame import RawFrame
-from l3cli.hot_pixels import HotTest
+from l3cli.frames.frame import RawFrame
+from l3cli.frames.hot_pixels import HotTest
 from l3cli.simulation.sensor import expose, mosaic
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, random_camera

@@ -18,7 +18,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.classes.ratios import shaded_chroma
 from l3cli.errors import L3Error
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import lab
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.stages.training.later_layers import layer_pass
@@ -124,9 +124,9 @@ def test_rows_of_several_mosaics_add_up_to_those_of_each(bayer: CameraModel, mon
     steps = layer.grid_steps(rule)[rule.split(np.arange(rule.classes_per_site)).level]
     together = sum_layer(layer, rule, frames, 0)
     monkeypatch.setattr("l3cli.training.layers.rows.GATHERED", 0)
-    apart = sum_layer(layer, rule, frames, 0)
+    isolated = sum_layer(layer, rule, frames, 0)
     for site, one in together.items():
-        each = apart[site]
+        each = isolated[site]
         assert (one.count == each.count).all()
         for sums, parts, step in ((one.moments, each.moments, steps), (one.noise, each.noise, np.float64(STEP))):
             off = np.abs(sums - parts)

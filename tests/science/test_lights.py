@@ -12,12 +12,11 @@ from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.io.raw.files import KnownBetter
+from l3cli.io.raw.files import RawOverrides
 from l3cli.physics import spectra
 from l3cli.physics.near_lights import mired_of
-from l3cli.rendering.kept_table import Layouts
-from l3cli.rendering.lights import Mix, described, mix_for, mixed, nearest_for
 from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.white.lights import Mix, described, mix_for, mixed, nearest_for
 from l3cli.stages.console import Silent
 from l3cli.stages.evaluation import raw_of
 from l3cli.stages.frame_renderers import FrameRenderers
@@ -103,7 +102,7 @@ def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refu
     assert "in one go, not in shards" in refused(2, *train("both", learned["several.classes.toml"], "--shard", "1/2"))
     (tmp_path / "classes.toml").write_text("[learning]\nper_light = true\nnoise_left = 0.1\n")
     assert "leave out noise_left" in refused(2, *train("both", tmp_path / "classes.toml"))
-    export = ("export", learned["one.h5"], "-o", tmp_path / "export", "--white", "A")
+    export = ("export", learned["one.h5"], "-o", tmp_path / "export", "--to", "folder", "--white", "A")
     assert "no single lights" in refused(2, *export)
 
 
@@ -200,19 +199,18 @@ def test_frames_are_judged_by_the_transforms_of_their_light(learned: dict[str, P
             np.testing.assert_allclose(renderers.of(frame).table.first.weights, own.first.weights, atol=1e-3)
 
 
-def test_what_is_kept_of_a_table_is_not_taken_for_a_mix_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[tuple[TransformTable, Layouts | None]] = []
+def test_a_mix_of_a_table_has_a_renderer_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[TransformTable] = []
 
-    def make_renderer(backend: str, table: TransformTable, by_noise: bool, layouts: Layouts | None) -> ReferenceRenderer:
-        given.append((table, layouts))
+    def make_renderer(backend: str, table: TransformTable, by_noise: bool) -> ReferenceRenderer:
+        given.append(table)
         return ReferenceRenderer(table)
 
     monkeypatch.setattr("l3cli.rendering.quiet.make_renderer", make_renderer)
-    table, kept, made = with_lights(random_table(BAYER), "A", "D65"), Layouts(), Renderers()
-    plain = RenderSetup(Path("table.h5"), "0", "reference", {}, KnownBetter(), OUTPUTS, None)
-    common = made.of(plain, table, kept)
-    assert made.of(plain, table, kept) is common
+    table, made = with_lights(random_table(BAYER), "A", "D65"), Renderers()
+    plain = RenderSetup(Path("table.h5"), "0", "reference", {}, RawOverrides(), OUTPUTS, None)
+    common = made.of(plain, table)
+    assert made.of(plain, table) is common
     lit = mixed(table, Mix(0, 1, 0.5))
-    assert made.of(dataclasses.replace(plain, mix=Mix(0, 1, 0.5)), lit, kept) is not common
-    assert [layouts for _, layouts in given] == [kept, None]
-    assert given[1][0] is lit
+    assert made.of(dataclasses.replace(plain, mix=Mix(0, 1, 0.5)), lit) is not common
+    assert given == [table, lit]

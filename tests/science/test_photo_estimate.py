@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration.photo import lights
 from l3cli.calibration.photo.estimate import Posterior, estimate
-from l3cli.calibration.photo.prior import WAVELENGTH, Prior, of_cameras, smooth
+from l3cli.calibration.photo.prior import WAVELENGTH, Prior, camera_prior, smooth
 from l3cli.io.priors import shipped
 from l3cli.physics import spectra
 from tests.helpers import photos, priors
@@ -32,7 +32,7 @@ def one_thread() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def prior() -> Prior:
-    return of_cameras(shipped())
+    return camera_prior(shipped())
 
 
 def figures(prior: Prior, glare: float = 0.0, uneven: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import units
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
-from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.frames.measurement import PATCH_NAMES
 from l3cli.io.measurements import patch_name
-from l3cli.measurement import PATCH_NAMES
 from l3cli.physics import spectra
+from l3cli.spectra import units
+from l3cli.spectra.file import read_table
 from tests.helpers.calls import L3, Refused
 
 RADIANCE = {"J": 1, "s": -1, "sr": -1, "m": -3}
@@ -287,7 +287,7 @@ def test_inputs_replaced_meanwhile_are_refused(
     ("key", "wrong", "says"),
     [
         ("peak_efficiency", "55", "55 % is 0.55"),
-        ("peak_efficiency", "1.01", "a share of 1 at most"),
+        ("peak_efficiency", "1.01", "it is a share, at most 1"),
         ("prnu", "0.5", "0.5 % is 0.005"),
         ("pixel_pitch_um", "0.004", "4 is meant?"),
         ("pixel_pitch_um", "4e-6", "4 is meant?"),

@@ -18,13 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.tree_rule import TreeRule
 from l3cli.classes import direction
 from l3cli.errors import InputFileError
-from l3cli.frame import RawFrame
-from l3cli.rendering.portable.short_words import OUTPUT_FRACTION, OUTPUT_TOP, short_words
-from l3cli.rendering.portable.source import Words, c_files
-from l3cli.rendering.portable.vector import drawn_mosaic
-from l3cli.rendering.portable.wordlengths import SEED, SHAPE, in_words, short_cost
+from l3cli.export.short_words import OUTPUT_FRACTION, OUTPUT_TOP, short_words
+from l3cli.export.source import Words, c_files
+from l3cli.export.vector import drawn_mosaic
+from l3cli.export.wordlengths import SEED, SHAPE, in_words, short_cost
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.tables import random_table, with_first, with_later, with_spectra, with_tree
 
@@ -57,7 +58,7 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
     "one layer, 2 × 3, 16 bits": lambda: a_table([[0, 1, 2], [2, 0, 1]], 16, 600.25, contrasts=(0.5, 3.0)),
     "directions, two outputs": lambda: a_table(
         [[0, 1], [1, 2]], 10, 40.0, outputs=("a", "b"), contrasts=(),
-        direction=direction.Keys(orientations=8, strengths=(4.0,), coherence=0.5),
+        direction=direction.Options(orientations=8, strengths=(4.0,), coherence=0.5),
     ),
     "three layers, 2 × 4, 16 bits": lambda: with_strengths(
         with_later(a_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, patch=7, contrasts=()), 3, 5),
@@ -203,14 +204,29 @@ def test_32_bit_arm_agrees(built: Built) -> None:
 
 
 def test_numbers_do_not_follow_the_print_options_of_numpy() -> None:
-    table = random_table([[0, 1], [1, 2]], 12, 64.1, patch=3)
+    table = with_tree(random_table([[0, 1], [1, 2]], 12, 64.1, patch=3))
     with np.printoptions(legacy=False):
         plain = c_files(table)
     with np.printoptions(legacy="1.13", precision=3):  # as a library may set them
         assert c_files(table) == plain
     text = plain["l3_table.c"].decode()
-    numbers = re.findall(r"[-+.e0-9]+(?=f)", text[text.index("float l3_last_intercept") :])
-    np.testing.assert_array_equal(np.array(numbers, np.float32), table.first.intercept.ravel())
+    numbers = re.search(r"float layer2_threshold\[\d+\] = {([^}]*)}", text)
+    assert numbers is not None
+    (rule,) = [layer.rule for layer in table.later if isinstance(layer.rule, TreeRule)]
+    found = np.array(re.findall(r"[-+.e0-9]+(?=f)", numbers[1]), np.float32)
+    assert set(found) <= set(rule.threshold.ravel().astype(np.float32))
+
+
+def test_weights_are_strings_of_their_bytes() -> None:
+    """Compilers read these fifty times sooner than as many numbers; no prefix renames what they happen to spell."""
+    table = random_table([[0, 1], [1, 2]], 12, 64.1, patch=3)
+    intercept = table.first.intercept.copy()
+    intercept.ravel()[:3] = np.frombuffer(b' l3_ L3A?"\\\0', "<f4")
+    table = with_first(table, intercept=intercept)
+    text = c_files(table, prefix="eye")["eye_table.c"].decode("ascii")
+    strings = re.findall(r'^"(.*)",$', text[text.index("union eye_last_intercept_data") :], re.MULTILINE)
+    data = "".join(strings).encode().decode("unicode_escape").encode("latin-1")
+    np.testing.assert_array_equal(np.frombuffer(data, "<f4"), table.first.intercept.ravel())
 
 
 def test_words_are_the_nearest_that_fit() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.rendering.portable.folder import folder_files
+from l3cli.export.folder import folder_files
 from tests.helpers.tables import random_table, with_later, with_quiet
 
 

@@ -15,7 +15,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.errors import InputFileError
-from l3cli.frame import NoiseLeft, RawFrame
+from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.rendering.quiet import quiet_renderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.simulation import sensor
@@ -105,10 +105,10 @@ def test_frames_without_a_filter_are_rendered_as_by_one_set(learned: dict[str, P
     assert two.quiet is not None
     quiet = dataclasses.replace(two, first=two.quiet.first, later=two.quiet.later, quiet=None)
     outputs, reach = renderer.outputs(half), 8
-    apart = [ReferenceRenderer(table).outputs(frame) for table in (one, quiet)]
-    np.testing.assert_array_equal(outputs[:, :, : 20 - reach], apart[0][:, :, : 20 - reach])
-    np.testing.assert_array_equal(outputs[:, :, 20 + reach :], apart[1][:, :, 20 + reach :])
-    assert (apart[0] != apart[1]).any()
+    isolated = [ReferenceRenderer(table).outputs(frame) for table in (one, quiet)]
+    np.testing.assert_array_equal(outputs[:, :, : 20 - reach], isolated[0][:, :, : 20 - reach])
+    np.testing.assert_array_equal(outputs[:, :, 20 + reach :], isolated[1][:, :, 20 + reach :])
+    assert (isolated[0] != isolated[1]).any()
 
 
 def test_cells_up_to_the_limit_are_quiet() -> None:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
+from l3cli.frames.scene import Scene
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
-from l3cli.scene import Scene
 from l3cli.simulation import charts, leaves, light, optics, patterns, procedural, sensor
 from l3cli.simulation.frame import Saturating, simulate
 from l3cli.simulation.recipe import Lens

@@ -23,11 +23,11 @@ from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.classes.saturation import choose_cases
 from l3cli.classes.windows import neighbourhoods
-from l3cli.config import load_recipe
 from l3cli.errors import L3Error
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.physics import spectra
+from l3cli.recipes.toml import load_recipe
 from l3cli.rendering.renderer import make_renderer
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.patches import (
@@ -261,7 +261,7 @@ def test_other_outputs_than_xyz(
 ) -> None:
     """Any number of outputs trains in one pass, fills, renders to EXR, and says in its table what it gives."""
     camera, mix = quiet_camera(bayer), np.random.default_rng(2).random((len(outputs), 3)) + 0.1
-    head = TrainingSet(camera=camera, outputs=outputs, target_description="made-up outputs")
+    head = TrainingSet(camera=camera, outputs=outputs, target_description="synthetic outputs")
     with write_training_set(tmp_path / "training.h5", head) as writer:
         for seed in range(40):
             frame = a_frame(camera, seed, smooth=True)
@@ -274,7 +274,7 @@ def test_other_outputs_than_xyz(
     assert code == 0, err
     table = load(TransformTable, tmp_path / "table.h5")
     assert table.outputs == outputs
-    assert table.target_description == "made-up outputs"
+    assert table.target_description == "synthetic outputs"
     assert table.output_unit == camera.saturation_exposure
     white = mix.sum(axis=1)
     assert table.white_point == pytest.approx(white / (white[0] if outputs == ("Y",) else white.mean()))

@@ -14,8 +14,8 @@ from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, write_training_set
 from l3cli.cli import run
-from l3cli.frame import RawFrame
-from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.frames.frame import RawFrame
+from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.training_sets import MIX, a_set

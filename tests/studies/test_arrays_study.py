@@ -1,4 +1,4 @@
-"""Arrays as they are sold, beside what can be built for them without learning (docs/arrays.md#figures).
+"""Arrays as they are sold, beside what can be built for them without learning (docs/benchmarks.md#quality-of-other-arrays).
 
 python -m pytest -m slow -s tests/studies/test_arrays_study.py -k NAME      three minutes on a core
 

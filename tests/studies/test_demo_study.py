@@ -32,7 +32,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import run
 from l3cli.evaluation.quality import quality
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import daylight, delta_e_2000, displayed, displayed_xyz, lab, white_luminance
 from l3cli.rendering.renderer import make_renderer
 from l3cli.simulation.charts import colorchecker_patches

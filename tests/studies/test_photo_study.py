@@ -14,10 +14,10 @@ from threadpoolctl import threadpool_limits
 from l3cli.calibration.photo import lights
 from l3cli.calibration.photo.estimate import estimate
 from l3cli.calibration.photo.matrices import ColourMatrix, curves_of_matrices, usual_curves
-from l3cli.calibration.photo.prior import WAVELENGTH, Prior, of_cameras, statistics
+from l3cli.calibration.photo.prior import WAVELENGTH, Prior, camera_prior, statistics
+from l3cli.frames.measurement import FinishedCurves
 from l3cli.io.curves import read_finished
 from l3cli.io.priors import prior_files, read_cameras
-from l3cli.measurement import FinishedCurves
 from l3cli.physics import spectra
 from tests.helpers import photos
 
@@ -70,7 +70,7 @@ def surfaces(l3_data: Path) -> np.ndarray:
 
 def prior_without(cameras: list[Camera], left_out: Camera, same_maker: bool = False) -> Prior:
     kept = [each for each in cameras if each.name != left_out.name and not (same_maker and each.maker == left_out.maker)]
-    return of_cameras(statistics([each.curves for each in kept]))
+    return camera_prior(statistics([each.curves for each in kept]))
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
 """How good the pictures of the five-band camera are on real hyperspectral faces, and what each ingredient of the classes
-and of learning is worth (docs/method.md#ablation).
+and of learning is worth (docs/notebook.md#ablation).
 
 python -m pytest -m slow -s tests/studies/test_quality_study.py      needs L3_DATA; an hour and more on two cores
 
@@ -23,7 +23,7 @@ from tests.helpers.paths import CONFIGS
 FACES = (1, 2, 4, 5, 6)
 LEVELS = (0.4, 0.2, 0.02)
 DRAWS = 3  # of the dead leaves
-NOISE_DIFFERENCE = 0.05  # ΔE00: smaller differences are chance (docs/method.md#ablation)
+NOISE_DIFFERENCE = 0.05  # ΔE00: smaller differences are chance (docs/notebook.md#ablation)
 
 # Every ingredient of one layer, and how its recipe is written without it.
 WITHOUT = {

@@ -8,8 +8,8 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
-from l3cli.curve_file import read_table
 from l3cli.io.curves import write_curves
+from l3cli.spectra.file import read_table
 from tests.helpers.calls import L3
 
 SWEEPS = (

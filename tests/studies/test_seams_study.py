@@ -1,4 +1,4 @@
-"""How far colours step where a plain area changes its chroma class (docs/method.md#seams).
+"""How far colours step where a plain area changes its chroma class (docs/notebook.md#seams).
 
 python -m pytest -m slow -s tests/studies/test_seams_study.py      one minute on two cores
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.rendering.renderer import make_renderer

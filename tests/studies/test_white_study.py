@@ -22,16 +22,16 @@ from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, open_training_set
 from l3cli.evaluation.quality import cropped
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import displayed, displayed_delta_e, srgb_from_xyz_matrix, white_luminance
-from l3cli.recipes import known_recipes
-from l3cli.rendering.auto_white import AutoWhite
-from l3cli.rendering.balance import WhiteBalance, balanced, plain_balance
-from l3cli.rendering.lights import mix_for, mixed, nearest_for
+from l3cli.recipes.builtin import known_recipes
 from l3cli.rendering.renderer import Renderer, make_renderer
-from l3cli.rendering.white import SceneWhite, Whites
-from l3cli.rendering.white_source import usual_balance
+from l3cli.rendering.white.auto import AutoWhite
+from l3cli.rendering.white.balance import WhiteBalance, balanced, plain_balance
+from l3cli.rendering.white.lights import mix_for, mixed, nearest_for
+from l3cli.rendering.white.scene_white import SceneWhite, Whites
+from l3cli.rendering.white.source import usual_balance
 
 LIGHTS = ("2500K", "3200K", "4000K", "D5000K", "9000K", "F2", "F11", "LED-B3")
 BLACK_BODIES_AND_LAMPS = ("2500K", "3200K", "4000K", "D5000K", "6500K", "9000K", "F2", "LED-B3")

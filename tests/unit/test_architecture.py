@@ -14,41 +14,12 @@ from tests.helpers.paths import ROOT
 
 PACKAGE = ROOT / "l3cli"
 FLOORS = [
-    {
-        "errors",
-        "limits",
-        "interrupts",
-        "kept",
-        "config",
-        "faults",
-        "toml_lines",
-        "recipe_schema",
-        "recipes",
-        "files",
-        "ledger",
-        "importing",
-        "locks",
-        "columns",
-        "quantities",
-        "units",
-        "table_text",
-    },
+    {"errors", "system", "recipes"},
     {"physics"},
-    {
-        "artifacts",
-        "curve_file",
-        "curve_table",
-        "scene",
-        "frame",
-        "dark",
-        "measurement",
-        "correction",
-        "mending",
-        "shading",
-        "hot_pixels",
-    },
-    {"classes"},
+    {"artifacts", "spectra", "frames"},
+    {"classes", "charts"},
     {"calibration", "simulation", "training", "rendering", "evaluation", "report", "io", "parallel"},
+    {"export"},
     {"stages"},
     {"api", "cli"},
     {"video_hosts"},
@@ -56,7 +27,7 @@ FLOORS = [
 ]
 DOORS = {
     "click": ("cli/",),
-    "pyopencl": ("rendering/opencl.py", "rendering/opencl_devices.py"),
+    "pyopencl": ("rendering/opencl/",),
     "rawpy": ("io/",),
     "OpenImageIO": ("io/",),
     "tifffile": ("io/",),
@@ -71,11 +42,10 @@ DOORS = {
     "jinja2": ("report/",),
     "markupsafe": ("report/",),
     "colour_demosaicing": ("evaluation/",),
-    "onnx": ("rendering/portable/onnx_graph.py",),
     "vapoursynth": ("video_hosts/vapoursynth.py",),
     "gi": ("video_hosts/gstreamer.py", "video_hosts/plugins/"),
 }
-LONGEST = 300  # lines of a module
+LONGEST = 500  # lines of a module
 
 
 @functools.cache
@@ -180,3 +150,11 @@ def test_no_module_is_long() -> None:
     for path in PACKAGE.rglob("*.py"):
         where, lines = path.relative_to(PACKAGE).as_posix(), len(path.read_text().splitlines())
         assert lines < LONGEST, f"{where} has {lines} lines"
+
+
+def test_docstrings_are_sentences() -> None:
+    """A verb first for functions, a noun phrase for classes and modules: none is the answer to a question."""
+    for path in PACKAGE.rglob("*.py"):
+        for node in nodes(path):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and (text := ast.get_docstring(node)):
+                assert not re.match(r"(What|Whether|How|Of|Where|That)\b", text), f"{path}: {text.splitlines()[0]}"

@@ -1,6 +1,7 @@
 """The integer class rule: exact in 32 bits, equal on mosaics and on patches, as in docs/method.md#classes."""
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,8 @@ from l3cli.classes.rule import make_rule
 from l3cli.classes.statistics import mosaic_statistics
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import RecipeError
-from l3cli.frame import mirrored_indices, pad_mosaic
-from l3cli.rendering.layout import source_folder
+from l3cli.frames.frame import mirrored_indices, pad_mosaic
+from l3cli.rendering.opencl.layout import source_folder
 from tests.helpers.tables import random_case_of_code
 
 
@@ -228,4 +229,4 @@ def test_every_feature_has_its_snippet_and_no_macro_twice(fiveband: CameraModel)
     assert len(set(macros)) == len(macros)
     for feature in (*BASIC, *FURTHER.values()):
         snippet = (source_folder() / feature.SNIPPET).read_text(encoding="utf-8")
-        assert f"l3cli/classes/{feature.SNIPPET.removesuffix('.cl')}.py" in snippet
+        assert f"l3cli/classes/{Path(feature.SNIPPET).stem}.py" in snippet

@@ -1,5 +1,6 @@
 """Recipes: every key typed, every mistake one line that names file, key and table."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,10 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, camera_files, load_camera, recipe_text
-from l3cli.config import load_recipe
-from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.io.curves import write_curves
+from l3cli.recipes.toml import load_recipe, toml_key, toml_value
+from l3cli.spectra.file import read_table
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
 
@@ -60,7 +62,7 @@ def test_a_camera_recipe_is_another_one_from_another_pixel_on(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[1, 0]", "[0, 2]", "phase is [0, 2], and the array of"),
+        ("[1, 0]", "[0, 2]", "phase is [0, 2], beyond the 2×2 array of"),
         ("[1, 0]", "[-1, 0]", "the least is 0"),
         ("phase = [1, 0]", "", "missing key `phase` at the top level"),
         ("phase", "bits = 3\nphase", "unknown key `bits` at the top level"),
@@ -124,3 +126,19 @@ def test_wrong_curves_are_refused(tmp_path: Path, text: str, message: str) -> No
     path.write_text(text)
     with pytest.raises(InputFileError, match=message):
         read_table(path).counted(1)
+
+
+@pytest.mark.parametrize("name", ['a"\nb = 1', "\x7f\x1b[31m", "\\", "'", "a.b", "#", "ü漢\U0001f600", ""])
+def test_any_name_is_written_so_that_it_is_read_again(name: str) -> None:
+    text = f"{toml_key(name)} = {toml_value([name, {name: 1.5}])}\n"
+    assert tomllib.loads(text) == {name: [name, {name: 1.5}]}
+
+
+def test_bytes_that_are_no_text_are_replaced() -> None:
+    assert toml_value("a\udcff").encode() == b'"a?"'
+
+
+def test_names_of_curves_come_back_whatever_they_hold(tmp_path: Path) -> None:
+    names = ("a,b", 'say "g"', "b")
+    write_curves(tmp_path / "curves.csv", np.array([400.0, 500.0, 600.0]), np.eye(3), names)
+    assert read_table(tmp_path / "curves.csv").names == names

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from l3cli.errors import DeviceError, RecipeError
-from l3cli.rendering import opencl_devices
-from l3cli.rendering.opencl import OpenCLRenderer
-from l3cli.rendering.opencl_devices import choose_device, devices
+from l3cli.rendering.opencl import devices as opencl_devices
+from l3cli.rendering.opencl.devices import choose_device, devices
+from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.renderer import make_renderer
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table
@@ -68,7 +68,7 @@ def test_unknown_backend_is_refused() -> None:
 def test_pocl_works_with_an_unwritable_home() -> None:
     """PoCL without a folder for its cache finds no device at all."""
     script = (
-        "import os; from l3cli.rendering.opencl_devices import choose_device\n"
+        "import os; from l3cli.rendering.opencl.devices import choose_device\n"
         "choose_device(''); print(os.environ['POCL_CACHE_DIR'])"
     )
     kept = {key: value for key, value in os.environ.items() if key not in ("POCL_CACHE_DIR", "XDG_CACHE_HOME")}

@@ -20,7 +20,7 @@ from l3cli.classes.recipe import ClassRecipe, left_out
 from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frame import RawFrame, pad_mosaic
+from l3cli.frames.frame import RawFrame, pad_mosaic
 from l3cli.rendering.quiet import quiet_table
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.training.symmetry import class_stabilisers, orientations, stabilisers, turned_classes
@@ -28,11 +28,11 @@ from tests.helpers.calls import L3
 from tests.helpers.cameras import bayer_camera, random_camera
 from tests.helpers.tables import XYZ, random_table, with_first
 
-FOUR, EIGHT = direction.Keys(), direction.Keys(orientations=8, strengths=(3.0, 9.0), coherence=0.5)
+FOUR, EIGHT = direction.Options(), direction.Options(orientations=8, strengths=(3.0, 9.0), coherence=0.5)
 BAYER = [[0, 1], [1, 2]]
 
 
-def a_rule(camera: CameraModel, keys: direction.Keys, patch: int = 9) -> ClassRule:
+def a_rule(camera: CameraModel, keys: direction.Options, patch: int = 9) -> ClassRule:
     further: dict[str, Any] = {"direction": keys}
     return make_rule(ClassRecipe(patch=patch, **further), camera, np.zeros(2 ** len(camera.channels), np.uint16))
 
@@ -76,7 +76,7 @@ def test_noise_alone_is_flat_and_checks_are_not_coherent(bayer: CameraModel) -> 
 
 
 @pytest.mark.parametrize("keys", [FOUR, EIGHT], ids=["4", "8"])
-def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: direction.Keys) -> None:
+def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: direction.Options) -> None:
     rng = np.random.default_rng(2)
     rule = a_rule(fiveband, keys)
     values = rng.integers(100, 4096, (21, 26)).astype(np.uint16)
@@ -93,7 +93,7 @@ def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: dire
 
 @pytest.mark.parametrize("keys", [FOUR, EIGHT], ids=["4", "8"])
 @pytest.mark.parametrize("patch", [5, 9, 11])
-def test_a_turned_patch_has_the_turned_direction(bayer: CameraModel, keys: direction.Keys, patch: int) -> None:
+def test_a_turned_patch_has_the_turned_direction(bayer: CameraModel, keys: direction.Options, patch: int) -> None:
     """Of a monochrome camera, whose every orientation has the same window."""
     camera = dataclasses.replace(
         bayer,
@@ -122,7 +122,7 @@ def test_only_turns_that_keep_every_direction_average_sums(bayer: CameraModel) -
 
 def test_half_the_noise_is_as_flat(bayer: CameraModel) -> None:
     """To the edges for a quarter of its variance, as the whole is to the camera's own."""
-    rule = a_rule(bayer, direction.Keys(strengths=(1.0,)))
+    rule = a_rule(bayer, direction.Options(strengths=(1.0,)))
     quiet = dataclasses.replace(
         rule, features=FurtherFeatures.of(tuple(direction.quieter(each, 0.25) for each in rule.axes))
     )
@@ -149,12 +149,12 @@ def test_a_table_for_less_noise_has_lower_edges() -> None:
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        (direction.Keys(strengths=()), "strengths must be there"),
-        (direction.Keys(strengths=(3.0, 2.0)), "increase"),
-        (direction.Keys(strengths=(-1.0, 2.0)), "positive"),
+        (direction.Options(strengths=()), "strengths must be there"),
+        (direction.Options(strengths=(3.0, 2.0)), "increase"),
+        (direction.Options(strengths=(-1.0, 2.0)), "positive"),
     ],
 )
-def test_an_impossible_direction_is_refused(fiveband: CameraModel, keys: direction.Keys, message: str) -> None:
+def test_an_impossible_direction_is_refused(fiveband: CameraModel, keys: direction.Options, message: str) -> None:
     with pytest.raises(RecipeError, match=message):
         a_rule(fiveband, keys)
 

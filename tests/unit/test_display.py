@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from l3cli.errors import RecipeError
-from l3cli.frame import RawFrame, upright
+from l3cli.frames.frame import RawFrame, upright
 from l3cli.physics import spectra
 from l3cli.physics.display import (
     exposure_scale,

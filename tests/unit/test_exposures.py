@@ -23,10 +23,10 @@ from l3cli.classes.rule import make_rule
 from l3cli.classes.saturation import choose_cases, spared_cases
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.exposures import least_sensitive, merged, merges, most_sensitive
-from l3cli.frame import RawFrame
-from l3cli.measurement import Body
+from l3cli.frames.frame import RawFrame
+from l3cli.frames.measurement import Body
 from l3cli.physics import spectra
-from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.simulation.sensor import expose
 from l3cli.training.highlights import grey_patches

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from l3cli.artifacts.camera_recipe import CameraRecipe
-from l3cli.config import Recipe, parse_recipe, parse_toml
 from l3cli.errors import RecipeError
-from l3cli.faults import about_others, example, fault, typed
 from l3cli.io.measurement_recipe import MeasurementRecipe
+from l3cli.recipes.faults import about_others, example, fault, typed
+from l3cli.recipes.toml import Recipe, parse_recipe, parse_toml
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.training.recipe import TrainingRecipe

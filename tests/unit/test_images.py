@@ -8,9 +8,9 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from l3cli import interrupts
 from l3cli.errors import RecipeError
 from l3cli.io.images import check_format, read_image, write_linear, write_picture
+from l3cli.system import signals
 from tests.helpers.tables import XYZ
 
 ENDING = (signal.SIGALRM, signal.SIGINT, signal.SIGTERM)
@@ -65,12 +65,12 @@ def test_an_interrupted_picture_leaves_no_complaints(tmp_path: Path, capfd: pyte
     try:
         for moment in np.linspace(2e-6, 2e-4, 100):
             for each in ENDING:
-                signal.signal(each, interrupts.end)
+                signal.signal(each, signals.end)
             try:
                 signal.setitimer(signal.ITIMER_REAL, moment)
                 write_picture(tmp_path / "picture.png", picture)
                 time.sleep(0.2)  # it may have had to wait
-            except interrupts.Terminated:
+            except signals.Terminated:
                 ends += 1
     finally:
         for each in ENDING:

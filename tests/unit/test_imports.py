@@ -1,18 +1,16 @@
 """Ctrl-C while a module is imported comes when it is whole: half a module is taken for one that is not there."""
 
-import gc
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from l3cli.importing import without_collecting
 from tests.helpers.paths import CONFIGS
 
 PROGRAM = """
 import sys, time
-from l3cli.interrupts import Terminated, heed
+from l3cli.system.signals import Terminated, heed
 heed()
 try:
     try:
@@ -45,21 +43,9 @@ def test_a_signal_waits_for_the_end_of_an_import(tmp_path: Path, name: str, endi
     assert ended.stdout == f"{ending} True\n"
 
 
-def test_nothing_is_collected_while_modules_are_imported() -> None:
-    frozen = gc.get_freeze_count()
-    with without_collecting():
-        states = [gc.isenabled()]
-        with without_collecting():
-            pass
-        states.append(gc.isenabled())
-    assert states == [False, False]
-    assert gc.isenabled()
-    assert gc.get_freeze_count() == frozen  # this process is not l3's
-
-
 END = """
 import atexit, sys, threading
-from l3cli.interrupts import end_process
+from l3cli.system.signals import end_process
 atexit.register(lambda: print("at exit"))
 print("said", end=" ")
 {before}

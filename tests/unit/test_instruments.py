@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError
 from l3cli.physics.spectra import photons_from_energy
+from l3cli.spectra.file import read_table
 
 NM = np.array([400.0, 410.0, 420.0, 430.0])
 WATTS = np.array([0.001, 0.0125, 0.02, 0.003])  # W/(sr m² nm)

@@ -36,7 +36,7 @@ def test_the_usual_ones_are_lights() -> None:
 
 
 def test_the_docs_list_all() -> None:
-    text = (ROOT / "docs/recipes.md").read_text()
+    text = (ROOT / "docs/commands.md").read_text()
     (bullet,) = re.findall(r"^\* \*\*Lights\*\*(.*?)^\* ", text, re.MULTILINE | re.DOTALL)
     listed = set()
     for first, last in re.findall(r"`([^`]+)`(?:…`([^`]+)`)?", bullet):

@@ -49,13 +49,13 @@ def test_a_notebook_is_short_and_begins_with_its_title(name: str) -> None:
 
 def title(name: str) -> str:
     """What the page of notebooks calls one."""
-    (found,) = re.findall(rf"\[([^]]+)\]\(notebooks/{re.escape(name)}\)", PAGES["notebooks.md"])
+    (found,) = re.findall(rf"\[([^]]+)\]\(notebooks/{re.escape(name)}\)", PAGES["python.md"])
     return str(found)
 
 
 def test_every_notebook_is_listed() -> None:
     assert len(NOTEBOOKS) == 6
-    assert sorted(re.findall(r"\(notebooks/([\w-]+\.ipynb)\)", PAGES["notebooks.md"])) == sorted(NOTEBOOKS)
+    assert sorted(re.findall(r"\(notebooks/([\w-]+\.ipynb)\)", PAGES["python.md"])) == sorted(NOTEBOOKS)
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)

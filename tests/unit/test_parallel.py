@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from l3cli.errors import L3Error
-from l3cli.parallel import alone, ordered_map, workers
+from l3cli.parallel import ordered_map, workers
 from l3cli.physics import spectra
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tasks import PATIENCE, refusing, squared
@@ -25,10 +25,9 @@ def dying(number: int) -> int:
 
 def test_results_come_in_order_from_the_same_processes() -> None:
     assert list(ordered_map(squared, range(7), 1)) == [number**2 for number in range(7)]
-    with workers(2) as crew:
+    with workers(2) as pool:
         for _ in range(2):
-            assert list(crew(squared, range(7))) == [number**2 for number in range(7)]
-    assert alone(squared, 3) == 9
+            assert list(pool(squared, range(7))) == [number**2 for number in range(7)]
 
 
 @pytest.mark.parametrize("guarded", [False, True])
@@ -56,7 +55,7 @@ def drawing(number: int) -> set[str]:
 
 
 def test_a_worker_imports_nothing_to_draw_with() -> None:
-    assert alone(drawing, 0) == {"colour"}
+    assert list(ordered_map(drawing, [0, 0], 2)) == [{"colour"}] * 2
 
 
 COUNTED = """
@@ -150,7 +149,8 @@ def test_a_signal_that_falls_into_hdf5_waits_until_it_has_written(tmp_path: Path
     program = f"""
 import os, pathlib, signal, time
 import numpy as np
-from l3cli import cli, interrupts
+from l3cli import cli
+from l3cli.system import signals
 from l3cli.artifacts import container
 
 path, system = pathlib.Path("whole.h5"), os.{call}
@@ -167,7 +167,7 @@ def work(*_, **__):
     print(container.check(path, ""), flush=True)
     time.sleep(60)
 
-interrupts.LATER = 2.0
+signals.LATER = 2.0
 cli.l3.main = work
 cli.main()
 """
@@ -285,8 +285,8 @@ def take(results):
 if __name__ == "__main__":
     for trial in range(6):
         try:
-            with workers(2) as crew:
-                threading.Thread(target=take, args=(crew(large, [trial]),)).start()
+            with workers(2) as pool:
+                threading.Thread(target=take, args=(pool(large, [trial]),)).start()
                 while not Path("begun").exists():
                     time.sleep(0.001)
                 time.sleep(0.03 + 0.03 * trial)

@@ -10,7 +10,7 @@ import pytest
 from l3cli.io.images import write_mosaic, write_picture
 from l3cli.io.raw import plain_tiff, registry
 from l3cli.io.raw.pages import read_by_library
-from l3cli.limits import MEGAPIXELS, TRUST
+from l3cli.system.limits import MEGAPIXELS, TRUST
 
 
 def mosaic(rows: int, cols: int, seed: int = 0) -> np.ndarray:
@@ -35,7 +35,7 @@ def test_the_same_as_by_the_library(tmp_path: Path, shape: tuple[int, int], expo
     np.testing.assert_array_equal(content["values"], values)
     assert (content["values"].dtype, content["exposure"]) == (values.dtype, time)
     assert plain_tiff.is_plain(path)
-    assert not registry.needs_sandbox(path)
+    assert not registry.needs_isolation(path)
 
 
 def test_every_changed_byte_is_refused_or_read_as_by_the_library(tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_a_directory_that_claims_much_or_leads_back_is_refused(tmp_path: Path) -
         assert plain_tiff.read(path) is None
 
 
-def test_other_files_are_left_to_the_sandbox(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_files_are_left_to_the_isolated_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     coloured, empty, pipe, plain = (tmp_path / f"{name}.tif" for name in ("coloured", "empty", "pipe", "plain"))
     write_picture(coloured, np.zeros((4, 4, 3), np.uint8))
     empty.touch()
@@ -82,7 +82,7 @@ def test_other_files_are_left_to_the_sandbox(tmp_path: Path, monkeypatch: pytest
     write_mosaic(plain, mosaic(20, 30))
     for path in (coloured, empty, pipe, tmp_path, tmp_path / "missing.tif"):
         assert not plain_tiff.is_plain(path)
-        assert registry.needs_sandbox(path) == bool(path.suffix)
+        assert registry.needs_isolation(path) == bool(path.suffix)
     monkeypatch.setenv(MEGAPIXELS, "0.0001")
     assert not plain_tiff.is_plain(plain)  # whoever reads all kinds says that it is too large
     monkeypatch.setenv(MEGAPIXELS, "many")

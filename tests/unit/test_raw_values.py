@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.io.raw.packed import make_layout
 from l3cli.rendering.raw_values import mistaken
 from tests.helpers.cameras import BAYER
@@ -58,6 +58,15 @@ def test_bytes_that_are_exchanged_and_values_that_are_shifted_up(table: Transfor
     assert "exchanged" not in said(values << 4, table)
     assert said(np.minimum(picture(), 3000), table, white=1500.0) == ""  # what is beyond a white level given too low clips
     assert "another depth" in said(picture(1.2, 240, 16383), table)
+
+
+def test_values_that_the_converter_cannot_give(table: TransformTable) -> None:
+    values = picture()
+    values[0, :3] = 5000
+    assert "some of its values are above 4095 DN, the most that the table's 12 bits hold" in said(values, table)
+    assert said(values, table, white=4096.0) == ""  # the level is of its file, and so is its depth
+    values[0, 0] = 65535
+    assert "its values reach 65535 DN, its white level is 4095" in said(values, table)
 
 
 def test_fewer_bits_than_the_tables(table: TransformTable) -> None:

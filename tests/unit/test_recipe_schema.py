@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from l3cli.cli.schema import KINDS as OFFERED
-from l3cli.faults import typed
+from l3cli.recipes.faults import typed
 from l3cli.stages.checking.kinds import KINDS, kind_of
 from l3cli.stages.checking.schema import schema
 from tests.helpers.calls import L3, Refused

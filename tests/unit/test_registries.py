@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.frames.scene import SpectralCube
 from l3cli.io.raw import registry as raw
 from l3cli.io.raw.files import read_raw
 from l3cli.io.scenes import registry as scenes
-from l3cli.scene import SpectralCube
 from l3cli.simulation import sources
 
 
@@ -48,14 +48,14 @@ def test_a_raw_format_is_a_module_and_a_line(fiveband: CameraModel, tmp_path: Pa
     module = ModuleType("l3cli.io.raw.text")
     module.read = lambda path, _: {"values": np.loadtxt(path, np.uint16), "exposure": 0.5}  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setitem(raw.BY_SUFFIX, ".txt", raw.RawFormat((".txt",), "text", sandboxed=False))
+    monkeypatch.setitem(raw.BY_SUFFIX, ".txt", raw.RawFormat((".txt",), "text", isolated=False))
     values = np.random.default_rng(0).integers(64, 1000, (8, 12))
     np.savetxt(tmp_path / "a.txt", values, "%d")
     frame = read_raw(tmp_path / "a.txt", fiveband)
     assert np.array_equal(frame.values, values)
     assert (frame.exposure, frame.black_level) == (0.5, fiveband.black_level)
     assert raw.is_frame(tmp_path / "a.txt")
-    assert not raw.needs_sandbox(tmp_path / "a.txt")
+    assert not raw.needs_isolation(tmp_path / "a.txt")
 
 
 def test_a_scene_format_is_a_module_and_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from l3cli.report.downloads import csv_uri, file_stem
 from l3cli.report.drawing import Axis, spanning, tick_text
 from l3cli.report.front import verdict
 from l3cli.report.labels import Places
+from l3cli.report.page import csv_uri, file_stem
 from l3cli.report.parts import Data, tidy
 from l3cli.report.pictures import fitted, reduced
 from tests.helpers.pages import csv_rows

@@ -10,13 +10,13 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet
 from l3cli.evaluation.patches import holds_chart, inner, patch_colours
-from l3cli.measurement import PATCH_NAMES
+from l3cli.frames.measurement import PATCH_NAMES
 from l3cli.physics import spectra
 from l3cli.report.parts import Figures, Table
 from l3cli.report.patches import calibration_figures
 from l3cli.simulation.charts import BOARD, colorchecker_patches
 from l3cli.simulation.procedural import chart_places, composition
-from l3cli.stages.reporting.charts import chart_subsection
+from l3cli.stages.reporting.judged import chart_subsection
 
 WAVELENGTH = np.arange(390.0, 731.0, 10.0)
 

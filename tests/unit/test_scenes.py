@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from l3cli.errors import InputFileError
+from l3cli.frames.scene import Scene, shown_alike
 from l3cli.io.scenes.files import find
 from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.io.scenes.rgb import read as read_rgb_picture
 from l3cli.physics import paint, spectra
 from l3cli.physics.display import srgb_curve, srgb_from_xyz_matrix
-from l3cli.scene import Scene
 from l3cli.simulation import charts, light, procedural, reflectances, rgb
 from tests.helpers.paths import CONFIGS
 
@@ -207,19 +207,38 @@ def test_materials_have_the_colours_of_their_names() -> None:
     assert mean["leaf"][at[700]] > 1.3 * mean["leaf"][at[680]]  # the red edge
 
 
-def test_a_camera_that_sees_infrared_has_the_same_scenes() -> None:
-    """What is drawn is seen alike by cameras of any array: infrared is added, and changes no colour."""
-    visible, wide = np.arange(390.0, 711.0, 10.0), np.arange(390.0, 831.0, 10.0)
-    sources = {
-        "leaves": lambda rng, nm: procedural.dead_leaves(rng, (48, 48), nm, 0.3),
-        "surfaces": lambda rng, nm: charts.surface_patches(rng, (4, 4), (48, 48), nm),
-        "skin": lambda rng, nm: charts.material_patches("skin", rng, (4, 4), (48, 48), nm),
-    }
-    for name, draw in sources.items():
-        narrow, broad = (draw(np.random.default_rng(4), nm) for nm in (visible, wide))
-        np.testing.assert_allclose(broad[..., : visible.size], narrow, rtol=1e-5, err_msg=name)
-        assert np.isfinite(broad).all()
-        assert 0 < broad.min() <= broad.max() <= procedural.BRIGHTEST, name
+DRAWINGS = {
+    "leaves": lambda rng, nm: procedural.dead_leaves(rng, (48, 48), nm, 0.3),
+    "composition": lambda rng, nm: procedural.composition(rng, (36, 64), nm),
+    "surfaces": lambda rng, nm: charts.surface_patches(rng, (4, 4), (48, 48), nm),
+    "skin": lambda rng, nm: charts.material_patches("skin", rng, (4, 4), (48, 48), nm),
+    "munsell": lambda rng, nm: charts.munsell((48, 60), nm),
+    "picture": lambda rng, nm: rgb.raise_to_spectra(rng.random((8, 8, 3), np.float32), nm, "picture").reflectance,
+}
+
+
+@pytest.mark.parametrize("camera", [(350, 710), (380, 710), (400, 700), (450, 655), (390, 830), (362, 1003)])
+def test_cameras_of_any_wavelengths_are_shown_the_same_scenes(camera: tuple[float, float]) -> None:
+    """What is drawn does not depend on the camera: what it sees beside DRAWN is added, and changes not a bit of the rest."""
+    usual, other = reflectances.DRAWN, procedural.grid(np.array(camera, float))
+    for name, draw in DRAWINGS.items():
+        here, there = (Scene(name, nm, draw(np.random.default_rng(4), nm), None) for nm in (usual, other))
+        assert np.array_equal(there.reflectance[..., reflectances.drawn_bands(other)], here.reflectance), name
+        assert there.fingerprint == pytest.approx(here.fingerprint, abs=1e-6)
+        assert np.isfinite(there.reflectance).all()
+        assert there.reflectance.max() <= procedural.BRIGHTEST, name
+        known, nearly = ({"scene": of, "light": ""} for of in (here.fingerprint, here.fingerprint * (1 + 1e-6)))
+        changed = here.reflectance.copy()
+        changed[2, 3] += 0.2  # one pixel
+        assert shown_alike(known, nearly)
+        assert not shown_alike(known, {"scene": Scene(name, usual, changed, None).fingerprint, "light": ""})
+        assert not shown_alike(known, known | {"light": "other"})
+
+
+def test_drawn_scenes_keep_their_bytes() -> None:
+    """Published figures are of these."""
+    leaves = procedural.dead_leaves(np.random.default_rng(0), (48, 48), reflectances.DRAWN, 0.3)
+    assert leaves.mean(dtype=float) == pytest.approx(0.2019747975542909, rel=1e-9)
 
 
 def test_saturation_zero_is_grey_and_one_changes_nothing() -> None:
@@ -271,13 +290,13 @@ def test_a_composition_of_any_size_is_a_scene() -> None:
 
 def test_the_grid_covers_what_the_camera_sees() -> None:
     assert procedural.grid(np.arange(390.0, 711.0, 5.0))[[0, -1]].tolist() == [390.0, 710.0]
-    assert procedural.grid(np.array([450.0, 655.0]))[[0, -1]].tolist() == [400.0, 700.0]
+    assert procedural.grid(np.array([450.0, 655.0]))[[0, -1]].tolist() == [390.0, 710.0]
     assert procedural.grid(np.array([362.0, 1003.0]))[[0, -1]].tolist() == [360.0, 1010.0]
 
 
 @pytest.mark.parametrize("name", ["default", "demo_unseen", "small"])
 def test_recipes_in_configs_are_right(name: str, fiveband: object) -> None:
-    from l3cli.config import load_recipe
+    from l3cli.recipes.toml import load_recipe
     from l3cli.simulation.recipe import SceneRecipe, check
 
     recipe = load_recipe(CONFIGS / f"scenes/{name}.toml", SceneRecipe)

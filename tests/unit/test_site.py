@@ -5,6 +5,7 @@ Sphinx itself, with warnings as errors, is run by `make docs-build`, which .ci/r
 
 import importlib
 import re
+import shutil
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,7 +15,7 @@ import msgspec
 import pytest
 
 from l3cli.cli import COMMANDS, l3
-from l3cli.config import Recipe
+from l3cli.recipes.toml import Recipe
 from l3cli.stages.checking.kinds import KINDS
 from tests.helpers.paths import ROOT
 
@@ -33,12 +34,31 @@ def test_the_command_reference_has_every_option(monkeypatch: pytest.MonkeyPatch)
     for name, text in sections.items():
         command = l3.get_command(click.Context(l3), name)
         assert command is not None
-        options = {word for each in command.params if isinstance(each, click.Option) for word in each.opts}
+        shown = [each for each in command.params if isinstance(each, click.Option) and not each.hidden]
+        options = {word for each in shown for word in each.opts}
         assert options == set(
             re.findall(r"(?<=[`\s])--?[a-z][\w-]*(?=[ `,])", "\n".join(re.findall("^\\| (`.*?`)", text, re.M)))
         )
     codes = re.findall(r"^\| (\d+) \| \S", page.partition("## Exit codes")[2], re.MULTILINE)
     assert codes == ["0", "1", "2", "3", "4", "130", "143"]
+
+
+def test_a_site_may_be_built_inside_docs_again_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gather = module("gather", monkeypatch)
+    for name in (*gather.FRONT, *gather.AS_THEY_ARE, "README.md", "docs/python.md", "notebooks/one.md"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(f"# {name}\n")
+    monkeypatch.setattr(gather, "ROOT", tmp_path)
+    monkeypatch.setattr(gather, "EXECUTED", tmp_path / "notebooks")
+    for name in ("command_pages", "recipe_pages", "artifact_pages", "licence_pages"):
+        monkeypatch.setattr(gather, name, dict)
+    for folder in ("out", "out", "other"):
+        built = tmp_path / "docs" / folder
+        shutil.rmtree(built / "pages", ignore_errors=True)
+        (built / gather.BUILT).mkdir(parents=True, exist_ok=True)
+        gather.gather(built / "pages")
+        names = {path.relative_to(built / "pages").as_posix() for path in (built / "pages").rglob("*.md")}
+        assert names == {*gather.FRONT.values(), "index.md", "python.md", "notebooks/one.md"}
 
 
 def test_the_pages_of_recipes_have_every_key(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,7 +118,7 @@ def test_links_of_the_pages_lead_within_the_site(monkeypatch: pytest.MonkeyPatch
 
 def test_a_page_that_no_table_of_contents_names_is_in_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
     contents = module("gather", monkeypatch).contents
-    assert ":caption: More\n\nnew-page\n```" in contents({"install", "new-page", "reference/camera"})
+    assert ":caption: More\n\nnew-page\n```" in contents({"tutorial", "new-page", "reference/camera"})
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from l3cli.artifacts.spectral_smoothing import SpectralSmoothing
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
-from l3cli.rendering import opencl_bands
-from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.opencl import bands
+from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.smoothing import DARKEST, smoothed_spectra
 from l3cli.training.insight import insight
@@ -99,7 +99,7 @@ def test_kernels_agree_with_the_reference(
     table = with_spectra(bare, window, reach)
     reference, renderer = ReferenceRenderer(table), OpenCLRenderer(table, variant=variant)
     for shape, band in (((3, 4), 100), ((53, 70), 100), ((52, 71), 7)):
-        monkeypatch.setattr(opencl_bands, "BAND_PIXELS", band * shape[1])
+        monkeypatch.setattr(bands, "BAND_PIXELS", band * shape[1])
         frame = frame_of_all_levels(table, np.random.default_rng(3), shape, (1, 2))
         expected = reference.exact_outputs(frame)
         unsmoothed = ReferenceRenderer(dataclasses.replace(table, spectra=None)).exact_outputs(frame)

@@ -9,11 +9,11 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.errors import InputFileError
-from l3cli.io.scenes import bands, channels, cube, envi, npy, pages
+from l3cli.frames.scene import Scene
+from l3cli.io.scenes import bands, channels, cube, envi
 from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.physics import spectra
 from l3cli.physics.display import lab
-from l3cli.scene import Scene
 from l3cli.simulation import charts, sources
 from l3cli.simulation.framing import framed
 from l3cli.simulation.synthetic import draw
@@ -131,7 +131,7 @@ def test_cubes_of_matlab_hdf5_and_numpy(tmp_path: Path) -> None:
         root["a/cube"], root["mask"] = a_cube(), np.zeros((2, 2, 2))
     with open(tmp_path / "c.mat", "r+b") as stream:
         stream.write(b"MATLAB 7.3 MAT-file")
-    assert np.array_equal(npy.read(tmp_path / "a.npy", None, "band row col").values, a_cube())
+    assert np.array_equal(cube.read(tmp_path / "a.npy", None, "band row col").values, a_cube())
     ordered = cube.read(tmp_path / "b.mat", None, "row col band")
     assert np.array_equal(ordered.values, a_cube())
     assert ordered.wavelength is not None
@@ -154,7 +154,7 @@ def test_exr_channels_and_tiff_pages(tmp_path: Path) -> None:
     assert scene.wavelength is not None
     assert np.allclose(scene.wavelength, WAVELENGTH + 0.5)
     tifffile.imwrite(tmp_path / "b.tif", a_cube().transpose(2, 0, 1), photometric="minisblack")
-    assert np.array_equal(pages.read(tmp_path / "b.tif").values, a_cube())
+    assert np.array_equal(channels.read(tmp_path / "b.tif").values, a_cube())
 
 
 def test_radiance_divided_by_its_light_is_reflectance(simulated: Callable[[str], list], tmp_path: Path) -> None:

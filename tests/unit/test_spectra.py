@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration import responsivity, series
-from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError
+from l3cli.frames.measurement import BandCapture
+from l3cli.frames.scene import Scene, SpectralCube
 from l3cli.io.scenes.iset import read as read_iset_scene
-from l3cli.measurement import BandCapture
 from l3cli.physics import spectra
-from l3cli.scene import Scene, SpectralCube
 from l3cli.simulation import light, recipe
 from l3cli.simulation.cubes import scene_of
 from l3cli.simulation.sources import Cube, check_source
 from l3cli.simulation.targets import make_target, output_weights
+from l3cli.spectra.file import read_table
 
 HALVES = np.arange(380.0, 780.1, 0.5)
 SEEN = np.arange(400.0, 701.0, 10.0)

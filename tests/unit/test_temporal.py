@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.temporal import chunks
 from l3cli.rendering.temporal.any_order import AnyOrder
 from l3cli.rendering.temporal.blend import LEAST_WEIGHT, ONE

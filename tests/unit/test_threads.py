@@ -9,10 +9,10 @@ from collections.abc import Generator, Iterator
 
 import pytest
 
-from l3cli import interrupts
 from l3cli.errors import InputFileError
 from l3cli.parallel import threads
-from l3cli.parallel.threads import Behind, Meanwhile, ahead
+from l3cli.parallel.threads import BackgroundTask, WriteBehind, prefetched
+from l3cli.system import signals
 
 
 def test_reading_runs_ahead_no_further_than_asked() -> None:
@@ -23,7 +23,7 @@ def test_reading_runs_ahead_no_further_than_asked() -> None:
             made.append(number)
             yield number
 
-    taken = ahead(numbers(), 3)
+    taken = prefetched(numbers(), 3)
     assert isinstance(taken, Generator)
     for number in range(10):
         assert next(taken) == number
@@ -44,7 +44,7 @@ def test_writing_falls_behind_no_further_than_asked() -> None:
         written.append(item)
 
     put = []
-    writing = Behind(slow, 3)
+    writing = WriteBehind(slow, 3)
 
     def fill() -> None:
         with writing:
@@ -67,7 +67,7 @@ def test_errors_cross_threads() -> None:
         yield 1
         raise InputFileError("broken")
 
-    items = ahead(broken(), 2)
+    items = prefetched(broken(), 2)
     assert next(items) == 1
     with pytest.raises(InputFileError, match="broken"):
         next(items)
@@ -75,13 +75,13 @@ def test_errors_cross_threads() -> None:
     def fails(item: int) -> None:
         raise InputFileError(f"item {item}")
 
-    def put_many(writing: Behind) -> None:
+    def put_many(writing: WriteBehind) -> None:
         with writing:
             for number in range(50):
                 writing.put(number)
 
     with pytest.raises(InputFileError, match="item 0"):
-        put_many(Behind(fails, 2))
+        put_many(WriteBehind(fails, 2))
 
 
 def test_work_done_meanwhile_ends_with_the_block_and_leaves_its_errors_to_others() -> None:
@@ -93,12 +93,12 @@ def test_work_done_meanwhile_ends_with_the_block_and_leaves_its_errors_to_others
         done.set()
         raise InputFileError("said where it is needed")
 
-    with Meanwhile(work):
+    with BackgroundTask(work):
         assert begun.wait(10)
         assert not done.is_set()
     assert done.is_set()
     done.clear()
-    with pytest.raises(KeyboardInterrupt), Meanwhile(work):
+    with pytest.raises(KeyboardInterrupt), BackgroundTask(work):
         raise KeyboardInterrupt
     assert done.is_set()  # a thread that imports a library when the program ends could abort it
 
@@ -112,7 +112,7 @@ def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not()
             gate.wait()
             written.append(item)
 
-        def stopped(writing: Behind, error: type = error, gate: threading.Event = gate) -> None:
+        def stopped(writing: WriteBehind, error: type = error, gate: threading.Event = gate) -> None:
             with writing:
                 for number in range(3):
                     writing.put(number)
@@ -121,7 +121,7 @@ def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not()
                 raise error
 
         with pytest.raises(error):
-            stopped(Behind(slow, 3))
+            stopped(WriteBehind(slow, 3))
         assert written == list(range(count))
 
 
@@ -139,13 +139,13 @@ def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits() -> 
         written.append(item)
 
     def interrupted() -> None:
-        with Behind(slow, 3, threads=2) as writing:
+        with WriteBehind(slow, 3, threads=2) as writing:
             for number in range(4):
                 writing.put(number)
         written.append("taken for all")
         time.sleep(60)
 
-    before = {each: signal.signal(each, interrupts.end) for each in (signal.SIGINT, signal.SIGTERM)}
+    before = {each: signal.signal(each, signals.end) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
         with pytest.raises(KeyboardInterrupt):
             interrupted()
@@ -167,7 +167,7 @@ def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch: pytes
         gate.wait(20)
 
     def interrupted() -> None:
-        with Behind(stuck, 3) as writing:
+        with WriteBehind(stuck, 3) as writing:
             writing.put(0)
             begun.wait()
             raise KeyboardInterrupt
@@ -184,22 +184,22 @@ def test_no_interrupt_makes_threads_wait_for_ever() -> None:
     """At any moment of what is handed from thread to thread: half through a notification the next would be lost."""
     program = """
 import random, signal, sys, time
-from l3cli import interrupts
+from l3cli.system import signals
 from l3cli.parallel import threads
-from l3cli.parallel.threads import Behind, ahead
+from l3cli.parallel.threads import WriteBehind, prefetched
 
 threads.WRITING = 1e9
-moments, sys.unraisablehook, interrupts.LATER = random.Random(0), interrupts.repeat_lost, 0.02
+moments, sys.unraisablehook, signals.LATER = random.Random(0), signals.repeat_lost, 0.02
 for _ in range(100):
     for each in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, interrupts.end)
+        signal.signal(each, signals.end)
     try:
         signal.setitimer(signal.ITIMER_REAL, moments.uniform(2e-6, 4e-4))
-        with Behind(abs, 2) as writing:
-            for item in ahead(range(100), 2):
+        with WriteBehind(abs, 2) as writing:
+            for item in prefetched(range(100), 2):
                 writing.put(item)
         time.sleep(1.0)
-    except interrupts.Terminated:
+    except signals.Terminated:
         signal.signal(signal.SIGALRM, signal.SIG_IGN)
         time.sleep(0.05)  # it may come again
         print("terminated")
@@ -212,7 +212,7 @@ for _ in range(100):
 def test_many_threads_end(number: int) -> None:
     for count in (0, 1, 5):
         written: list[int] = []
-        with Behind(written.append, 2, number) as writing:
+        with WriteBehind(written.append, 2, number) as writing:
             for item in range(count):
                 writing.put(item)
         assert sorted(written) == list(range(count))

@@ -69,7 +69,7 @@ GREY_TEXT = '''
 
 import numpy as np
 
-from l3cli.scene import NO_ILLUMINANT, Scene
+from l3cli.frames.scene import NO_ILLUMINANT, Scene
 
 
 def read(path):
@@ -90,12 +90,12 @@ PEAK = '''
 import numpy as np
 
 from l3cli.artifacts.further_features import Axis, Window
-from l3cli.config import Count, Recipe
+from l3cli.recipes.toml import Count, Recipe
 
 SNIPPET = "peak.cl"
 
 
-class Keys(Recipe):
+class Options(Recipe):
     steps: Count = 2
 
 
@@ -251,8 +251,8 @@ import numpy as np
 from pathlib import Path
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.frame import RawFrame
-from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.frames.frame import RawFrame
+from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 
 table = load(TransformTable, Path("table.h5"))

@@ -38,13 +38,13 @@ from l3cli.stages.training.held_frames import HELD
 from l3cli.stages.training.passes import Execution, first_pass
 from l3cli.stages.training.run import open_run
 from l3cli.training import division
-from l3cli.training.benchmark import made_up_frame, stage_shares, train
 from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, work_shares
 from l3cli.training.patches import colourless_frame
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.sums import empty_sums
 from l3cli.training.training_pass import LAST, TrainingPass, spread_patches
 from tests.helpers.training_sets import a_frame, a_set, in_shards
+from tests.helpers.training_speed import stage_shares, synthetic_frame, train
 
 SMALL = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"
 
@@ -123,13 +123,13 @@ def test_work_shares_of_large_sums_have_few_sites(bayer: CameraModel) -> None:
 
 
 def test_workers_stay_for_several_calls() -> None:
-    with workers(2) as crew:
-        seen = {pid for _ in range(3) for pid in crew(_process, range(8))}
-        assert list(crew(abs, range(-3, 3))) == [3, 2, 1, 0, 1, 2]
+    with workers(2) as pool:
+        seen = {pid for _ in range(3) for pid in pool(_process, range(8))}
+        assert list(pool(abs, range(-3, 3))) == [3, 2, 1, 0, 1, 2]
     assert len(seen) <= 2
     assert os.getpid() not in seen
-    with workers(1) as crew:
-        assert set(crew(_process, range(2))) == {os.getpid()}
+    with workers(1) as pool:
+        assert set(pool(_process, range(2))) == {os.getpid()}
 
 
 def _process(item: int) -> int:
@@ -286,8 +286,8 @@ def test_a_second_layer_follows_a_single_pass(bayer: CameraModel, tmp_path: Path
 def test_a_training_set_that_is_replaced_meanwhile_is_noticed(bayer: CameraModel, tmp_path: Path) -> None:
     training, other = a_set(tmp_path / "training.h5", bayer, 2), a_set(tmp_path / "other.h5", bayer, 3)
     run = open_run((training,), None, None, seed=0)
-    with workers(1) as crew:
-        execution = Execution(crew, remote=False, console=Silent())
+    with workers(1) as pool:
+        execution = Execution(pool, remote=False, console=Silent())
         first_pass(run, execution)
         other.rename(training)
         with pytest.raises(InputFileError, match="replaced while it was trained on"):
@@ -360,7 +360,7 @@ def test_shares_do_not_go_with_merge(tmp_path: Path, refused: Callable) -> None:
 
 def test_the_benchmark_accounts_for_its_time(fiveband: CameraModel) -> None:
     few = ClassRecipe(patch=5, levels=4, chromas=2)
-    frames = [made_up_frame(fiveband, seed) for seed in range(2)]
+    frames = [synthetic_frame(fiveband, seed) for seed in range(2)]
     with cProfile.Profile() as profile:
         rows = train(frames, fiveband, TrainingRecipe(classes=few, learning=LearningRecipe(patches=500, darkest=0.003)))
     assert rows == 5 * 500 * (3 + 8)
@@ -372,10 +372,10 @@ def test_the_benchmark_accounts_for_its_time(fiveband: CameraModel) -> None:
 @pytest.mark.slow
 def test_memory_does_not_grow_with_frames_or_jobs(tmp_path: Path, fiveband: CameraModel) -> None:
     """Default rule, 60 and 600 frames, one and two workers: all processes together stay below 1.5 GB."""
-    head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="made up")
+    head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="synthetic")
     with write_training_set(tmp_path / "training.h5", head) as writer:
         for seed in range(60):
-            writer.append(made_up_frame(fiveband, seed))
+            writer.append(synthetic_frame(fiveband, seed))
     for jobs, times in ((1, 1), (1, 10), (2, 1), (2, 10)):
         files = [str(tmp_path / "training.h5")] * times
         command = [sys.executable, "-c", "from l3cli.cli import main; main()", "train", *files, "--jobs", str(jobs)]

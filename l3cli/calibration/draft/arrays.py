@@ -22,7 +22,7 @@ class GuessedArray:
 
 
 def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -> GuessedArray | None:
-    """The array of `period` rows and columns; None if too few steps have a known wavelength, or no light is seen."""
+    """Return the array of `period` rows and columns; None if too few steps have a known wavelength, or no light is seen."""
     steps = [step for step in steps if step.first.name.nm is not None and not scale.clipped(step)]
     if len(steps) < LEAST_STEPS:
         return None
@@ -50,7 +50,7 @@ def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -
 
 
 def _names(peaks: Sequence[float]) -> list[str]:
-    """A name for each channel: r g b where there are three, w for one, else the wavelength that it responds to."""
+    """Return a name for each channel: r g b where there are three, w for one, else the wavelength that it responds to."""
     if len(peaks) == 1:
         return ["w"]
     if len(peaks) == 3:

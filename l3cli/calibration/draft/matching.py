@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from l3cli.calibration.draft.names import Name, read_name
 from l3cli.calibration.draft.sorting import Group, Scale
-from l3cli.curve_table import CurveTable
-from l3cli.measurement import PATCHES
+from l3cli.frames.measurement import PATCHES
+from l3cli.spectra.table import BRIGHTEST, DIMMEST, CurveTable
 
 NARROW_NM = 40.0  # between the first and the last half of its peak: a line
 NEAR_NM = 5.0  # of a step's name and the peak of its spectrum
@@ -28,12 +28,12 @@ class Spectra:
 
     @property
     def narrow(self) -> bool:
-        """Whether most columns are lines, as steps of a monochromator are."""
+        """Return whether most columns are lines, as steps of a monochromator are."""
         return float(np.mean([_narrow(self.table.wavelength, curve) for curve in self.table.values])) > 0.5
 
     @property
-    def of_patches(self) -> bool:
-        """Whether it has a column for each patch of a ColorChecker."""
+    def has_patches(self) -> bool:
+        """Return whether there is a column for each patch of a ColorChecker."""
         return len(self.table.values) == PATCHES and not self.narrow
 
 
@@ -48,13 +48,13 @@ class Column:
 
     @property
     def key(self) -> int | str:
-        """How a measurement file names it."""
+        """Return the name by which a measurement file refers to it."""
         names = self.spectra.table.names or ()
         return self.name if self.name and names.count(self.name) == 1 else self.number
 
 
 def columns_of(tables: Sequence[Spectra]) -> list[Column]:
-    """Every line spectrum of the tables, in their order."""
+    """Return every line spectrum of the tables, in their order."""
     columns = []
     for spectra in tables:
         if not spectra.narrow:
@@ -69,7 +69,7 @@ def columns_of(tables: Sequence[Spectra]) -> list[Column]:
 
 
 def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]) -> list[Column | None]:
-    """The spectrum of each monochromatic capture: by wavelength where its name says it, else in order."""
+    """Return the spectrum of each monochromatic capture: by wavelength where its name says it, else in order."""
     if not columns or not steps:
         return [None] * len(steps)
     found = [_by_wavelength(step.first.name, columns) for step in steps]
@@ -85,7 +85,7 @@ def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale,
 def _in_order(
     steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]
 ) -> Sequence[Column] | list[None]:
-    """The spectra of captures whose names state no wavelength, if they are as many; none otherwise."""
+    """Return the spectra of captures whose names state no wavelength, if they are as many; none otherwise."""
     numbers = list(range(len(steps))) if len(steps) == len(columns) else _steps_in_order(steps, scale)
     if numbers[-1] + 1 != len(columns):
         notes.append(
@@ -101,7 +101,7 @@ def _in_order(
 
 
 def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
-    """The number of each capture's step, where one that is taken again too long follows its step."""
+    """Return the number of each capture's step, where one that is taken again too long follows its step."""
     numbers = [0]
     for before, step in itertools.pairwise(steps):
         again = scale.clipped(step) and not scale.clipped(before)
@@ -126,8 +126,8 @@ def _by_wavelength(name: Name, columns: Sequence[Column]) -> Column | None:
 
 
 def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list[str]) -> list[Spectra | None]:
-    """The table of radiances of each chart: by the light that both names say, else in order."""
-    patches = [table for table in tables if table.of_patches]
+    """Return the table of radiances of each chart: by the light that both names say, else in order."""
+    patches = [table for table in tables if table.has_patches]
     lights = [table.name.light for table in patches]
     found: list[Spectra | None] = []
     for chart in charts:
@@ -140,8 +140,8 @@ def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list
 
 
 def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None, bool]:
-    """The measured light of a photo of a chart: the broad spectrum that its light or its file is called by, or else the only
-    one there is; and whether names say so."""
+    """Return the measured light of a photo of a chart: the broad spectrum that its light or its file is called by, or else
+    the only one there is; and whether names say so."""
     broad = [table for table in tables if len(table.table.values) == 1 and not table.narrow]
     same = [table for table in broad if table.name.light is not None and table.name.light == chart.first.name.light]
     if len(same) == 1:
@@ -151,6 +151,24 @@ def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None
     if len(named) == 1:
         return named[0], True
     return (broad[0], False) if len(broad) == 1 and broad[0].name.light is None else (None, False)
+
+
+def radiances(table: CurveTable, column: int | None) -> Array:
+    """Return the values of one column (from 0), or of all of a table."""
+    return table.values if column is None else table.values[column : column + 1]
+
+
+def unknown_unit(table: CurveTable, column: int | None) -> bool:
+    """Return whether radiances have no unit in their heading, and are not as large as radiances in photons are."""
+    return not any(table.units) and not DIMMEST <= radiances(table, column).max() <= BRIGHTEST
+
+
+def note_unused(columns: Sequence[Column], matched: Sequence[Column | None], notes: list[str]) -> None:
+    """Add to `notes` which line spectra belong to no capture."""
+    unused = [column for column in columns if all(column is not each for each in matched)]
+    if unused and any(matched):
+        where = ", ".join(f"{column.nm:g} nm" for column in unused[:6])
+        notes.append(f"{len(unused)} spectra belong to no monochromatic capture: {where}{' …' if len(unused) > 6 else ''}")
 
 
 def _narrow(wavelength: Array, curve: Array) -> bool:

@@ -1,4 +1,4 @@
-"""What the names of captures and their folders say: kind, wavelength, exposure time, light, number."""
+"""Kind, wavelength, exposure time, light and number from the names of captures and their folders."""
 
 import operator
 import re
@@ -25,7 +25,7 @@ VISIBLE = (200.0, 2000.0)  # nm that a name may mean
 
 @dataclass(frozen=True)
 class Name:
-    """What a file's path below the folder says."""
+    """Facts stated by a file's path below the folder."""
 
     path: str
     kind: str | None = None
@@ -36,12 +36,12 @@ class Name:
 
     @property
     def words(self) -> frozenset[str]:
-        """What else is in the name, in lower case."""
+        """Return the other words of the name, in lower case."""
         return frozenset(word.lower() for word in WORD.findall(PurePath(self.path).stem))
 
 
 def read_name(path: str) -> Name:
-    """What the path of a capture or a table of spectra says, relative to the folder."""
+    """Return the facts stated by the path of a capture or a table of spectra, relative to the folder."""
     pure = PurePath(path)
     stem, parts = pure.stem, (pure.stem, *reversed(pure.parent.parts))  # the nearest folder says more than one above
     nm = next(filter(None, map(_wavelength, parts)), None)
@@ -64,8 +64,8 @@ def _seconds(part: str) -> float | None:
 
 
 def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
-    """Names of monochromatic captures that state wavelengths without their unit, mono_450_03: the number in one place that
-    may be light's, in steps that no counter takes."""
+    """Return the names of monochromatic captures that state wavelengths without their unit, mono_450_03: the number in one
+    place that may be light's, in steps that no counter takes."""
     bare = [name for name in names if name.kind == "mono" and name.nm is None]
     numbers = [re.findall(r"\d+(?:\.\d+)?", PurePath(name.path).stem) for name in bare]
     if not numbers or len({len(each) for each in numbers}) != 1:
@@ -81,7 +81,7 @@ def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
 
 
 def kind_of(path: PurePath) -> str | None:
-    """The kind that a name or, from the nearest on, one of its folders says; None where none does, or several."""
+    """Return the kind that a name or, from the nearest on, one of its folders says; None where none does, or several."""
     for part in (path.stem, *reversed(path.parent.parts)):
         whole = {word.lower() for word in re.findall(r"[A-Za-z]+", part)}
         words = whole | {word.lower() for word in WORD.findall(part)}
@@ -92,7 +92,7 @@ def kind_of(path: PurePath) -> str | None:
 
 
 def natural(path: str) -> tuple[tuple[str | float, ...], ...]:
-    """A key that sorts paths as people number them: 9 before 10."""
+    """Return a key that sorts paths as people number them: 9 before 10."""
     return tuple(
         tuple(float(part) if index % 2 else part.lower() for index, part in enumerate(re.split(r"([0-9]+)", each)))
         for each in PurePath(path).parts

@@ -47,7 +47,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Scale:
-    """What all frames together tell of the converter."""
+    """Scale of the converter, as all frames together show it."""
 
     black: Array  # (site) DN of the darkest frames
     bright: float  # DN of the brightest pixels but a tenth
@@ -57,18 +57,18 @@ class Scale:
         return max(self.bright - float(self.black.mean()), 1.0)
 
     def signal(self, group: Group) -> Array:
-        """(site) DN above black."""
+        """Return DN above black (site)."""
         return np.asarray(group.level - self.black)
 
     def clipped(self, group: Group) -> bool:
-        """Whether a site of a capture saturates."""
+        """Return whether a site of a capture saturates."""
         high = max(float(frame.summary.high.max()) for frame in group.frames)
         return high - self.black.mean() >= CLIPPED * self.range
 
 
 def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
-    """Black and bright of a folder's frames; `black`: DN, as their files state it. Without that, and without a frame that is
-    called dark or whose sites all show the same, it is unknown and taken as 0."""
+    """Return the black and bright of a folder's frames; `black`: DN, as their files state it. Without that, and without a
+    frame that is called dark or whose sites all show the same, it is unknown and taken as 0."""
     sites = frames[0].summary.level.size
     called = [frame for frame in frames if frame.name.kind == "dark"]
     darkest = min(called or frames, key=lambda frame: float(frame.summary.level.mean()))
@@ -83,7 +83,8 @@ def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
 
 
 def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list[Group]:
-    """The captures of a folder, in the order of their names; `notes` gets a line for each name that its frame belies."""
+    """Return the captures of a folder, in the order of their names; `notes` gets a line for each name that its frame
+    belies."""
     ordered = sorted(frames, key=lambda frame: natural(frame.name.path))
     kinds = [_kind(frame, scale, notes) for frame in ordered]
     groups: dict[tuple[object, ...], list[Frame]] = {}
@@ -97,7 +98,7 @@ def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list
 
 
 def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
-    """A frame's kind as its name says, or else what it shows."""
+    """Return a frame's kind as its name says, or else what it shows."""
     name, black = frame.name, float(scale.black.mean())
     signal = frame.summary.level - scale.black
     share = float(signal.max()) / scale.range
@@ -116,7 +117,7 @@ def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
 
 
 def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
-    """Frames that share all that their names say, divided where they show different light."""
+    """Yield the frames that share all that their names say, divided where they show different light."""
     parts: list[list[Frame]] = []
     for frame in members:
         signal = frame.summary.level - scale.black
@@ -131,8 +132,8 @@ def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
 
 
 def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
-    """The captures with "plain" ones called white or mono: white is the light of which most frames are taken, at several
-    exposures. Clipped ones, whose colour is unknown, are what the captures before them are."""
+    """Return the captures with "plain" ones called white or mono: white is the light of which most frames are taken, at
+    several exposures. Clipped ones, whose colour is unknown, are what the captures before them are."""
     plain = [group for group in groups if group.kind == "plain"]
     if not plain:
         return list(groups)
@@ -158,7 +159,7 @@ def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) ->
 
 
 def _same_light(group: Group, other: Group, scale: Scale) -> bool:
-    """Whether two captures differ in exposure alone: one colour and, where exposure times are known, one rate."""
+    """Return whether two captures differ in exposure alone: one colour and, where exposure times are known, one rate."""
     one, two = scale.signal(group), scale.signal(other)
     if min(one.max(), two.max()) <= 0 or np.abs(one / one.max() - two / two.max()).max() > ALIKE:
         return False

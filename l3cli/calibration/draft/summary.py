@@ -1,4 +1,4 @@
-"""What a raw frame shows by its values alone: level, evenness, noise, and what was done to its numbers."""
+"""Summary of a raw frame by its values alone: level, evenness, noise, and processing of its numbers."""
 
 import itertools
 from collections.abc import Sequence
@@ -35,7 +35,8 @@ class Summary:
         return np.asarray(self.blocks.mean(axis=(0, 1)))
 
     def unevenness(self, black: float) -> float:
-        """RMS of what a smooth surface leaves of the blocks, over the mean signal, of the site where it is least noisy."""
+        """Return the RMS of what a smooth surface leaves of the blocks, over the mean signal, of the site where it is least
+        noisy."""
         rows, cols = self.blocks.shape[:2]
         y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
         powers = [(i, j) for i in range(TERMS + 1) for j in range(TERMS + 1 - i)]
@@ -47,7 +48,7 @@ class Summary:
 
 
 def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
-    """A frame (row, col) of DN by the sites of an array of `period` rows and columns."""
+    """Return a frame (row, col) of DN by the sites of an array of `period` rows and columns."""
     rows, cols = period
     down, across = (max(1, length // each // BLOCKS) for length, each in zip(values.shape, period, strict=True))
     high, wide = (min(BLOCKS, length // each) for length, each in zip(values.shape, period, strict=True))
@@ -59,8 +60,8 @@ def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
 
 
 def period_of(frames: Sequence[NDArray[np.uint16]]) -> tuple[int, int]:
-    """Rows and columns of the smallest array whose sites tell the values of the frames apart: the largest that a third of
-    those that show one agree on, since one light may not tell all channels apart; 1×1 where none does."""
+    """Return the rows and columns of the smallest array whose sites tell the values of the frames apart: the largest that a
+    third of those that show one agree on, since one light may not tell all channels apart; 1×1 where none does."""
     found = [each for each in map(_period, frames) if each != (1, 1)]
     often = [each for each in found if len(frames) == 1 or 3 * found.count(each) >= len(found)]
     return max(often, key=lambda each: each[0] * each[1], default=(1, 1))
@@ -86,7 +87,7 @@ def _local_mean(values: Array) -> Array:
 
 
 def _explained(values: Array, period: tuple[int, int]) -> float:
-    """Sum of squares that the means of sites explain, over the variance, less what chance explains."""
+    """Return the sum of squares that the means of sites explain, over the variance, less what chance explains."""
     rows, cols = (length // each for length, each in zip(values.shape, period, strict=True))
     if min(rows, cols) < 4:
         return 0.0
@@ -97,7 +98,7 @@ def _explained(values: Array, period: tuple[int, int]) -> float:
 
 
 def altered(values: NDArray[np.uint16]) -> str | None:
-    """What was done to a frame's numbers after the converter, as far as they show it; None if nothing."""
+    """Return the processing of a frame's numbers after the converter, as far as they show it; None if they show none."""
     counts = np.bincount(values.ravel())
     codes = np.flatnonzero(counts)
     step = int(np.gcd.reduce(codes))
@@ -112,7 +113,7 @@ def altered(values: NDArray[np.uint16]) -> str | None:
 
 
 def drawn(values: NDArray[np.uint16]) -> bool:
-    """Whether a frame has no noise where it is neither black nor clipped, as masks and drawings have none."""
+    """Return whether a frame has no noise where it is neither black nor clipped, as masks and drawings have none."""
     inner = values[1:, 1:]
     same = (inner == values[:-1, 1:]) & (inner == values[1:, :-1])
     low, high = int(values.min()), int(values.max())

@@ -48,7 +48,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class Posterior:
-    """What the patches say of a camera."""
+    """Estimate of a camera from its patches."""
 
     responsivity: Array  # (channel, wavelength) in the unit of the values over that of the light; nowhere negative
     covariance: Array  # (channel · wavelength, channel · wavelength) of it
@@ -60,19 +60,19 @@ class Posterior:
 
 
 def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
-    """The posterior of all shots, with the model error under which the values are most probable."""
+    """Return the posterior of all shots, with the model error under which the values are most probable."""
     candidates = [_solve(shots, prior, error) for error in ERRORS]
     best = max(candidates, key=lambda solution: solution.evidence)
     return best.posterior()
 
 
 def evidence(shots: Sequence[Shot], prior: Prior) -> float:
-    """Natural logarithm of the probability of the values under these lights, up to a constant."""
+    """Return the natural logarithm of the probability of the values under these lights, up to a constant."""
     return max(_solve(shots, prior, error).evidence for error in ERRORS)
 
 
 def terms(place: Array) -> Array:
-    """(patch, term) of the illumination at x, y (patch, 2)."""
+    """Return the terms (patch, term) of the illumination at x, y (patch, 2)."""
     x, y = place.T
     return np.stack([np.ones_like(x), x, y, x * x - np.mean(x * x), x * y, y * y - np.mean(y * y)], axis=1)
 
@@ -96,13 +96,13 @@ class _Solution:
     evidence: float
 
     def posterior(self) -> Posterior:
-        """With responsivities that are nowhere negative."""
+        """Return the posterior with responsivities that are nowhere negative."""
         count, size = self.shape
         curves = count * size
         state = self.state if self.state[:curves].min() >= 0 else self._not_negative()
         gain = np.linalg.solve(self.design @ self.covariance @ self.design.T + np.diag(self.noise), self.design)
         spread = self.covariance - self.covariance @ self.design.T @ gain @ self.covariance
-        responsivity, glare, illumination = _parts(state, len(self.shots), count, size)
+        responsivity, glare, illumination = _split_state(state, len(self.shots), count, size)
         return Posterior(
             responsivity,
             spread[:curves, :curves],
@@ -114,7 +114,7 @@ class _Solution:
         )
 
     def _not_negative(self) -> Array:
-        """The most probable state without negative responsivities."""
+        """Return the most probable state without negative responsivities."""
         from scipy.optimize import lsq_linear
 
         curves = self.shape[0] * self.shape[1]
@@ -151,7 +151,7 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
 
 
 def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
-    """The prior's mean curves, scaled to each channel of the first shot, with even light and no glare."""
+    """Return the prior's mean curves, scaled to each channel of the first shot, with even light and no glare."""
     count = len(prior.mean)
     expected = [shot.stimuli @ prior.mean.T for shot in shots]
 
@@ -174,14 +174,14 @@ def _hold_exposures(state: Array, mean: Array, shots: int) -> None:
 
 
 def _scale(state: Array, prior: Prior) -> Array:
-    """(channel) factor of the prior's mean that fits a state best."""
+    """Return the factor (channel) of the prior's mean that fits a state best."""
     count, size = prior.mean.shape
     curves = state[: count * size].reshape(count, size)
     return np.maximum((curves * prior.mean).sum(axis=1) / (prior.mean**2).sum(axis=1), 1e-12)
 
 
 def _before(shots: Sequence[Shot], prior: Prior, scale: Array) -> tuple[Array, Array]:
-    """Mean and covariance of the state before anything is measured, at the scale of each channel."""
+    """Return the mean and covariance of the state before anything is measured, at the scale of each channel."""
     count, size = prior.mean.shape
     curves = (scale[:, None] * prior.mean).ravel()
     factors = np.repeat(scale, size)
@@ -205,7 +205,7 @@ def _before(shots: Sequence[Shot], prior: Prior, scale: Array) -> tuple[Array, A
 
 
 def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
-    """Of a further shot what the first's scale says, 1 for the first."""
+    """Return the exposure of a further shot relative to the first's scale, 1 for the first."""
     if index == 0:
         return 1.0
     shot, predicted = shots[index], shots[index].stimuli @ curves.T
@@ -213,14 +213,14 @@ def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
 
 
 def _brightest(shot: Shot) -> Array:
-    """(channel) DN of the brightest patch that is used; 1 where none is."""
+    """Return the DN (channel) of the brightest patch that is used; 1 where none is."""
     top = np.where(shot.used, shot.values, 0.0).max(axis=0)
     return np.where(top > 0, top, 1.0)
 
 
 def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error: float) -> tuple[Array, Array, Array]:
-    """Design, right side and variances of all values, shot by shot, channel by channel, patch by patch."""
-    responsivity, glare, illumination = _parts(state, len(shots), count, size)
+    """Return design, right side and variances of all values, shot by shot, channel by channel, patch by patch."""
+    responsivity, glare, illumination = _split_state(state, len(shots), count, size)
     designs, rights, variances = [], [], []
     curves, offsets = count * size, len(shots) * count
     for index, shot in enumerate(shots):
@@ -240,8 +240,8 @@ def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error
     return np.concatenate(designs), np.concatenate(rights), np.concatenate(variances)
 
 
-def _parts(state: Array, shots: int, count: int, size: int) -> tuple[Array, Array, Array]:
-    """Responsivity (channel, wavelength), glare (shot, channel) and illumination (shot, term) of a state."""
+def _split_state(state: Array, shots: int, count: int, size: int) -> tuple[Array, Array, Array]:
+    """Return the responsivity (channel, wavelength), glare (shot, channel) and illumination (shot, term) of a state."""
     curves, offsets = count * size, shots * count
     return (
         state[:curves].reshape(count, size),
@@ -251,12 +251,12 @@ def _parts(state: Array, shots: int, count: int, size: int) -> tuple[Array, Arra
 
 
 def _predict(shot: Shot, responsivity: Array, glare: Array, illumination: Array) -> Array:
-    """(patch, channel) DN of a shot."""
+    """Return the DN (patch, channel) of a shot."""
     return (terms(shot.place) @ illumination)[:, None] * (shot.stimuli @ responsivity.T) + glare
 
 
 def _peaks(state: Array, prior: Prior) -> float:
-    """Log-probability of the heights of the channels' peaks."""
+    """Return the log-probability of the heights of the channels' peaks."""
     count, size = prior.mean.shape
     heights = np.log(np.maximum(state[: count * size].reshape(count, size).max(axis=1), 1e-300))
     off = heights - heights.mean() - (prior.log_peak - prior.log_peak.mean())

@@ -16,19 +16,19 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class Comparison:
-    """How probable the values are under candidate lights, beside the light that was named."""
+    """Probability of the values under candidate lights, beside the light that was named."""
 
     nearest: str  # the most probable candidate
     deficit: float  # natural logarithm: how much less probable the named light is than the nearest; 0 where it is that one
 
     @property
     def wrong(self) -> bool:
-        """Whether the named light is to be questioned."""
+        """Return whether the named light is questionable."""
         return self.deficit > NOTICED
 
 
 def compare(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]) -> Comparison:
-    """The light of shot `index` beside `candidates`, name → (wavelength) relative photon radiance."""
+    """Return the light of shot `index` beside `candidates`, name → (wavelength) relative photon radiance."""
     named = evidence(shots, prior)
     others = {name: evidence(_under(shots, index, light), prior) for name, light in candidates.items()}
     nearest = max(others, key=lambda name: others[name])
@@ -36,7 +36,7 @@ def compare(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping
 
 
 def probabilities(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]) -> dict[str, float]:
-    """Of each candidate the probability that it is the light of shot `index`, if it is one of them."""
+    """Return the probability of each candidate that it is the light of shot `index`, if it is one of them."""
     logarithms = {name: evidence(_under(shots, index, light), prior) for name, light in candidates.items()}
     top = max(logarithms.values())
     weights = {name: float(np.exp(each - top)) for name, each in logarithms.items()}
@@ -46,8 +46,8 @@ def probabilities(shots: Sequence[Shot], index: int, prior: Prior, candidates: M
 def unsure_of_light(
     posterior: Posterior, shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]
 ) -> Posterior:
-    """The posterior with what its covariance lacks if the light of shot `index` is only guessed: the scatter of the curves
-    under all candidates that it may be, by their probabilities, each set at the posterior's overall scale."""
+    """Return the posterior with what its covariance lacks if the light of shot `index` is only guessed: the scatter of the
+    curves under all candidates that it may be, by their probabilities, each set at the posterior's overall scale."""
     added = np.zeros_like(posterior.covariance)
     for name, probability in probabilities(shots, index, prior, candidates).items():
         if probability < IMPROBABLE or candidates[name] is shots[index].light:
@@ -59,7 +59,7 @@ def unsure_of_light(
 
 
 def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
-    """The shots, one of them under another light."""
+    """Return the shots, one of them under another light."""
     return [replace(shot, light=light) if number == index else shot for number, shot in enumerate(shots)]
 
 
@@ -67,8 +67,8 @@ def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
 
 
 def response_errors(posterior: Posterior, light: Array, surfaces: Array) -> Array:
-    """(channel) standard deviation of the responses to surfaces (surface, wavelength) under a light, RMS over them, over
-    the largest; their mean, which exposure and white balance set, is taken as known."""
+    """Return the standard deviation (channel) of the responses to surfaces (surface, wavelength) under a light, RMS over
+    them, over the largest; their mean, which exposure and white balance set, is taken as known."""
     return _response_errors(posterior.responsivity, posterior.covariance, light, surfaces)
 
 
@@ -88,8 +88,8 @@ def _response_errors(responsivity: Array, covariance: Array, light: Array, surfa
 def next_light(
     shot: Shot, posterior: Posterior, candidates: Mapping[str, Array], judged_under: Sequence[Array], surfaces: Array
 ) -> tuple[str, float]:
-    """The candidate under which a second shot of the same chart would help most, and the share of the error of responses to
-    `surfaces` under the lights `judged_under` that would remain."""
+    """Return the candidate under which a second shot of the same chart would help most, and the share of the error of
+    responses to `surfaces` under the lights `judged_under` that would remain."""
 
     def error(covariance: Array) -> float:
         each = [_response_errors(posterior.responsivity, covariance, light, surfaces) for light in judged_under]
@@ -102,7 +102,7 @@ def next_light(
 
 
 def _with(shot: Shot, posterior: Posterior, light: Array) -> Array:
-    """The covariance of the responsivities after one more shot, of unknown exposure and glare, under a light."""
+    """Return the covariance of the responsivities after one more shot, of unknown exposure and glare, under a light."""
     count = len(posterior.responsivity)
     stimuli = shot.reflectance * (light / light.mean() * shot.light.mean())
     predicted = (stimuli @ posterior.responsivity.T).T

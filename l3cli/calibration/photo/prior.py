@@ -1,4 +1,4 @@
-"""What is known of responsivities before they are measured: a Gaussian over curves (docs/method.md#charts-in-photographs).
+"""Knowledge of responsivities before they are measured: a Gaussian over curves (docs/method.md#charts-in-photographs).
 
 Curves are per photon, each channel scaled to a peak of 1. Of r, g and b measured cameras say what curves look like; of
 other dyes only that they are smooth and lie in the visible.
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.measurement import CurveStatistics, FinishedCurves
+from l3cli.frames.measurement import CurveStatistics, FinishedCurves
 from l3cli.physics import spectra
 
 WAVELENGTH = np.arange(400.0, 721.0, 10.0)  # nm: where published curves of cameras overlap
@@ -20,7 +20,7 @@ SMOOTH_SHARE, SMOOTH_NM = 0.1, 25.0  # of the variance that no measured camera s
 LEAST_SPREAD = 0.01  # of the peak: curves of another make differ at least so much
 UNKNOWN_MEAN, UNKNOWN_SPREAD, UNKNOWN_NM = 0.3, 0.35, 45.0  # of a dye of which nothing is known
 UNKNOWN_PEAK = 0.7  # natural logarithm, spread of the peak of such a channel
-PEAK_FLOOR = 0.25  # … added to that of known ones: gains of the converter differ from channel to channel
+PEAK_FLOOR = 0.25  # the same added to the spread of known ones: converter gains differ between channels
 JITTER = 1e-6
 Array = NDArray[np.floating]
 
@@ -37,7 +37,7 @@ class Prior:
 
 
 def statistics(cameras: Sequence[FinishedCurves], modes: int = MODES) -> CurveStatistics:
-    """Those of measured cameras, all with the same channels, by at most `modes` modes."""
+    """Return those of measured cameras, all with the same channels, by at most `modes` modes."""
     curves = np.array([spectra.average(each.responsivity, each.wavelength, WAVELENGTH) for each in cameras])
     peaks = curves.max(axis=2)
     shapes = curves / peaks[..., None]
@@ -50,8 +50,8 @@ def statistics(cameras: Sequence[FinishedCurves], modes: int = MODES) -> CurveSt
     return CurveStatistics(WAVELENGTH, mean, chosen.reshape(-1, *mean.shape), heights.mean(axis=0), spread)
 
 
-def of_cameras(known: CurveStatistics) -> Prior:
-    """The prior of a camera whose channels are those of measured cameras."""
+def camera_prior(known: CurveStatistics) -> Prior:
+    """Return the prior of a camera whose channels are those of measured cameras."""
     count, size = known.mean.shape
     covariance = _covariance(known.modes).reshape(count * size, count * size) + JITTER * np.eye(count * size)
     return Prior(
@@ -64,7 +64,7 @@ def of_cameras(known: CurveStatistics) -> Prior:
 
 
 def smooth(channels: int) -> Prior:
-    """The prior of channels of which nothing is known: they are smooth, and see visible light."""
+    """Return the prior of channels of which nothing is known: they are smooth, and see visible light."""
     size = WAVELENGTH.size
     one = _smooth(np.full(size, UNKNOWN_SPREAD), UNKNOWN_NM) + JITTER * np.eye(size)
     covariance = np.kron(np.eye(channels), one)
@@ -73,7 +73,7 @@ def smooth(channels: int) -> Prior:
 
 
 def turned(known: CurveStatistics, order: Sequence[int]) -> CurveStatistics:
-    """The same with the channels in another order."""
+    """Return the same with the channels in another order."""
     ours = np.array(order)
     spread = known.log_peak_covariance[np.ix_(ours, ours)]
     return CurveStatistics(known.wavelength, known.mean[ours], known.modes[:, ours], known.log_peak[ours], spread)
@@ -92,6 +92,7 @@ def _covariance(modes: Array) -> Array:
 
 
 def _smooth(spread: Array, correlation_nm: float) -> Array:
-    """Covariance (wavelength, wavelength) of what varies by `spread` (wavelength), smoothly over `correlation_nm`."""
-    apart = (WAVELENGTH[:, None] - WAVELENGTH) / correlation_nm
-    return np.exp(-0.5 * apart**2) * np.outer(spread, spread)
+    """Return the covariance (wavelength, wavelength) of what varies by `spread` (wavelength), smoothly over
+    `correlation_nm`."""
+    isolated = (WAVELENGTH[:, None] - WAVELENGTH) / correlation_nm
+    return np.exp(-0.5 * isolated**2) * np.outer(spread, spread)

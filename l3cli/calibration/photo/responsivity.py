@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import Noise
 from l3cli.artifacts.fit import PhotoFit
 from l3cli.calibration.curves import Curves
-from l3cli.calibration.photo import lights, patches
+from l3cli.calibration.photo import lights
 from l3cli.calibration.photo import prior as priors
 from l3cli.calibration.photo.estimate import FLOOR, Posterior, Shot, estimate, evidence
 from l3cli.calibration.photo.prior import ROLES, WAVELENGTH, Prior
 from l3cli.calibration.photo.shots import Photograph, measure
 from l3cli.calibration.responsivity import BAND_FLOOR, COVERAGE
+from l3cli.charts import patches
 from l3cli.errors import InputFileError
-from l3cli.measurement import CurveStatistics, Measurements, SensorFigures
+from l3cli.frames.measurement import CurveStatistics, Measurements, SensorFigures
 from l3cli.physics import spectra
 
 CANDIDATES = (  # lights that photos are taken under
@@ -32,7 +33,8 @@ Array = NDArray[np.floating]
 
 
 def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigures]:
-    """Curves to a common peak, the photos' part of the fit, and the sensor as its data sheet or the patches' noise gives it.
+    """Return the curves to a common peak, the photos' part of the fit, and the sensor as its data sheet or the patches'
+    noise gives it.
 
     InputFileError if a photo shows no usable chart, or if its noise is no sensor's and nothing is declared.
     """
@@ -75,7 +77,7 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
 
 
 def curves_of(posterior: Posterior) -> Curves:
-    """Its responsivities to a common peak of 1, with their 95 % bands."""
+    """Return its responsivities to a common peak of 1, with their 95 % bands."""
     count, size = posterior.responsivity.shape
     deviation = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0)).reshape(count, size)
     relative = posterior.responsivity.astype(np.float64)
@@ -93,7 +95,7 @@ def candidates() -> Mapping[str, Array]:
 
 
 def _name_of(light: Array) -> str:
-    """The candidate that a guessed light is."""
+    """Return the candidate that a guessed light is."""
     return next(name for name, each in candidates().items() if each is light)
 
 
@@ -106,7 +108,8 @@ def _surfaces() -> Array:
 
 
 def _prior_and_lights(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[Prior, list[Shot]]:
-    """The prior under which the values are more probable, and the shots, those of unknown light under the most probable."""
+    """Return the prior under which the values are more probable, and the shots, those of unknown light under the most
+    probable."""
     shots = [photo.shot for photo in photographs]
     unknown = [index for index, photo in enumerate(photographs) if photo.capture.light is None]
     best: tuple[float, Prior, list[Shot]] | None = None
@@ -125,20 +128,20 @@ def _prior_and_lights(photographs: Sequence[Photograph], measurements: Measureme
 
 
 def _priors(measurements: Measurements) -> list[Prior]:
-    """Smooth curves and, of a camera with channels r, g and b, those of measured cameras."""
+    """Return smooth curves and, of a camera with channels r, g and b, those of measured cameras."""
     channels, known = measurements.body.channels, measurements.cameras
     smooth = priors.smooth(len(channels))
     if known is None or sorted(channels) != sorted(ROLES):
         return [smooth]
     table = known if isinstance(known, CurveStatistics) else priors.statistics(known)
-    return [priors.of_cameras(priors.turned(table, [ROLES.index(name) for name in channels])), smooth]
+    return [priors.camera_prior(priors.turned(table, [ROLES.index(name) for name in channels])), smooth]
 
 
 # ---------------------------------------------------------------------------------------------------------- outliers
 
 
 def _without_far_ones(shots: list[Shot], prior: Prior) -> tuple[Posterior, list[Shot], list[tuple[int, int, int]]]:
-    """The posterior without the values (shot, patch, channel) that lie far off it, a few at most."""
+    """Return the posterior without the values (shot, patch, channel) that lie far off it, a few at most."""
     posterior = estimate(shots, prior)
     far: list[tuple[float, int, int, int]] = []
     for index, (shot, predicted) in enumerate(zip(shots, posterior.predicted, strict=True)):

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.calibration import noise
-from l3cli.calibration.perspective import corner_cells, homography, through
-from l3cli.calibration.photo import locate, patches
 from l3cli.calibration.photo.estimate import Shot
-from l3cli.calibration.photo.patches import PatchValues
 from l3cli.calibration.photo.prior import WAVELENGTH
+from l3cli.charts import locate, patches
+from l3cli.charts.patches import PatchValues
+from l3cli.charts.perspective import corner_cells, homography, through
 from l3cli.errors import InputFileError
-from l3cli.frame import RawFrame, shifted_cfa
-from l3cli.measurement import Body, PhotoCapture
+from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.measurement import Body, PhotoCapture
 from l3cli.physics import spectra
 
 UNEVEN, UNEVEN_LEFT = 0.2, 0.01  # spread of the illumination over the chart: without a white shot, after one
@@ -38,7 +38,7 @@ class Photograph:
 
 
 def measure(capture: PhotoCapture, body: Body) -> Photograph:
-    """The patches of a photo; InputFileError if there is no chart, or if too few of its patches can be used."""
+    """Return the patches of a photo; InputFileError if there is no chart, or if too few of its patches can be used."""
     frame = capture.frames[0]
     black = frame.black_level if not capture.darks else float(np.mean([dark.values.mean() for dark in capture.darks]))
     if not black < frame.white_level:
@@ -81,7 +81,7 @@ def light_of(capture: PhotoCapture) -> Array:
 
 
 def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array) -> Array:
-    """The homography (3, 3) from the chart's cells to pixels."""
+    """Return the homography (3, 3) from the chart's cells to pixels."""
     rows, cols = capture.chart.grid
     if capture.corners is None:
         located = locate.locate(mosaic, cfa, reflectance, capture.chart.grid)
@@ -103,7 +103,7 @@ def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], refl
 
 
 def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: Array) -> None:
-    """InputFileError if too few patches can be used, or if they are not the chart's."""
+    """Raise InputFileError if too few patches can be used, or if they are not the chart's."""
     count = len(values.mean)
     for channel, name in enumerate(body.channels):
         used = values.used[:, channel]
@@ -134,7 +134,7 @@ def _over_white(
     grid: tuple[int, int],
     saturation: float,
 ) -> Array:
-    """(patch, channel) light at each patch over its mean, from an even white in the chart's place."""
+    """Return the light (patch, channel) at each patch over its mean, from an even white in the chart's place."""
     mosaics = [white.values.astype(np.float64) - black for white in whites]
     values = patches.patch_values(mosaics, cfa, to_pixels, grid, saturation)
     if not values.used.all() or values.mean.min() <= 0:

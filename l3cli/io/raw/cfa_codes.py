@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frame import shifted_cfa
+from l3cli.frames.frame import shifted_cfa
 
 if TYPE_CHECKING:  # the process that decodes starts without them
     from l3cli.artifacts.camera import CameraModel
@@ -34,20 +34,20 @@ CURE = "give the table of this camera, or the site of the first pixel with ‹ph
 
 
 def code_of(name: str) -> int | None:
-    """The TIFF/EP code of a channel's name, "r" or "red"; None where it has none."""
+    """Return the TIFF/EP code of a channel's name, "r" or "red"; None where it has none."""
     known = [*LETTERS.lower(), *NAMES]
     return known.index(name.lower()) % FREE_CODE if name.lower() in known else None
 
 
 def codes_of(letters: str) -> NDArray[np.int64]:
-    """The code of each of the letters of a decoder; one that TIFF/EP has not is coded by its place."""
+    """Return the code of each of the letters of a decoder; one that TIFF/EP has not is coded by its place."""
     return np.array(
         [LETTERS.index(each) if each in LETTERS else FREE_CODE + index for index, each in enumerate(letters.upper())]
     )
 
 
 def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
-    """A code for each channel, all different: TIFF/EP's, or a free one for names that it does not know."""
+    """Return a code for each channel, all different: TIFF/EP's, or a free one for names that it does not know."""
     codes: list[int] = []
     for index, name in enumerate(channels):
         code = code_of(name)
@@ -85,8 +85,9 @@ def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> 
 def neutral_of_channels(
     neutral: NDArray[np.float64] | None, pattern: NDArray[np.integer] | None, phase: tuple[int, int], sensor: FilterArray
 ) -> tuple[float, ...] | None:
-    """What each of a sensor's channels gives of a grey, by what the colours of a file give, `neutral` (colour, 2) with their
-    codes: by name or, of a file whose CFA `pattern` begins at site `phase`, by place. None where a channel has none."""
+    """Return the signal of a grey in each of a sensor's channels from that in the colours of a file, `neutral` (colour,
+    2) with their codes: by name or, of a file whose CFA `pattern` begins at site `phase`, by place. None where a channel
+    has none."""
     if neutral is None:
         return None
     of_code = {int(code): float(signal) for code, signal in neutral}

@@ -1,4 +1,4 @@
-"""What raw files hold: of one frame its content, of several a stack; and what a reader is asked for beside the path."""
+"""Content of raw files: of one frame, or of a multi-frame file; and what a reader needs beside the path."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.io.frame_times import Stated
 from l3cli.io.raw.packed import Layout
 
 
@@ -31,25 +32,26 @@ class RawContent(TypedDict):
 
 @dataclass(frozen=True)
 class Request:
-    """What the caller says of a file whose format asks for it."""
+    """Facts that the caller states about a file whose format lacks them."""
 
     layout: Layout | None = None  # of headerless frames
     dataset: str | None = None  # name within the file; None: the only one
 
 
 @dataclass(frozen=True)
-class Stack:
+class MultiFrameFile:
     """The frames of one file, each read when it is wanted."""
 
     count: int | None  # None: a stream, read in order until there is no more
     read: Callable[[int], RawContent | None]  # by number, from 0; None: the stream ended before
-    unit: str = "frame"  # what messages call one …
-    first: int = 0  # … and the number that they give the first
+    unit: str = "frame"  # what messages call one frame
+    first: int = 0  # the number that messages give the first frame
     rate: Fraction | None = None  # frames a second, where the file states them
+    times: Stated | None = None  # when its frames are shown, where the file states that of each
     numbered: bool = True  # whether a picture's name has the frame's number even where there is one alone
 
     def name(self, number: int) -> str:
-        """What messages call a frame."""
+        """Return the name of a frame for messages."""
         return f"{self.unit} {self.first + number}"
 
 

@@ -42,7 +42,7 @@ CAMERA = "l3cli linear Rec. 2020"
 
 
 def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.uint16]:
-    """DN (row, col, 3) of linear Rec. 2020 values (row, col, 3), or (row, col) of a `mosaic` of them."""
+    """Return DN (row, col, 3) of linear Rec. 2020 values (row, col, 3), or (row, col) of a `mosaic` of them."""
     if mosaic is not None:
         sites = np.tile(RGGB, [-(-length // 2) for length in linear.shape[:2]])[: linear.shape[0], : linear.shape[1]]
         linear = np.take_along_axis(linear, sites[..., None], axis=2)[..., 0]
@@ -50,7 +50,7 @@ def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.u
 
 
 def dng_file(values: NDArray[np.uint16], exposure_scale: float, label: Label) -> bytes:
-    """The file of `raw_values`, upright; `exposure_scale`: factor of what should be shown with 1 as white."""
+    """Return the file of `raw_values`, upright; `exposure_scale`: factor of what should be shown with 1 as white."""
     import tifffile
 
     is_mosaic = values.ndim == 2
@@ -109,7 +109,7 @@ def _colour_tags(exposure_scale: float) -> list[Entry]:
 
 
 def _shot_tags(label: Label) -> list[Entry]:
-    """How the frame was taken. The camera is another one: developers would use its matrices for these channels."""
+    """Return the tags of the shot. The camera is another one: developers would use its matrices for these channels."""
     camera = " ".join(filter(None, (label.shot.make, label.shot.model)))
     texts = {
         TiffTag.MAKE: "l3cli",

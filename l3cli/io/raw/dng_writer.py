@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel
-from l3cli.files import write_whole
 from l3cli.io.raw.cfa_codes import channel_codes
 from l3cli.io.raw.tiff_tags import (
     BYTE,
@@ -30,6 +29,7 @@ from l3cli.io.raw.tiff_tags import (
     entry,
     text_entry,
 )
+from l3cli.system.files import write_whole
 
 COLOR_MATRICES = (TiffTag.COLOR_MATRIX_1, TiffTag.COLOR_MATRIX_2)
 ILLUMINANTS = (TiffTag.CALIBRATION_ILLUMINANT_1, TiffTag.CALIBRATION_ILLUMINANT_2)
@@ -106,8 +106,8 @@ def _colour_tags(camera: CameraModel, colour: RawColour, neutral: NDArray[np.flo
 
 
 def _planes(camera: CameraModel) -> list[int]:
-    """The channels in the order of the colour planes: of three, what most pixels have in the middle, for most developers
-    interpolate the second plane on the quincunx that green has in a Bayer array."""
+    """Return the channels in the order of the colour planes: of three, what most pixels have in the middle, for most
+    developers interpolate the second plane on the quincunx that green has in a Bayer array."""
     planes = list(range(len(camera.channels)))
     if len(planes) == 3:
         commonest = int(np.bincount(camera.cfa.ravel(), minlength=3).argmax())

@@ -4,24 +4,25 @@ The colour filter array comes from the table. From the file come pixels, levels,
 of its array the phase; an array that is not the table's is refused.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from l3cli.correction import Correction
-from l3cli.dark import DarkFrame, without_dark
 from l3cli.errors import InputFileError
-from l3cli.files import STDIN, require_regular
-from l3cli.frame import RawFrame, shifted_cfa
-from l3cli.hot_pixels import HotTest
+from l3cli.frames.correction import Correction
+from l3cli.frames.dark import DarkFrame, without_dark
+from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.hot_pixels import HotTest
+from l3cli.frames.shading import shading_of_gain
 from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
-from l3cli.io.raw.content import RawContent, Request, Stack
+from l3cli.io.raw.content import MultiFrameFile, RawContent, Request
 from l3cli.io.raw.headerless import layout_of, stdin
 from l3cli.io.raw.registry import CAMERA_RAW, RawFormat, format_of
 from l3cli.io.raw.shot import believable_shot
-from l3cli.limits import require_picture
-from l3cli.shading import shading_of_gain
+from l3cli.system.files import STDIN, require_regular
+from l3cli.system.limits import require_picture
 
 RAW_FILE = "give a raw file, or - for headerless frames on stdin"
 TOP = 65535  # DN, the most that 16 bits hold
@@ -29,8 +30,8 @@ LONGEST = 1e5  # s, the longest exposure that is believed
 
 
 @dataclass(frozen=True)
-class KnownBetter:
-    """What the caller knows about a raw file; None: as the file or else the table says."""
+class RawOverrides:
+    """Facts that the caller states about a raw file; None: as the file or else the table has them."""
 
     black_level: float | None = None  # DN
     white_level: float | None = None  # DN
@@ -44,9 +45,9 @@ class KnownBetter:
     hot: HotTest | None = None  # by which its hot pixels are found; None: they are left
 
 
-def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> RawFrame:
-    """The frame in `path`, read by its suffix; InputFileError names file and cure."""
-    known = known or KnownBetter()
+def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> RawFrame:
+    """Return the frame in `path`, read by its suffix; InputFileError names file and cure."""
+    known = known or RawOverrides()
     require_regular(path, RAW_FILE)
     kind = format_of(path)
     kind = kind if kind.holds_frame else CAMERA_RAW  # LibRaw says what is wrong
@@ -56,25 +57,40 @@ def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> Raw
         raise InputFileError(f"{path}: {error.strerror or error}") from error
 
 
-def read_stack(path: Path, table: Sensor, known: KnownBetter, dataset: str | None = None) -> Stack | None:
-    """The frames in `path`, the HDF5 file's array `dataset` of them; None if it holds one frame, or is of a format that can
-    hold no more."""
+def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | None = None) -> MultiFrameFile | None:
+    """Return the frames in `path`, the HDF5 file's array `dataset` of them; None if it holds one frame, or is of a format
+    that can hold no more."""
     kind = format_of(path)
     return kind.stack(path, _request(kind, path, table, known, dataset)) if kind.stackable else None
 
 
-def read_stdin(table: Sensor, known: KnownBetter) -> Stack:
-    """The headerless frames that come on stdin."""
+def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides) -> bool:
+    """Return whether a file holds several frames; `sensor` is asked for the size of headerless ones. InputFileError if it
+    cannot be read."""
+    kind = format_of(path)
+    if not kind.stackable:
+        return False
+    layout = None
+    if kind.wants_geometry:
+        layout = _request(kind, path, sensor(), known).layout
+    try:
+        return kind.stack(path, Request(layout)) is not None
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror or error}") from error
+
+
+def read_stdin(table: Sensor, known: RawOverrides) -> MultiFrameFile:
+    """Return the headerless frames that come on stdin."""
     return stdin(layout_of(STDIN, known.size or (table.rows, table.cols), known.packing, known.stride))
 
 
-def _request(kind: RawFormat, path: Path, table: Sensor, known: KnownBetter, dataset: str | None = None) -> Request:
+def _request(kind: RawFormat, path: Path, table: Sensor, known: RawOverrides, dataset: str | None = None) -> Request:
     size = known.size or (table.rows, table.cols)
     return Request(layout_of(path, size, known.packing, known.stride) if kind.wants_geometry else None, dataset)
 
 
-def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) -> RawFrame:
-    """The frame of what a file holds; what it does not say is the table's, unless the caller knows better."""
+def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:
+    """Return the frame of what a file holds; what it does not say is the table's, unless the caller knows better."""
     values, pattern = content["values"], content.get("pattern")
     if values.size == 0 or values.ndim != 2:
         raise InputFileError(f"{name} holds no pixels; give a raw file")
@@ -99,8 +115,9 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
     return _corrected(frame, table, known)
 
 
-def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
-    """The frame with what the caller knows better in place of what the file says, and what dark current adds to it."""
+def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
+    """Return the frame with what the caller knows better in place of what the file says, and what dark current adds to
+    it."""
     black_level = frame.black_level if known.black_level is None else known.black_level
     white_level = frame.white_level if known.white_level is None else known.white_level
     phase = frame.phase if known.phase is None else known.phase

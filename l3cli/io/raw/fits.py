@@ -14,37 +14,39 @@ from typing import Any
 import numpy as np
 
 from l3cli.errors import InputFileError, L3Error
-from l3cli.io.apart import apart
+from l3cli.io.isolated import isolated
 from l3cli.io.raw.cfa_codes import codes_of
-from l3cli.io.raw.content import RawContent, Request, Stack
-from l3cli.limits import require_picture
+from l3cli.io.raw.content import MultiFrameFile, RawContent, Request
+from l3cli.system.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
+BOTTOM_UP = "BOTTOM-UP"
+ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
 BROKEN = (TypeError, ValueError, KeyError, IndexError, AttributeError)  # what astropy raises over a damaged file
 
 
 def read(path: Path, _: Request) -> RawContent:
-    """The frame of a file that holds one."""
+    """Return the frame of a file that holds one."""
     return read_fits(path)
 
 
-def stack(path: Path, _: Request) -> Stack | None:
-    """The frames of an image of three axes."""
+def stack(path: Path, _: Request) -> MultiFrameFile | None:
+    """Return the frames of an image of three axes."""
     shape = fits_shape(path)
-    return Stack(shape[0], lambda number: read_fits(path, number)) if len(shape) == 3 else None
+    return MultiFrameFile(shape[0], lambda number: read_fits(path, number)) if len(shape) == 3 else None
 
 
-@apart
+@isolated("astropy.io.fits")
 def fits_shape(path: Path) -> tuple[int, ...]:
     """(row, col) or (frame, row, col) of the first image."""
     with _first_image(path) as image:
         return tuple(image.shape)
 
 
-@apart
+@isolated("astropy.io.fits")
 def read_fits(path: Path, number: int | None = None) -> RawContent:
-    """Pixels (row, col) in DN, of frame `number` where there are several, the colours BAYERPAT names, and the exposure time
-    (s) of EXPTIME or EXPOSURE.
+    """Return the pixels (row, col) in DN, of frame `number` where there are several, the colours BAYERPAT names, and the
+    exposure time (s) of EXPTIME or EXPOSURE.
 
     InputFileError if the file holds anything but unsigned integers of at most 16 bits.
     """
@@ -58,13 +60,17 @@ def read_fits(path: Path, number: int | None = None) -> RawContent:
         raise InputFileError(f"{path} holds {values.dtype.name} {values.shape}; give unsigned 16-bit (rows, columns)")
     if values.min() < 0:
         raise InputFileError(f"{path} holds {values.min()} DN; give unsigned values, as BZERO = 32768 codes them")
-    if order == "BOTTOM-UP":
+    if order not in ("", *ROW_ORDERS):
+        raise InputFileError(f'{path}: its ROWORDER is "{order}"; mend the header to {" or ".join(ROW_ORDERS)}')
+    if order == BOTTOM_UP:
         values = values[::-1]
     exposure = float(seconds) if isinstance(seconds, int | float) else None
     content = RawContent(values=np.ascontiguousarray(values, np.uint16), exposure=exposure)
     if len(pattern) == 4:
         square = np.roll(np.array(list(pattern)).reshape(2, 2), (-offset[0], -offset[1]), axis=(0, 1))
         content["pattern"] = codes_of("".join(square.ravel())).reshape(2, 2)
+    elif pattern:
+        content["notes"] = (f'its BAYERPAT "{pattern}" is no array of 2×2 colours; it is taken for the table\'s',)
     return content
 
 

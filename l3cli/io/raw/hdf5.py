@@ -8,22 +8,22 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.stored import datasets, require_within_file
 from l3cli.errors import InputFileError
-from l3cli.io.apart import apart
-from l3cli.io.raw.content import RawContent, Request, Stack
-from l3cli.limits import require_picture
+from l3cli.io.isolated import isolated
+from l3cli.io.raw.content import MultiFrameFile, RawContent, Request
+from l3cli.system.limits import require_picture
 
 CHUNK_CACHE = 128 << 20  # bytes at most: chunks of many frames are unpacked once, not once a frame
 
 _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change if it were another one
 
 
-def stack(path: Path, request: Request) -> Stack:
-    """The frames of a dataset."""
+def stack(path: Path, request: Request) -> MultiFrameFile:
+    """Return the frames of a dataset."""
     name, count = find_stack(path, request.dataset)
-    return Stack(count, lambda number: RawContent(values=stack_frame(path, name, number)), numbered=False)
+    return MultiFrameFile(count, lambda number: RawContent(values=stack_frame(path, name, number)), numbered=False)
 
 
-@apart
+@isolated("h5py")
 def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     """Name and number of frames of the stack called `dataset`, or of the only one; InputFileError if there is none."""
     root = _open(path)
@@ -37,9 +37,9 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     return name, len(frames) if frames.ndim == 3 else 1
 
 
-@apart
+@isolated("h5py")
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
-    """One frame (row, col) of a stack whose name `find_stack` returned."""
+    """Return one frame (row, col) of a stack whose name `find_stack` returned."""
     frames = _open(path, name)[name]
     _require_frames(path, frames)
     try:
@@ -49,7 +49,7 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
 
 
 def _open(path: Path, stack: str | None = None) -> Any:
-    """The file, kept open from frame to frame of a stack."""
+    """Return the file, kept open from frame to frame of a stack."""
     import h5py
 
     state = path.stat()
@@ -71,7 +71,7 @@ def _open(path: Path, stack: str | None = None) -> Any:
 
 
 def chunks_of_a_frame(frames: Any) -> int:
-    """Bytes that are unpacked for one frame of a dataset (…, row, col)."""
+    """Return the bytes that are unpacked for one frame of a dataset (…, row, col)."""
     chunks = frames.chunks or frames.shape
     across = -(-frames.shape[-2] // chunks[-2]) * -(-frames.shape[-1] // chunks[-1])
     return int(across * np.prod(chunks, dtype=np.int64) * frames.dtype.itemsize)
@@ -94,7 +94,7 @@ def _is_stack(member: Any, axes: tuple[int, ...]) -> bool:
 
 
 def _require_frames(path: Path, frames: Any) -> None:
-    """InputFileError if the frames lie in another file, or one of them, or what is unpacked with it, is too large."""
+    """Raise InputFileError if the frames lie in another file, or one of them, or what is unpacked with it, is too large."""
     require_within_file(path, frames)
     for shape in (frames.shape, frames.chunks or frames.shape):
         require_picture(f"{path}: {frames.name}", *shape[-2:])

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.errors import InputFileError
-from l3cli.io.raw.content import InOrder, RawContent, Request, Stack
+from l3cli.io.raw.content import InOrder, MultiFrameFile, RawContent, Request
 from l3cli.io.raw.packed import PACKED, WORDS, Layout, make_layout
-from l3cli.limits import require_picture, require_values
+from l3cli.system.limits import require_picture, require_values
 
 
 def layout_of(path: Path, size: tuple[int, int], packing: str | None, stride: int | None) -> Layout:
-    """How the values of a headerless file of frames of `size` (rows, columns) lie; its suffix may name the packing."""
+    """Return the layout of a headerless file of frames of `size` (rows, columns); its suffix may name the packing."""
     suffix = path.suffix.lower().removeprefix(".")
     layout = make_layout(size, packing or (suffix if suffix in PACKED else WORDS), stride)
     require_picture(str(path), layout.rows, layout.cols)
@@ -20,7 +20,7 @@ def layout_of(path: Path, size: tuple[int, int], packing: str | None, stride: in
 
 
 def read(path: Path, request: Request) -> RawContent:
-    """One frame's values and nothing else."""
+    """Return one frame's values and nothing else."""
     layout = _layout(request)
     size = path.stat().st_size
     if size != layout.frame_bytes:
@@ -31,7 +31,7 @@ def read(path: Path, request: Request) -> RawContent:
     return RawContent(values=layout.unpack(np.fromfile(path, np.uint8)), exchangeable=layout.exchangeable)
 
 
-def stack(path: Path, request: Request) -> Stack | None:
+def stack(path: Path, request: Request) -> MultiFrameFile | None:
     """As many frames as the file has room for; one that is cut is noticed when it is read. None where there is no second."""
     layout, size = _layout(request), path.stat().st_size
     if size < 2 * layout.frame_bytes:
@@ -43,11 +43,11 @@ def stack(path: Path, request: Request) -> Stack | None:
             raise InputFileError(f"{path} ends within frame {number} of {layout}; give its size with ‹size› ROWSxCOLS")
         return RawContent(values=layout.unpack(content), exchangeable=layout.exchangeable)
 
-    return Stack(-(-size // layout.frame_bytes), frame)
+    return MultiFrameFile(-(-size // layout.frame_bytes), frame)
 
 
-def stdin(layout: Layout) -> Stack:
-    """The frames that come on stdin."""
+def stdin(layout: Layout) -> MultiFrameFile:
+    """Return the frames that come on stdin."""
     # Unbuffered: a thread that waits in a buffered stream would keep the interpreter from ending.
     pipe = open(0, "rb", buffering=0, closefd=False)  # noqa: SIM115
 
@@ -60,7 +60,7 @@ def stdin(layout: Layout) -> Stack:
             raise InputFileError(f"stdin ends within the frame, of {layout}; check ‹size› ROWSxCOLS")
         return layout.unpack(content) if filled else None
 
-    return Stack(None, InOrder(following, layout.exchangeable).read)
+    return MultiFrameFile(None, InOrder(following, layout.exchangeable).read)
 
 
 def _layout(request: Request) -> Layout:

@@ -9,24 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frame import with_one_black_level
-from l3cli.io.apart import apart
+from l3cli.frames.frame import with_one_black_level
+from l3cli.io.isolated import isolated
 from l3cli.io.names import named_in_utf8
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.content import RawContent, Request
 from l3cli.io.raw.shot import shot_of_file, shot_of_libraw
 from l3cli.io.raw.tiff_tags import BROKEN, camera_names
-from l3cli.limits import require_picture
+from l3cli.system.limits import require_picture
 
 
 def read(path: Path, _: Request) -> RawContent:
-    """What a camera raw holds within its visible area."""
+    """Return the content of a camera raw within its visible area."""
     return read_camera_raw(path)
 
 
-@apart
+@isolated("rawpy", "tifffile")
 def read_camera_raw(path: Path) -> RawContent:
-    """What a camera raw holds within its visible area; InputFileError as from `opened`."""
+    """Return the content of a camera raw within its visible area; InputFileError as from `opened`."""
     with opened(path) as raw:
         content = _visible(path, raw)
         content["shot"] = shot_of_libraw(raw) | shot_of_file(path)
@@ -107,7 +107,7 @@ def _camera_names(path: Path) -> list[str]:
 
 
 def _levels(raw: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Black and white level (colour) in DN."""
+    """Return the black and white level (colour) in DN."""
     black_level = np.array(raw.black_level_per_channel, np.float64)
     whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
     return black_level, np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black_level)

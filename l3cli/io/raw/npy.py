@@ -1,25 +1,43 @@
-"""numpy's .npy files of one frame (row, col) or several (frame, row, col)."""
+"""numpy's .npy files, mapped: raw frames as one (row, col) or several (frame, row, col)."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.arrays import map_array
-from l3cli.io.raw.content import RawContent, Request, Stack
-from l3cli.limits import require_picture
+from l3cli.io.raw.content import MultiFrameFile, RawContent, Request
+from l3cli.system.files import require_regular
+from l3cli.system.limits import require_picture
 
 MOST_CHANNELS = 4  # of a picture; no frame is so narrow
 
 
+def map_array(path: Path) -> NDArray[Any]:
+    """Return the array of a .npy file, mapped. InputFileError if the file is none, is shorter than its header says, or holds
+    objects, which would be unpickled."""
+    require_regular(path, "give a .npy file")
+    try:
+        with np.errstate(over="ignore"):  # of a shape beyond all bounds, which is refused
+            values = np.load(path, mmap_mode="r", allow_pickle=False)
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror or error}") from error
+    except Exception as error:  # a damaged header makes Python's tokenizer fail with many exceptions
+        raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save(file, array)") from error
+    if not isinstance(values, np.ndarray):
+        values.close()
+        raise InputFileError(f"{path} is an archive; give one .npy array")
+    return values
+
+
 def read(path: Path, _: Request) -> RawContent:
-    """The frame of a file that holds one."""
+    """Return the frame of a file that holds one."""
     return RawContent(values=np.array(_mapped(path, 2)))
 
 
-def stack(path: Path, _: Request) -> Stack | None:
-    """The frames of a file with three axes."""
+def stack(path: Path, _: Request) -> MultiFrameFile | None:
+    """Return the frames of a file with three axes."""
     shape = map_array(path).shape
     if len(shape) != 3:
         return None
@@ -32,11 +50,12 @@ def stack(path: Path, _: Request) -> Stack | None:
     def frame(number: int) -> RawContent:
         return RawContent(values=np.array(_mapped(path, 3)[number]))  # pages of a mapping that is kept count as memory
 
-    return Stack(len(_mapped(path, 3)), frame, numbered=False)
+    return MultiFrameFile(len(_mapped(path, 3)), frame, numbered=False)
 
 
 def _mapped(path: Path, axes: int) -> NDArray:
-    """The array of a .npy file, mapped. InputFileError unless it has `axes` axes of DN, and frames of a size that may be."""
+    """Return the array of a .npy file, mapped. InputFileError unless it has `axes` axes of DN, and frames of a size that may
+    be."""
     values = map_array(path)
     if values.ndim != axes or values.dtype.kind != "u" or values.dtype.itemsize > 2:
         held = f"{values.ndim}-dimensional {values.dtype}"

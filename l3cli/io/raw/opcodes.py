@@ -1,6 +1,6 @@
 """The opcode lists of a DNG (Adobe DNG 1.7, chapter 7): what a reader is to do to the mosaic, or to what is made of it.
 
-Bad pixels are mended, gain maps and radial vignetting become a gain of every pixel. All else would move pixels or bend
+Bad pixels are corrected, gain maps and radial vignetting become a gain of every pixel. All else would move pixels or bend
 values; a file that leaves it to the reader is taken without, with a note, one that does not is refused.
 """
 
@@ -66,7 +66,7 @@ class Vignette:
 
 @dataclass(frozen=True)
 class Opcodes:
-    """What a file asks for."""
+    """Corrections that a file asks for."""
 
     constants: tuple[int, ...] = ()  # stored values of bad pixels
     points: tuple[NDArray[np.int64], ...] = ()  # (point, 3) stage, row, col
@@ -82,8 +82,8 @@ class Opcodes:
 
 
 def read_opcodes(path: Path, page: Any) -> Opcodes:
-    """The opcodes of a page. InputFileError if one is neither carried out nor optional; ValueError or struct.error if a list
-    is damaged."""
+    """Return the opcodes of a page. InputFileError if one is neither carried out nor optional; ValueError or struct.error if
+    a list is damaged."""
     found: dict[str, list[Any]] = {"constants": [], "points": [], "rects": [], "gains": [], "notes": []}
     linearised = page.tags.valueof(TiffTag.LINEARIZATION_TABLE) is not None
     for each in _listed(page):
@@ -122,7 +122,7 @@ def _listed(page: Any) -> list[Opcode]:
 
 
 def _left_out(path: Path, opcode: Opcode) -> str:
-    """The note of an opcode that is not carried out; InputFileError if it must be."""
+    """Return the note of an opcode that is not carried out; InputFileError if it must be."""
     name = NAMES[opcode.number] if 0 < opcode.number < len(NAMES) else f"opcode {opcode.number}"
     if not opcode.optional:
         raise InputFileError(
@@ -169,7 +169,7 @@ def _vignette(opcode: Opcode) -> Vignette:
 
 
 def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, int, int, int]) -> NDArray[np.bool_]:
-    """(active row, active col) the pixels of a stored image that its opcodes call bad."""
+    """Return the pixels (active row, active col) of a stored image that its opcodes call bad."""
     top, left, bottom, right = active
     bad = np.isin(stored[top:bottom, left:right], opcodes.constants)
     origins = ((top, left), (0, 0), (0, 0))
@@ -189,8 +189,8 @@ def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, 
 def gain_of_pixels(
     opcodes: Opcodes, pattern: NDArray[np.int64], planes: Sequence[int], shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """(active row, active col) gain of every pixel of an active area of `shape`, whose CFA has the codes `pattern`; `planes`
-    are those of the colour planes. ValueError if it is none that can be."""
+    """Return the gain (active row, active col) of every pixel of an active area of `shape`, whose CFA has the codes
+    `pattern`; `planes` are those of the colour planes. ValueError if it is none that can be."""
     with np.errstate(all="ignore"):  # what overflows is refused
         gain = _product(opcodes, pattern, planes, shape)
     if not (gain.min() > 0 and gain.max() <= MOST_GAIN):

@@ -31,7 +31,7 @@ PACKINGS = (WORDS, *PACKED)
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the pixels of a headerless frame lie."""
+    """Layout of the pixels of a headerless frame."""
 
     rows: int
     cols: int
@@ -44,7 +44,7 @@ class Layout:
 
     @property
     def exchangeable(self) -> bool:
-        """Whether as many columns and rows lie in the same bytes."""
+        """Return whether as many columns and rows fit the same bytes."""
         rows, cols = (row_bytes(length, self.packing) for length in (self.rows, self.cols))
         return self.stride == cols and rows * self.cols == self.frame_bytes
 
@@ -54,7 +54,7 @@ class Layout:
         return f"{self.rows}×{self.cols} {words}{padded}"
 
     def unpack(self, content: bytes | bytearray | NDArray[np.uint8]) -> NDArray[np.uint16]:
-        """Pixels (row, col) in DN of the `frame_bytes` bytes of one frame."""
+        """Return the pixels (row, col) in DN of the `frame_bytes` bytes of one frame."""
         used = np.frombuffer(content, np.uint8).reshape(self.rows, self.stride)[:, : row_bytes(self.cols, self.packing)]
         if self.packing == WORDS:
             return np.ascontiguousarray(used).view("<u2").astype(np.uint16, copy=False)
@@ -67,14 +67,14 @@ class Layout:
 
 
 def row_bytes(cols: int, packing: str) -> int:
-    """Bytes of a row without padding."""
+    """Return the bytes of a row without padding."""
     if packing == WORDS:
         return 2 * cols
     return -(-cols // PACKED[packing].pixels) * PACKED[packing].group_bytes
 
 
 def make_layout(size: tuple[int, int], packing: str, stride: int | None) -> Layout:
-    """The layout of rows × columns; RecipeError if a row does not fit into `stride` bytes or there are no pixels."""
+    """Return the layout of rows × columns; RecipeError if a row does not fit into `stride` bytes or there are no pixels."""
     rows, cols = size
     needed = row_bytes(cols, packing)
     if min(size) < 1:

@@ -6,19 +6,20 @@ hangs below them, is read here: libraries take the end of a damaged chain for th
 below a page, in its SubIFDs, is no frame.
 """
 
+import contextlib
 import struct
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from l3cli.errors import InputFileError
-from l3cli.files import stamp
-from l3cli.io.apart import apart
 from l3cli.io.images import mono_of, open_image, opened, require_bearable, require_whole_stack
+from l3cli.io.isolated import isolated
 from l3cli.io.names import named_in_utf8
 from l3cli.io.raw import plain_tiff
-from l3cli.io.raw.content import RawContent, Request, Stack
+from l3cli.io.raw.content import MultiFrameFile, RawContent, Request
 from l3cli.io.raw.shot import shot_of_spec
-from l3cli.io.raw.tiff_tags import LIBRAW_FLIP, ONE_OF_MANY, REDUCED, UPRIGHT, TiffTag
+from l3cli.io.raw.tiff_tags import ONE_OF_MANY, REDUCED, UPRIGHT, TiffTag, flip_of
+from l3cli.system.files import stamp
 
 TIFF, BIG_TIFF = 42, 43  # versions
 MOST_PAGES = 1_000_000
@@ -28,29 +29,29 @@ _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change 
 
 
 def read(path: Path, _: Request) -> RawContent:
-    """The frame that a picture of one channel holds."""
+    """Return the frame that a picture of one channel holds."""
     if (plain := plain_tiff.read(path)) is not None:
         return plain
     return read_by_library(path)
 
 
-@apart
+@isolated("OpenImageIO")
 def read_by_library(path: Path) -> RawContent:
     """As `read`, of any picture."""
+    _refuse_orientation(path)
     with opened(path) as (source, spec):
         return _content(path, source, spec)
 
 
 def _content(path: Path, source: Any, spec: Any) -> RawContent:
-    """The frame that an input is at."""
+    """Return the frame that an input is at."""
     values, exposure = mono_of(path, source, spec)
-    held = spec.get_int_attribute("Orientation", UPRIGHT)
-    flip = LIBRAW_FLIP[held] if held in range(len(LIBRAW_FLIP)) else 0
+    flip = flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
     return RawContent(values=values, orientation=flip, exposure=exposure, shot=shot_of_spec(spec))
 
 
-def stack(path: Path, _: Request) -> Stack | None:
-    """The frames of a TIFF of several pages."""
+def stack(path: Path, _: Request) -> MultiFrameFile | None:
+    """Return the frames of a TIFF of several pages."""
     if plain_tiff.is_plain(path):
         return None
     count = count_pages(path)
@@ -58,13 +59,13 @@ def stack(path: Path, _: Request) -> Stack | None:
     def frame(number: int) -> RawContent:
         return read_page(path, number)
 
-    return Stack(count, frame, "page", 1) if count > 1 else None
+    return MultiFrameFile(count, frame, "page", 1) if count > 1 else None
 
 
-@apart
+@isolated("OpenImageIO")
 def count_pages(path: Path) -> int:
-    """Number of pages of a TIFF. InputFileError if there are several that differ in size or kind, as a thumbnail behind a
-    picture does, or if there are images that are no page."""
+    """Return the number of pages of a TIFF. InputFileError if there are several that differ in size or kind, as a thumbnail
+    behind a picture does, or if there are images that are no page."""
     first = _page(path, 0).spec()
     usual, count = _kind(first), _count(path)
     require_whole_stack(path, first, count)
@@ -76,16 +77,16 @@ def count_pages(path: Path) -> int:
     return count
 
 
-@apart
+@isolated("OpenImageIO")
 def read_page(path: Path, number: int) -> RawContent:
-    """One page of one channel, values as stored; pages count from 0."""
+    """Return one page of one channel, values as stored; pages count from 0."""
     source = _page(path, number)
     require_bearable(path, source.spec())
     return _content(path, source, source.spec())
 
 
 def _page(path: Path, number: int) -> Any:
-    """The input, at a page."""
+    """Return the input, at a page."""
     source = _open(path)
     if not source.seek_subimage(number, 0):
         raise InputFileError(f"{path}: page {number + 1} is damaged; copy the file again")
@@ -93,7 +94,7 @@ def _page(path: Path, number: int) -> Any:
 
 
 def _open(path: Path) -> Any:
-    """The input, kept open from page to page, at the page it was at."""
+    """Return the input, kept open from page to page, at the page it was at."""
     key = (str(path), *stamp(path))
     if key not in _opened:
         for other in _opened.values():
@@ -115,7 +116,7 @@ def _kind(spec: Any) -> str:
 
 
 class _Form(NamedTuple):
-    """How a TIFF stores offsets and entries."""
+    """Form in which a TIFF stores offsets and entries."""
 
     order: str  # of bytes
     offset: str  # codes of struct
@@ -128,7 +129,7 @@ class _Form(NamedTuple):
 
 
 def _count(path: Path) -> int:
-    """How many directories follow one another; InputFileError if the chain is broken, or other images than smaller copies
+    """Return the number of directories in the chain; InputFileError if it is broken, or other images than smaller copies
     hang below it."""
     seen: set[int] = set()
     with open(path, "rb") as stream:
@@ -137,6 +138,7 @@ def _count(path: Path) -> int:
             while at and at not in seen and len(seen) < MOST_PAGES:
                 seen.add(at)
                 tags, following = _directory(stream, form, at)
+                _require_orientation(path, form, tags)
                 if not all(_is_copy(stream, form, below) for below in _below(stream, form, tags)):
                     raise InputFileError(f"{path} holds images beside its pages; give a file whose pages are its frames")
                 at = following
@@ -147,8 +149,23 @@ def _count(path: Path) -> int:
     return len(seen)
 
 
+def _refuse_orientation(path: Path) -> None:
+    """Raise InputFileError if a TIFF's first page has an orientation that TIFF does not know: OpenImageIO passes over it."""
+    with open(path, "rb") as stream, contextlib.suppress(struct.error):  # of a file that is damaged or none
+        if stream.read(2) in (b"II", b"MM"):
+            stream.seek(0)
+            form, at = _form(stream)
+            _require_orientation(path, form, _directory(stream, form, at)[0])
+
+
+def _require_orientation(path: Path, form: _Form, tags: dict[int, bytes]) -> None:
+    """Raise InputFileError if a page has an orientation that TIFF does not know."""
+    if entry := tags.get(TiffTag.ORIENTATION):
+        flip_of(path, struct.unpack_from(form.order + "H", entry, 4 + struct.calcsize(form.offset))[0])
+
+
 def _form(stream: BinaryIO) -> tuple[_Form, int]:
-    """How this file stores things, and where its first directory lies."""
+    """Return the form of this file, and the place of its first directory."""
     order = ">" if stream.read(2) == b"MM" else "<"
     (version,) = struct.unpack(order + "H", stream.read(2))
     if version == BIG_TIFF:
@@ -158,7 +175,7 @@ def _form(stream: BinaryIO) -> tuple[_Form, int]:
 
 
 def _directory(stream: BinaryIO, form: _Form, at: int) -> tuple[dict[int, bytes], int]:
-    """The entries of a directory by tag, and where the next one lies."""
+    """Return the entries of a directory by tag, and where the next one lies."""
     stream.seek(at)
     count = form.read(stream, form.length)
     content = stream.read(count * form.entry) if count < 2**16 else b""
@@ -167,7 +184,7 @@ def _directory(stream: BinaryIO, form: _Form, at: int) -> tuple[dict[int, bytes]
 
 
 def _below(stream: BinaryIO, form: _Form, tags: dict[int, bytes]) -> tuple[int, ...]:
-    """Where the images below a page lie."""
+    """Return the places of the images below a page."""
     entry = tags.get(TiffTag.SUB_IFDS)
     if entry is None:
         return ()
@@ -184,7 +201,7 @@ def _below(stream: BinaryIO, form: _Form, tags: dict[int, bytes]) -> tuple[int, 
 
 
 def _is_copy(stream: BinaryIO, form: _Form, at: int) -> bool:
-    """Whether an image is a smaller copy of another."""
+    """Return whether an image is a smaller copy of another."""
     entry = _directory(stream, form, at)[0].get(TiffTag.NEW_SUBFILE_TYPE)
     value = entry[4 + struct.calcsize(form.offset) :] if entry else bytes(4)
     return bool(struct.unpack(form.order + "I", value[:4])[0] & REDUCED)

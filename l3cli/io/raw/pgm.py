@@ -7,12 +7,11 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.files import open_regular
 from l3cli.io.raw.content import RawContent, Request
-from l3cli.limits import require_picture
+from l3cli.system.files import open_regular
+from l3cli.system.limits import require_picture
 
 GAP = rb"(?:\s|#[^\n\r]*[\n\r])+"
 HEADER = re.compile(rb"P5" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,5})\s")
@@ -20,12 +19,8 @@ LONGEST_HEADER = 65536  # bytes, comments included
 
 
 def read(path: Path, _: Request) -> RawContent:
-    """The values of a graymap."""
-    return RawContent(values=read_pgm(path))
-
-
-def read_pgm(path: Path) -> NDArray:
-    """Pixels (row, col) in DN, uint8 or uint16 as in the file; InputFileError if it is no single, whole P5 graymap."""
+    """Return the pixels (row, col) of a graymap in DN, uint8 or uint16 as in the file; InputFileError if it is no single,
+    whole P5 graymap."""
     with open_regular(path) as stream:
         start = stream.read(LONGEST_HEADER)
     header = HEADER.match(start)
@@ -46,4 +41,4 @@ def read_pgm(path: Path) -> NDArray:
     values = np.fromfile(path, dtype, offset=header.end()).reshape(rows, cols)
     if values.max() > top:
         raise InputFileError(f"{path} holds {values.max()} DN, its header says at most {top}; it is damaged")
-    return values.astype(dtype.newbyteorder("="))
+    return RawContent(values=values.astype(dtype.newbyteorder("=")))

@@ -1,4 +1,4 @@
-"""Mosaics in TIFF as l3 itself writes them, read without a library and so without the sandbox.
+"""Mosaics in TIFF as l3 itself writes them, read without a library and so in this process.
 
 Only the plainest files are: little-endian, one page, one channel of 8 or 16 bits, not compressed, no tag but those of
 ALLOWED, every length just what the size of the picture makes it. Nothing is allocated that the file does not hold, and
@@ -13,10 +13,10 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.files import open_regular
 from l3cli.io.raw.content import RawContent
 from l3cli.io.raw.tiff_tags import LONG, RATIONAL, SHORT, UNSIGNED, UPRIGHT, TiffTag
-from l3cli.limits import most_pixels
+from l3cli.system.files import open_regular
+from l3cli.system.limits import most_pixels
 
 HEADER = b"II*\0"
 WIDTH, LENGTH, BITS, OFFSETS, ROWS_PER_STRIP, COUNTS, DATE_TIME = 256, 257, 258, 273, 278, 279, 306  # tags of TIFF 6
@@ -36,7 +36,7 @@ SIZES = {SHORT: (2, "H"), LONG: (4, "I"), SUB_DIRECTORY: (4, "I")}
 
 
 class _Plain(NamedTuple):
-    """What a plain file holds, and where."""
+    """Content of a plain file, and its place."""
 
     rows: int
     cols: int
@@ -50,7 +50,7 @@ class _NotPlain(Exception):
 
 
 def is_plain(path: Path) -> bool:
-    """Whether a file is such a mosaic, as far as its tags go."""
+    """Return whether a file is such a mosaic, as far as its tags go."""
     try:
         with open_regular(path) as stream:
             _parsed(stream)
@@ -60,7 +60,7 @@ def is_plain(path: Path) -> bool:
 
 
 def read(path: Path) -> RawContent | None:
-    """The frame of such a mosaic; None if the file is of another kind, or damaged. OSError if its storage fails."""
+    """Return the frame of such a mosaic; None if the file is of another kind, or damaged. OSError if its storage fails."""
     with open_regular(path) as stream:
         try:
             plain = _parsed(stream)
@@ -77,7 +77,7 @@ def read(path: Path) -> RawContent | None:
 
 
 def _parsed(stream: BinaryIO) -> _Plain:
-    """What the file says of itself; _NotPlain unless it is such a mosaic."""
+    """Return the layout that the file states; _NotPlain unless it is such a mosaic."""
     size = os.fstat(stream.fileno()).st_size
     if stream.read(4) != HEADER:
         raise _NotPlain
@@ -105,13 +105,13 @@ def _parsed(stream: BinaryIO) -> _Plain:
 
 
 def _exposure(stream: BinaryIO, at: int, size: int) -> float | None:
-    """The exposure time (s) of an Exif directory that holds nothing else."""
+    """Return the exposure time (s) of an Exif directory that holds nothing else."""
     above, below = _directory(stream, at, size, exif=True)[TiffTag.EXPOSURE_TIME]
     return float(np.float32(above / below)) or None if below else None
 
 
 def _directory(stream: BinaryIO, at: int, size: int, exif: bool = False) -> dict[int, tuple[int, ...]]:
-    """The values of a directory that none follows, by tag; texts are left out."""
+    """Return the values of a directory that none follows, by tag; texts are left out."""
     stream.seek(at)
     (count,) = struct.unpack("<H", _exactly(stream, 2))
     entries = _exactly(stream, 12 * count)

@@ -1,4 +1,4 @@
-"""How a frame was taken, by the tags of its file (TIFF/EP, Exif): what pictures carry on."""
+"""Settings of a shot by the tags of its file (TIFF/EP, Exif), which pictures carry on."""
 
 import re
 from collections.abc import Mapping
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.frame import Shot
+from l3cli.frames.frame import Shot
 from l3cli.io.raw.tiff_tags import RATIONAL, SHORT, Entry, TiffTag, entry, text_entry
 
 LONGEST = 100  # letters of a text
@@ -25,7 +25,8 @@ TAGS: dict[str, tuple[TiffTag, str]] = {  # field of Shot → its tag, and its n
 
 
 def believable_shot(stated: Mapping[str, Any]) -> Shot:
-    """The shot that a file states, of untrusted values: short printable texts, dates that are dates, positive numbers."""
+    """Return the shot that a file states, of untrusted values: short printable texts, dates that are dates, positive
+    numbers."""
     usual, fields = Shot(), dict[str, Any]()
     for name in stated.keys() & TAGS.keys():
         wanted, value = type(getattr(usual, name)), stated[name]
@@ -38,7 +39,7 @@ def believable_shot(stated: Mapping[str, Any]) -> Shot:
 
 
 def shot_of_page(page: Any) -> dict[str, str | float]:
-    """What tifffile's page states, in its tags or in its Exif directory."""
+    """Return the settings stated by tifffile's page, in its tags or in its Exif directory."""
     exif = page.tags.valueof(TiffTag.EXIF)
     exif = exif if isinstance(exif, dict) else {}
     stated = {name: _plain(page.tags.valueof(tag, exif.get(other))) for name, (tag, other) in TAGS.items()}
@@ -46,7 +47,7 @@ def shot_of_page(page: Any) -> dict[str, str | float]:
 
 
 def shot_of_file(path: Path) -> dict[str, str | float]:
-    """What a camera raw states; nothing if it is no TIFF, or a damaged one."""
+    """Return the settings stated by a camera raw; none if it is no TIFF, or a damaged one."""
     import tifffile
 
     try:
@@ -57,7 +58,7 @@ def shot_of_file(path: Path) -> dict[str, str | float]:
 
 
 def shot_of_libraw(raw: Any) -> dict[str, str | float]:
-    """What LibRaw tells of a raw file of any structure; rawpy has it since 0.26."""
+    """Return the settings that LibRaw reads from a raw file of any structure; rawpy has it since 0.26."""
     shot, lens = getattr(raw, "other", None), getattr(raw, "lens", None)
     stated = {
         "lens": getattr(lens, "model", None),
@@ -69,7 +70,7 @@ def shot_of_libraw(raw: Any) -> dict[str, str | float]:
 
 
 def shot_of_spec(spec: Any) -> dict[str, str | float]:
-    """What OpenImageIO's description of a picture states."""
+    """Return the settings stated by OpenImageIO's description of a picture."""
     names = {
         "make": "Make",
         "model": "Model",
@@ -83,7 +84,7 @@ def shot_of_spec(spec: Any) -> dict[str, str | float]:
 
 
 def entries_of(shot: Shot, exposure: float | None) -> list[Entry]:
-    """The tags (TIFF/EP) that state how a frame was taken, its exposure time in s."""
+    """Return the tags (TIFF/EP) that state how a frame was taken, its exposure time in s."""
     entries = [entry(TiffTag.EXPOSURE_TIME, RATIONAL, [exposure])] if exposure else []
     for name, (tag, _) in TAGS.items():
         value = getattr(shot, name)
@@ -97,7 +98,7 @@ def entries_of(shot: Shot, exposure: float | None) -> list[Entry]:
 
 
 def _plain(value: Any) -> str | float | None:
-    """A text or number; of several numbers the first, of a fraction its quotient."""
+    """Return a text or number; of several numbers the first, of a fraction its quotient."""
     if isinstance(value, tuple | list | np.ndarray) and len(value):
         value = value[0] / value[1] if len(value) == 2 and value[1] else value[0]
     if isinstance(value, str):

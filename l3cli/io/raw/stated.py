@@ -1,4 +1,5 @@
-"""What a raw file states of its camera beside the frame: names, colour matrices, noise, lens (DNG 1.7, Exif, LibRaw)."""
+"""Facts about its camera that a raw file states beside the frame: names, colour matrices, noise, lens (DNG 1.7, Exif,
+LibRaw)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.files import require_regular
-from l3cli.io.apart import apart
+from l3cli.io.isolated import isolated
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.libraw import opened
 from l3cli.io.raw.tiff_tags import COLOUR_FILTER_ARRAY, FRACTIONS, TiffTag
+from l3cli.system.files import require_regular
 
 ANALOG_BALANCE, CAMERA_CALIBRATION = 50727, {TiffTag.COLOR_MATRIX_1: 50723, TiffTag.COLOR_MATRIX_2: 50724}
 LIGHTS = {  # values of Exif's LightSource, which DNG calls calibration illuminants → names of lights
@@ -34,13 +35,13 @@ class StatedMatrix:
     rows: dict[int, NDArray[np.float64]]  # colour code → (3) its row
 
     def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
-        """(channel, 3) the rows of these colours."""
+        """Return the rows (channel, 3) of these colours."""
         return np.array([self.rows[code] for code in codes if code is not None])
 
 
 @dataclass(frozen=True)
 class Stated:
-    """What a raw file states of its camera; None and "" where it does not."""
+    """Facts that a raw file states about its camera; None and "" where it does not."""
 
     camera: str  # make and model
     matrices: tuple[StatedMatrix, ...]
@@ -52,8 +53,8 @@ class Stated:
 
 
 def stated(path: Path) -> Stated:
-    """What the file in `path` states; what its tags state wrongly counts as not stated. InputFileError if it is no raw
-    file that can be opened."""
+    """Return the facts stated by the file in `path`; a wrong statement of its tags counts as none. InputFileError if it
+    is no raw file that can be opened."""
     require_regular(path, "give a raw file")
     names, numbers, matrices = _stated(path)
     found = tuple(
@@ -76,7 +77,8 @@ def stated(path: Path) -> Stated:
 
 
 def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
-    """The rows of a matrix by their colour's code, of several of one code the first; nothing of one that says nothing."""
+    """Return the rows of a matrix by their colour's code, of several of one code the first; nothing of one that says
+    nothing."""
     values = np.asarray(values, np.float64)
     if values.size != 3 * len(codes) or not np.isfinite(values).all() or not values.any(axis=-1).all():
         return {}
@@ -99,10 +101,10 @@ def _positive(value: float | None) -> float | None:
 # ------------------------------------------------------------------------------------- in the process that decodes
 
 
-@apart
+@isolated("rawpy", "tifffile")
 def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
     """Make and model, numbers by name, matrices with the codes of their light and rows."""
-    names, numbers, matrices = _of_tags(path)
+    names, numbers, matrices = _facts_of_tags(path)
     with opened(path) as raw:
         if not matrices:
             letters = raw.color_desc.decode("ascii", "replace")[: raw.num_colors]
@@ -116,8 +118,8 @@ def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, ND
     return names, numbers, matrices
 
 
-def _of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
-    """What of a file that is a TIFF or DNG its tags state; nothing of others."""
+def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
+    """Return the facts stated by the tags of a TIFF or DNG; none of other files."""
     import tifffile
 
     try:
@@ -151,7 +153,7 @@ def _numbers(pages: list[Any]) -> dict[str, float]:
 
 
 def _matrices(pages: list[Any]) -> list[tuple[int, NDArray, NDArray]]:
-    """XYZ → what the camera collects: AnalogBalance · CameraCalibration · ColorMatrix."""
+    """Return XYZ → what the camera collects: AnalogBalance · CameraCalibration · ColorMatrix."""
     tags = pages[0].tags
     raw = [page for page in pages if page.tags.valueof(TiffTag.PHOTOMETRIC_INTERPRETATION) == COLOUR_FILTER_ARRAY]
     codes = np.array(list((raw or pages)[0].tags.valueof(TiffTag.CFA_PLANE_COLOR) or (0, 1, 2)), np.int64)
@@ -177,7 +179,7 @@ def _fractions(tag: Any, default: NDArray) -> NDArray:
 
 
 def _number(value: Any) -> float | None:
-    """A number or a fraction; None of anything else."""
+    """Return a number or a fraction; None of anything else."""
     if isinstance(value, tuple | list):
         value = value[0] if len(value) != 2 else value[0] / value[1] if value[1] else 0.0
     return float(value) if isinstance(value, int | float) else None

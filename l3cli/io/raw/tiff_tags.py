@@ -4,7 +4,12 @@ import struct
 from collections.abc import Iterable
 from enum import IntEnum
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+
+from l3cli.errors import InputFileError
 
 
 class TiffTag(IntEnum):
@@ -12,10 +17,12 @@ class TiffTag(IntEnum):
 
     NEW_SUBFILE_TYPE = 254
     PHOTOMETRIC_INTERPRETATION = 262
+    FILL_ORDER = 266
     IMAGE_DESCRIPTION = 270
     MAKE = 271
     MODEL = 272
     ORIENTATION = 274
+    PREDICTOR = 317
     SUB_IFDS = 330
     SAMPLE_FORMAT = 339
     CFA_REPEAT_PATTERN_DIM = 33421
@@ -49,11 +56,16 @@ class TiffTag(IntEnum):
     CALIBRATION_ILLUMINANT_1 = 50778
     CALIBRATION_ILLUMINANT_2 = 50779
     ACTIVE_AREA = 50829
+    COLORIMETRIC_REFERENCE = 50879
     FORWARD_MATRIX_1 = 50964
+    SUB_TILE_BLOCK_SIZE = 50974
+    ROW_INTERLEAVE_FACTOR = 50975
     OPCODE_LIST_1 = 51008
     OPCODE_LIST_2 = 51009
     OPCODE_LIST_3 = 51022
     NOISE_PROFILE = 51041
+    DEFAULT_USER_CROP = 51125
+    COLUMN_INTERLEAVE_FACTOR = 52547
 
 
 BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # types of values
@@ -82,8 +94,18 @@ def camera_names(page: Any) -> list[str]:
     return [make, model, *filter(None, others)] if model else []
 
 
+def flip_of(path: Path, orientation: object) -> int:
+    """Return LibRaw's flip code of a file's ORIENTATION. InputFileError if TIFF does not know its value."""
+    if not (isinstance(orientation, int | np.integer) and 0 <= orientation < len(LIBRAW_FLIP)):
+        raise InputFileError(
+            f"{path}: its orientation is {orientation}, TIFF knows 1…{len(LIBRAW_FLIP) - 1}; "
+            "mend the tag Orientation, 1 if it is upright"
+        )
+    return LIBRAW_FLIP[orientation]
+
+
 def entry(code: int, kind: int, numbers: Iterable[float]) -> Entry:
-    """A tag of numbers, as tifffile takes it."""
+    """Return a tag of numbers, as tifffile takes it."""
     if kind == DOUBLE:
         values: list[float] = [float(number) for number in numbers]
     elif kind in FRACTIONS:
@@ -96,11 +118,11 @@ def entry(code: int, kind: int, numbers: Iterable[float]) -> Entry:
 
 
 def _fraction(number: float) -> Fraction:
-    """The nearest fraction whose parts fit into 32 bits."""
+    """Return the nearest fraction whose parts fit into 32 bits."""
     return Fraction(number).limit_denominator(min(FINE, int(LARGEST / max(1.0, abs(number)))))
 
 
 def text_entry(code: int, text: str) -> Entry:
-    """A tag of text in ASCII; other letters become question marks."""
+    """Return a tag of text in ASCII; other letters become question marks."""
     text = text.encode("ascii", "replace").decode()
     return code, ASCII, 0, text, True

@@ -10,35 +10,64 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.apart import apart
 from l3cli.io.decoded_video import DecodedVideo, InTurn
-from l3cli.io.raw.content import InOrder, Request, Stack
+from l3cli.io.frame_times import StatedTimes
+from l3cli.io.isolated import isolated
+from l3cli.io.raw.content import InOrder, MultiFrameFile, Request
 from l3cli.io.video import storable_rate
 
+AT_A_TIME = 500  # frames whose times are read
 
-def stack(path: Path, _: Request) -> Stack:
-    """The frames of a video, whose number is not known beforehand."""
+
+def stack(path: Path, _: Request) -> MultiFrameFile:
+    """Return the frames of a video, whose number is not known beforehand."""
     rate, numbers = raw_video_rate(path), itertools.count()
-    return Stack(None, InOrder(lambda: raw_video_frame(path, next(numbers))).read, rate=rate)
+    read = InOrder(lambda: raw_video_frame(path, next(numbers))).read
+    return MultiFrameFile(None, read, rate=rate, times=lambda: raw_video_times(path))
 
 
 def raw_video_rate(path: Path) -> Fraction | None:
-    """Frames a second of a raw video, or None; InputFileError if it is no video, or not of one grey channel of 8 to
-    16 bits, such as FFV1 in MKV."""
+    """Return the frames a second of a raw video, or None; InputFileError if it is no video, or not of one grey channel of 8
+    to 16 bits, such as FFV1 in MKV."""
     fraction = _raw_video_rate(path)
     return storable_rate(Fraction(*fraction)) if fraction else None
 
 
-@apart
+@isolated("av")
 def _raw_video_rate(path: Path) -> tuple[int, int] | None:
     with contextlib.closing(_raw_video(path)) as video:
         return (video.rate.numerator, video.rate.denominator) if video.rate else None
 
 
-@apart
+def raw_video_times(path: Path) -> StatedTimes | None:
+    """Return the times of the frames of a raw video, up to where it is damaged; None where it does not state those of all.
+    All of the file is read, but nothing decoded."""
+    ticks: list[int | None] = []
+    tick = (1, 1)
+    with contextlib.suppress(InputFileError):  # said when that frame is read
+        while True:
+            tick, more = _raw_video_times(path, len(ticks))
+            if not more:
+                break
+            ticks += more
+    known = [each for each in ticks if each is not None]
+    if not known or len(known) < len(ticks):
+        return None
+    return StatedTimes(Fraction(*tick), np.sort(np.array(known, np.int64)))
+
+
+@isolated("av")
+def _raw_video_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | None]]:
+    """Return the seconds of a tick, and ticks of the next frames from that number on, some at a time: a file may be of any
+    length."""
+    video = _timed.video(path, number)
+    return (video.tick.numerator, video.tick.denominator), video.times(AT_A_TIME)
+
+
+@isolated("av")
 def raw_video_frame(path: Path, number: int) -> NDArray[np.uint16] | None:
-    """Frame `number` (row, col) of a raw video in DN; None after the last. Frames are asked for one after the other, from 0.
-    InputFileError if it is damaged; the next may be whole again."""
+    """Return the frame `number` (row, col) of a raw video in DN; None after the last. Frames are asked for one after the
+    other, from 0. InputFileError if it is damaged; the next may be whole again."""
     frame = _in_turn.frame(path, number)
     return None if frame is None else frame.to_ndarray().astype(np.uint16)
 
@@ -47,11 +76,11 @@ def _raw_video(path: Path) -> DecodedVideo:
     return DecodedVideo(path, "raw frames as FFV1 in MKV", _require_mosaics)
 
 
-_in_turn = InTurn(_raw_video)
+_in_turn, _timed = InTurn(_raw_video), InTurn(_raw_video)
 
 
 def _require_mosaics(path: Path, context: Any) -> None:
-    """InputFileError unless a video has one grey channel of 8 to 16 bits."""
+    """Raise InputFileError unless a video has one grey channel of 8 to 16 bits."""
     if not (context.pix_fmt or "").startswith("gray") or "f" in context.pix_fmt:
         raise InputFileError(
             f"{path} holds {context.pix_fmt or 'unknown'} pixels; a raw video has one channel (gray, gray12le…)"

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.frames.scene import SpectralCube
 from l3cli.io.images import picture_size, read_image
-from l3cli.scene import SpectralCube
 
 BAND_PICTURES = (".png", ".tif", ".tiff", ".pgm", ".exr")
 
 
 def read(path: Path) -> SpectralCube:
-    """The pictures of a folder, one a band in the order of their names' numbers (CAVE: 16-bit PNG); of a picture with
+    """Return the pictures of a folder, one a band in the order of their names' numbers (CAVE: 16-bit PNG); of a picture with
     several channels the first. InputFileError if there are none or they differ in size."""
     folder = path if path.is_dir() else path.parent
     pictures = files(folder)
@@ -44,7 +44,7 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def files(folder: Path) -> list[Path]:
-    """The pictures in `folder`, those with numbers in their names by the last of these numbers."""
+    """Return the pictures in `folder`, those with numbers in their names by the last of these numbers."""
 
     def order(path: Path) -> tuple[str, int]:
         numbers = re.findall(r"\d+", path.stem)

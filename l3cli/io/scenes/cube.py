@@ -1,4 +1,4 @@
-"""Spectral cubes as arrays of MATLAB and HDF5 files."""
+"""Spectral cubes as arrays of MATLAB, HDF5 and .npy files, of which the last name no wavelengths."""
 
 from pathlib import Path
 
@@ -6,19 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.frames.scene import SpectralCube
+from l3cli.io.raw.npy import map_array
 from l3cli.io.scenes.matlab import Content, array_shapes, read_content, variable_of
-from l3cli.scene import SpectralCube
 
 WAVELENGTH_NAMES = ("wave", "wavelength", "wavelengths", "wavelength_nm", "wavelengths_nm", "lambda", "wl", "bands", "wlens")
 
 
 def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
-    """The cube `variable` (None: the only one) of a MATLAB or HDF5 file whose axes are those named by `axes`."""
-    return cube_in(path, read_content(path), variable, axes)
-
-
-def cube_in(path: Path, content: Content, variable: str | None, axes: str) -> SpectralCube:
-    """The cube of a file's content."""
+    """Return the cube `variable` (None: the only one) of a file whose axes are those named by `axes`."""
+    content: Content = {"values": map_array(path)} if _is_npy(path) else read_content(path)
     if variable is None:
         cubes = _cubes(content)
         if len(cubes) != 1:
@@ -36,14 +33,19 @@ def cube_in(path: Path, content: Content, variable: str | None, axes: str) -> Sp
 
 def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
     """(rows, cols) of what `read` reads, from headers where they hold it; InputFileError as there."""
-    shape = size_in(array_shapes(path), variable, axes)
+    shapes = {"values": map_array(path).shape} if _is_npy(path) else array_shapes(path)
+    shape = _size_in(shapes, variable, axes)
     if shape is None:
         rows, cols, _ = read(path, variable, axes).values.shape  # which says what is wrong
         return rows, cols
     return shape
 
 
-def size_in(shapes: dict[str, tuple[int, ...]], variable: str | None, axes: str) -> tuple[int, int] | None:
+def _is_npy(path: Path) -> bool:
+    return path.suffix.lower() == ".npy"
+
+
+def _size_in(shapes: dict[str, tuple[int, ...]], variable: str | None, axes: str) -> tuple[int, int] | None:
     """(rows, cols) of the cube among arrays of these shapes; None if they do not say."""
     wanted = (variable or "").replace(".", "/").strip("/")
     candidates = [shape for name, shape in shapes.items() if len(shape) == 3 and (variable is None or name == wanted)]
@@ -64,7 +66,7 @@ def _cubes(content: Content, prefix: str = "") -> dict[str, NDArray]:
 
 
 def _wavelengths(content: Content) -> NDArray[np.float64] | None:
-    """The first list of numbers under one of the usual names."""
+    """Return the first list of numbers under one of the usual names."""
     for name, value in content.items():
         if name.lower() in WAVELENGTH_NAMES and np.size(value) > 1 and np.asarray(value).dtype.kind in "fiu":
             return np.asarray(value, float).ravel()

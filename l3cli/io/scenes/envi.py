@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.errors import InputFileError
-from l3cli.limits import read_bounded, require_picture
-from l3cli.scene import SpectralCube
+from l3cli.frames.scene import SpectralCube
+from l3cli.system.limits import read_bounded, require_picture
 
 TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
 AXES = {
@@ -20,7 +20,7 @@ DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube")
 
 
 def read(path: Path) -> SpectralCube:
-    """The cube of an ENVI header (.hdr); the data lie beside it. InputFileError if the two do not fit each other."""
+    """Return the cube of an ENVI header (.hdr); the data lie beside it. InputFileError if the two do not fit each other."""
     header = _header(path)
     try:
         sizes = {key: int(header[key]) for key in ("lines", "samples", "bands")}
@@ -47,7 +47,7 @@ def read(path: Path) -> SpectralCube:
 
 
 def _header(path: Path) -> dict[str, str]:
-    """Keys in lower case and values, braces taken off."""
+    """Return the keys in lower case and values, braces taken off."""
     try:
         text = read_bounded(path).decode("latin-1")
     except OSError as error:
@@ -73,7 +73,7 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def files(path: Path) -> list[Path]:
-    """An ENVI header and its data; InputFileError unless both are there."""
+    """Return an ENVI header and its data; InputFileError unless both are there."""
     _header(path)
     return [path, _data(path)]
 
@@ -88,6 +88,6 @@ def _data(path: Path) -> Path:
 
 
 def _unit(header: dict[str, str], listed: list[float]) -> float:
-    """nm a unit of the listed wavelengths; by the header or else by their size."""
+    """Return how many nm a unit has of the listed wavelengths; by the header or else by their size."""
     named = header.get("wavelength units", "").lower()
     return UNITS.get(named, 1e3 if max(listed) < 100 else 1.0)

@@ -4,13 +4,17 @@ from pathlib import Path
 
 from l3cli.errors import InputFileError
 
+MOST_WILD = 4  # parts of a glob with a wildcard: each multiplies the folders that are searched
+
 
 def find(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
-    """The files (or `folders`) of a name or glob relative to `folder`, sorted; InputFileError if there is none."""
+    """Return the files (or `folders`) of a name or glob relative to `folder`, sorted; InputFileError if there is none."""
     wanted = Path.is_dir if folders else Path.is_file
     single = folder / pattern
     if wanted(single):
         return [single]
+    if sum(any(letter in part for letter in "*?[") for part in single.parts) > MOST_WILD:
+        raise InputFileError(f"{single} has wildcards in more than {MOST_WILD} folders; name a folder nearer to the files")
     root = Path(single.anchor)  # "" for a relative folder
     try:
         paths = sorted(path for path in root.glob(str(single.relative_to(root))) if wanted(path))

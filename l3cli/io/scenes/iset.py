@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.frames.scene import Scene
 from l3cli.io.scenes.matlab import Content, array_shapes, read_matlab
 from l3cli.physics import spectra
-from l3cli.scene import Scene
 
 Curve = tuple[NDArray[np.floating], NDArray[np.floating]]
 
 
 def read(path: Path, light: Curve | None = None) -> Scene:
-    """An ISET scene: photons (row, col, wave) in photons/s/sr/m²/nm with its illuminant, in any of ISET's storages:
+    """Return an ISET scene: photons (row, col, wave) in photons/s/sr/m²/nm with its illuminant, in any of ISET's storages:
     a scene struct with floats or integers between dmin and dmax; photons and wave; coefficients (mcCOEF) of a basis about a
     mean (imgMean). Small negatives are noise and become zero, speculars stay (docs/method.md#simulation).
 
@@ -63,7 +63,7 @@ def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
 
 
 def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Wavelengths in nm and photons (row, col, wave); KeyError names what is missing."""
+    """Return the wavelengths in nm and photons (row, col, wave); KeyError names what is missing."""
     if "mcCOEF" in content:
         basis = content["basis"]
         functions = np.asarray(basis["basis"], np.float32).reshape(np.size(basis["wave"]), -1)
@@ -80,7 +80,8 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
 
 
 def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
-    """Photons of a perfect white at `wavelength`, from ISET's newer struct (photons), its older one (energy) or `light`."""
+    """Return the photons of a perfect white at `wavelength`, from ISET's newer struct (photons), its older one (energy) or
+    `light`."""
     if not isinstance(stored, dict):
         if light is None:
             raise KeyError('illuminant (or give "light" in the recipe)')

@@ -9,8 +9,8 @@ import numpy as np
 
 from l3cli.artifacts.stored import datasets, require_readable
 from l3cli.errors import InputFileError
-from l3cli.io.apart import apart
-from l3cli.limits import require_values
+from l3cli.io.isolated import isolated
+from l3cli.system.limits import require_values
 
 Content = dict[str, Any]
 MATLAB = ".mat"
@@ -19,13 +19,13 @@ DEEPEST = 16  # groups or structs within one another
 
 
 def read_content(path: Path) -> Content:
-    """What a file holds, MATLAB's by its suffix, HDF5's by any other."""
+    """Return the content of a file, MATLAB's by its suffix, HDF5's by any other."""
     return read_matlab(path) if path.suffix == MATLAB else read_hdf5(path)
 
 
-@apart
+@isolated("h5py", "scipy.io")
 def read_matlab(path: Path) -> Content:
-    """Every variable of a .mat file that is of numbers or text, structs as dictionaries, axes of length 1 dropped, in
+    """Return every variable of a .mat file that is of numbers or text, structs as dictionaries, axes of length 1 dropped, in
     MATLAB's axis order.
 
     InputFileError if the file is none.
@@ -38,7 +38,7 @@ def read_matlab(path: Path) -> Content:
 
 
 def _load(path: Path, names: list[str] | None = None) -> Content:
-    """The variables called `names` (None: all) of a .mat file before 7.3."""
+    """Return the variables called `names` (None: all) of a .mat file before 7.3."""
     from scipy.io import loadmat, whosmat
 
     with _matlab(path):
@@ -61,7 +61,7 @@ def _matlab(path: Path) -> Iterator[None]:
         raise InputFileError(f"{path} is not a MATLAB file, or a damaged one; save it again") from error
 
 
-@apart
+@isolated("h5py", "scipy.io")
 def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays of numbers in a .mat or HDF5 file by their names ("a", "a/b"), as reading gives them. They are
     taken from headers; only structs of MATLAB files before 7.3 must be read for theirs."""
@@ -94,7 +94,7 @@ def _shapes(content: Content, prefix: str = "") -> Iterator[tuple[str, tuple[int
 
 
 def _plain(content: Content, depth: int = 0) -> Content:
-    """What is of numbers or text."""
+    """Return the fields that are numbers or text."""
     kept: Content = {}
     for name, value in content.items():
         if isinstance(value, dict) and depth < DEEPEST:
@@ -104,21 +104,22 @@ def _plain(content: Content, depth: int = 0) -> Content:
     return kept
 
 
-@apart
+@isolated("h5py")
 def read_hdf5(path: Path) -> Content:
-    """Every dataset of numbers of an HDF5 file, groups as dictionaries; axes as MATLAB shows them where it wrote them."""
+    """Return every dataset of numbers of an HDF5 file, groups as dictionaries; axes as MATLAB shows them where it wrote
+    them."""
     return _read(path, _is_matlab(path))
 
 
 def _is_matlab(path: Path) -> bool:
-    """Whether MATLAB (-v7.3) wrote an HDF5 file."""
+    """Return whether MATLAB (-v7.3) wrote an HDF5 file."""
     with open(path, "rb") as stream:
         return stream.read(10) == b"MATLAB 7.3"
 
 
 @contextlib.contextmanager
 def _hdf5(path: Path) -> Iterator[Any]:
-    """The root of an HDF5 file, whatever the library stumbles over as InputFileError."""
+    """Yield the root of an HDF5 file, whatever the library stumbles over as InputFileError."""
     import h5py
 
     try:
@@ -144,7 +145,7 @@ def _read(path: Path, reverse: bool) -> Content:
 
 
 def variable_of(content: Content, name: str) -> Any:
-    """The member that `name` ("a", "a/b" or "a.b") leads to, or None."""
+    """Return the member that `name` ("a", "a/b" or "a.b") leads to, or None."""
     value: Any = content
     for step in name.replace(".", "/").strip("/").split("/"):
         value = value.get(step) if isinstance(value, dict) else None

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.scene import Scene, SpectralCube
+from l3cli.frames.scene import Scene, SpectralCube
 
 
 @dataclass(frozen=True)
 class SceneFormat:
-    """How the files of a source are read."""
+    """Reader of a source's files."""
 
     source: str  # of a recipe
     module: str  # of this folder
@@ -27,7 +27,7 @@ class SceneFormat:
     has_files: bool = False  # a scene is in several files
 
     def read(self, path: Path, **keys: Any) -> Scene | SpectralCube | NDArray[np.float32]:
-        """A scene, a cube of bands, or a linear picture (row, col, 3); InputFileError if the file is none."""
+        """Return a scene, a cube of bands, or a linear picture (row, col, 3); InputFileError if the file is none."""
         content: Scene | SpectralCube | NDArray[np.float32] = self._reader.read(path, **keys)
         return content
 
@@ -37,7 +37,7 @@ class SceneFormat:
         return rows, cols
 
     def files(self, path: Path) -> list[Path]:
-        """All that is read of a scene."""
+        """Return all that is read of a scene."""
         return self._reader.files(path) if self.has_files else [path]
 
     @property
@@ -50,19 +50,17 @@ FORMATS = (
     SceneFormat("rgb", "rgb", keys=("holds",)),
     SceneFormat("bands", "bands", is_folder=True, has_files=True),
     SceneFormat("envi", "envi", has_files=True),
-    SceneFormat("cube", "npy", (".npy",), keys=("variable", "axes")),
     SceneFormat("cube", "cube", keys=("variable", "axes")),
-    SceneFormat("channels", "pages", (".tif", ".tiff")),
     SceneFormat("channels", "channels"),
 )
 
 
 def format_of(source: str, path: Path) -> SceneFormat:
-    """The format of a file of a source."""
+    """Return the format of a file of a source."""
     suffix = path.suffix.lower()
     return next(each for each in FORMATS if each.source == source and (not each.suffixes or suffix in each.suffixes))
 
 
 def is_folder(source: str) -> bool:
-    """Whether scenes of a source are folders."""
+    """Return whether scenes of a source are folders."""
     return any(each.is_folder for each in FORMATS if each.source == source)

@@ -16,8 +16,8 @@ def size(path: Path, holds: str = "sRGB") -> tuple[int, int]:
 
 
 def read(path: Path, holds: str = "sRGB") -> NDArray[np.float32]:
-    """A picture (row, col, 3), 1 being white: linear sRGB, integers being decoded from it, floats linear already; or where
-    it `holds` "codes" these as shares of the integer type's largest.
+    """Return a picture (row, col, 3), 1 being white: linear sRGB, integers being decoded from it, floats linear already; or
+    where it `holds` "codes" these as shares of the integer type's largest.
 
     InputFileError if the file is no colour picture.
     """

@@ -4,12 +4,12 @@ A frame that does not follow the one before it is made as a run does that goes o
 are read again, and a new filter takes them.
 """
 
-import threading
 from collections.abc import Callable
 
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.temporal import chunks
 from l3cli.rendering.temporal.chunks import Chunks, Filter
+from l3cli.system.locks import ThreadLock
 
 
 class AnyOrder:
@@ -19,7 +19,7 @@ class AnyOrder:
 
     def __init__(self, make: Callable[[], Filter], read: Callable[[int], RawFrame], keep: int) -> None:
         self._make, self._read, self._keep = make, read, keep
-        self._alone = threading.Lock()
+        self._alone = ThreadLock()
         self._made: dict[int, RawFrame] = {}  # by place
         self._next, self._complete = 0, 0  # places: of the frame that the filters take next; from which on they are right
         self._chunks = Chunks(make)

@@ -29,7 +29,7 @@ FEW = 2  # a frame of which one cell in so many is of another scene restarts the
 
 @dataclass(frozen=True)
 class Blend:
-    """Of a frame: what is kept for the next."""
+    """State of a frame that is carried to the next."""
 
     values: NDArray[np.uint16]  # (row, col) u, of whole blocks
     left: Cells  # (cell row, cell col) share of a frame's noise variance that is left, of ONE
@@ -37,7 +37,7 @@ class Blend:
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
-    """That of the first frame of a scene, values (row, col) u of whole blocks."""
+    """Return the state of the first frame of a scene, values (row, col) u of whole blocks."""
     return Blend(values, np.full(grid.cells, ONE, np.int64), restarted=True)
 
 
@@ -62,7 +62,7 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
 
 
 def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
-    """What is left of the noise in each cell, of where its middle was before."""
+    """Return the noise that is left in each cell, at the place where its middle was before."""
     rows, cols = (
         (np.arange(count) * side + side // 2 + _by_cell(vectors[..., axis], grid).swapaxes(0, axis).swapaxes(0, 1)) // side
         for axis, (count, side) in enumerate(zip(grid.cells, grid.cell, strict=True))
@@ -79,8 +79,8 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
 ) -> tuple[Cells, Cells, Cells, Cells]:
-    """Of three by three cells about each: power of the residuals, of each cell's sum, of the sum of all, and what noise
-    makes of any of them."""
+    """Return, over three by three cells about each, the power of the residuals, of each cell's sum, of the sum of all,
+    and the share of noise in any of them."""
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
     variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)
     level = signal // grid.sites

@@ -1,4 +1,4 @@
-"""Where in a sequence the filter starts anew, the same whoever renders it.
+"""Places in a sequence at which the filter starts anew, the same whoever renders it.
 
 A sequence is cut into chunks of CHUNK frames, counted from its first one. A chunk's filter starts LEAD frames before the
 chunk, so that little noise is left where it takes over. A frame depends on at most LEAD + CHUNK − 1 others; a run that goes
@@ -8,7 +8,7 @@ on where another stopped takes these again, and makes the same.
 from collections.abc import Callable, Iterable, Iterator
 from typing import Protocol
 
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 
 CHUNK, LEAD = 240, 16  # frames
 
@@ -46,15 +46,15 @@ def first_needed(place: int) -> int:
 
 
 def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
-    """Whether the filter must take each frame, given as its place and whether it is wanted itself: whether that is so, or a
-    later one that depends on it is wanted. Looks up to LEAD + CHUNK frames ahead."""
-    ahead: list[tuple[int, bool]] = []
+    """Yield whether the filter must take each frame, given as its place and whether it is wanted itself: whether it, or a
+    later one that depends on it, is wanted. Looks up to LEAD + CHUNK frames ahead."""
+    prefetched: list[tuple[int, bool]] = []
     frames = iter(wanted)
     while True:
-        while len(ahead) < LEAD + CHUNK and (frame := next(frames, None)) is not None:
-            ahead.append(frame)
-        if not ahead:
+        while len(prefetched) < LEAD + CHUNK and (frame := next(frames, None)) is not None:
+            prefetched.append(frame)
+        if not prefetched:
             return
-        place = ahead.pop(0)
+        place = prefetched.pop(0)
         last = (chunks_of(place[0])[-1] + 1) * CHUNK
-        yield place[1] or any(later for at, later in ahead if at < last)
+        yield place[1] or any(later for at, later in prefetched if at < last)

@@ -14,7 +14,7 @@ FILTERS = {
 
 
 def filters(backend: str, table: TransformTable, **options: str | None) -> Callable[[], Filter]:
-    """What makes filters of a backend for frames that a table is for; `options` as for renderer.make_renderer.
+    """Return a function that makes filters of a backend for a table's frames; `options` as for renderer.make_renderer.
 
     RecipeError if the table does not know its camera's noise, DeviceError if there is no device."""
     module, _, name = FILTERS[backend].partition(":")

@@ -21,7 +21,7 @@ class Grid:
 
     @staticmethod
     def of(shape: tuple[int, ...], period: tuple[int, ...]) -> "Grid":
-        """That of frames of a shape and an array."""
+        """Return the grid of frames of a shape and an array."""
         down, across = (_sides(side, lanes) for side, lanes in zip(period, (1, LANES), strict=True))
         blocks = (-(-shape[0] // down[2]), -(-shape[1] // across[2]))
         planes = 1

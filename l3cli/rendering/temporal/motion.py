@@ -67,7 +67,7 @@ class _Search:
         self._settled = (spread * (SETTLED * tall * wide)) >> (3 + level)
 
     def _first(self, axis: int) -> NDArray[np.intp]:
-        """Of every block the first row or column of its window."""
+        """Return the first row or column of the window of every block."""
         grid, unit = self._grid, self._grid.period[axis] << self._level
         beside = (grid.window(self._level)[axis] - grid.block[axis] // unit) // 2
         return np.arange(grid.blocks[axis]) * grid.block[axis] // unit - beside
@@ -83,7 +83,7 @@ class _Search:
         return np.minimum(differences, CLIPPED).sum(axis=(2, 3), dtype=np.int64)
 
     def settled(self, vector: Vectors) -> NDArray[np.bool_]:
-        """Whether blocks that lie within the frame differ by no more than noise."""
+        """Return whether blocks that lie within the frame differ by no more than noise."""
         return self._cost(vector) <= self._settled
 
     def best_of(self, candidates: list[Vectors]) -> Vectors:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import RecipeError
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 
 DEEP = 16  # bits of a value
 LINEAR_FRACTION, UNEVEN_FRACTION = 8, 24  # bits behind the point of the linear and the quadratic term
@@ -27,7 +27,7 @@ class NoiseTerms:
     pixels differ by, the same in every frame, is fixed + (uneven · S² >> UNEVEN_FRACTION): it counts where a vector brings
     one pixel to another."""
 
-    spare: int  # bits of a DN
+    protect: int  # bits of a DN
     black: int  # u
     linear: int
     constant: int
@@ -37,16 +37,17 @@ class NoiseTerms:
 
 
 def noise_of(camera: CameraModel, black_level: float, white_level: float, sites: int) -> NoiseTerms:
-    """That of frames with these levels, dark current included, taken by a camera whose array has a period of `sites`."""
-    spare = DEEP - int(white_level).bit_length()
-    unit = 2.0**spare * (white_level - black_level) / (camera.white_level - camera.black_level)
+    """Return the noise of frames with these levels, dark current included, taken by a camera whose array has a period of
+    `sites`."""
+    protect = DEEP - int(white_level).bit_length()
+    unit = 2.0**protect * (white_level - black_level) / (camera.white_level - camera.black_level)
     constant, linear, uneven = camera.noise_terms()
     fixed = camera.gain**2 * (camera.noise.dsnu**2 + camera.noise.column_noise**2)
-    black = round(black_level * 2**spare)
+    black = round(black_level * 2**protect)
     signal = np.maximum((np.arange(LEVELS) + 0.5) * 2 ** (DEEP - 8) - black, 0.0)
     variance = (constant - fixed) * unit**2 + linear * unit * signal
     return NoiseTerms(
-        spare=spare,
+        protect=protect,
         black=black,
         linear=max(1, round(linear * unit * 2**LINEAR_FRACTION)),
         constant=max(1, round((constant - fixed) * unit**2)),
@@ -77,19 +78,19 @@ def _mean(values: NDArray[np.uint16], period: int) -> float:
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
     """DN as u; beyond what 16 bits hold, all of it above the white level, the most of them."""
-    most = np.uint16((1 << DEEP - noise.spare) - 1)
-    return np.minimum(values, most) << np.uint16(noise.spare)
+    most = np.uint16((1 << DEEP - noise.protect) - 1)
+    return np.minimum(values, most) << np.uint16(noise.protect)
 
 
 def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
     """u as DN, rounded."""
-    most = (1 << DEEP - noise.spare) - 1
-    return np.minimum((values.astype(np.uint32) + (1 << noise.spare >> 1)) >> noise.spare, most).astype(np.uint16)
+    most = (1 << DEEP - noise.protect) - 1
+    return np.minimum((values.astype(np.uint32) + (1 << noise.protect >> 1)) >> noise.protect, most).astype(np.uint16)
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What frames must have in common to be blended."""
+    """Properties that frames must share to be blended."""
 
     shape: tuple[int, ...]
     phase: tuple[int, int]

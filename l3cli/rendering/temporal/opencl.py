@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.frame import NoiseLeft, RawFrame
-from l3cli.rendering import layout
-from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
-from l3cli.rendering.opencl_programs import Compiler
-from l3cli.rendering.opencl_work import Work, shares_memory
+from l3cli.frames.frame import NoiseLeft, RawFrame
+from l3cli.rendering.opencl import layout
+from l3cli.rendering.opencl.devices import choose_device, pyopencl, refusals
+from l3cli.rendering.opencl.programs import Compiler
+from l3cli.rendering.opencl.work import Work, shares_memory
 from l3cli.rendering.temporal import blend, motion
 from l3cli.rendering.temporal.grid import Grid
 from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Kind, NoiseTerms, noise_of, share_left
@@ -37,12 +37,11 @@ class Device:
         with refusals(self.device):
             self.context = cl.Context([self.device])
             self.queue = cl.CommandQueue(self.context)
-            self.compiler = Compiler(self.context, self.device)
-            files = ("vectors.cl", "temporal.cl", "temporal_motion.cl", "temporal_blend.cl")
+            files = ("common/vectors.cl", "common/temporal.cl", "common/temporal_motion.cl", "common/temporal_blend.cl")
             source, macros = layout.joined_files(*files), _macros(period)
             lanes = 1 if self.strip == 1 else 16 if int(macros["BLOCK_COLUMNS"]) % 16 == 0 else 8
-            made = self.compiler.build(source, {**macros, "STRIP": self.strip, "LANES": lanes})
-            self.kernels = {name: self.compiler.kernel(made, name) for name in KERNELS}
+            program = Compiler(self.context, self.device).build(source, {**macros, "STRIP": self.strip, "LANES": lanes})
+            self.kernels = {name: cl.Kernel(program, name) for name in KERNELS}
             self._typed: set[str] = set()
 
     def run(self, name: str, rows: int, columns: int, *arguments: Any) -> None:
@@ -64,7 +63,7 @@ class Device:
 
 
 def _macros(period: tuple[int, ...]) -> layout.Macros:
-    """What the kernels' loops depend on."""
+    """Return the macros that the kernels' loops depend on."""
     grid = Grid.of((1, 1), period)
     names = (
         "ONE",
@@ -102,7 +101,7 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
 
 
 class _Buffers:
-    """What a filter has on the device for frames of one kind."""
+    """Buffers of a filter on the device for frames of one kind."""
 
     def __init__(self, device: Device, grid: Grid, noise: NoiseTerms) -> None:
         pixels, blocks = (int(np.prod(sides)) for sides in (grid.shape, grid.blocks))
@@ -141,7 +140,7 @@ class OpenCLFilter:
             raw, target = self._borders(work, values, made)
             if not first:
                 self._weigh(raw, self._search(raw))
-            levels = (self._noise.spare, int(first), buffers.strips, int(np.prod(grid.cells)), *grid.blocks)
+            levels = (self._noise.protect, int(first), buffers.strips, int(np.prod(grid.cells)), *grid.blocks)
             device.run(
                 "blend", *grid.blocks, raw, buffers.kept[0], buffers.vectors[0], buffers.weights, buffers.cuts,
                 buffers.kept[1], buffers.left[1], target, buffers.before, *levels,
@@ -162,7 +161,7 @@ class OpenCLFilter:
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def kept(self) -> NDArray[np.uint16]:
-        """What is kept of the frames so far, u (row, col)."""
+        """Return the state after the frames so far, u (row, col)."""
         values = np.empty(self._grid.shape, np.uint16)
         pyopencl().enqueue_copy(self._device.queue, values, self._buffers.kept[0])
         return values
@@ -186,7 +185,7 @@ class OpenCLFilter:
         """The buffer of the vectors, in periods."""
         device, buffers, grid = self._device, self._buffers, self._grid
         parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
-        device.run("planes", 2 * parts, grid.blocks[1], raw, buffers.now, buffers.before, self._noise.spare, *grid.blocks)
+        device.run("planes", 2 * parts, grid.blocks[1], raw, buffers.now, buffers.before, self._noise.protect, *grid.blocks)
         for level in reversed(range(grid.planes)):
             buffers.vectors.reverse()
             window = grid.window(level)
@@ -200,7 +199,7 @@ class OpenCLFilter:
         """Each cell's weight."""
         device, buffers, grid, noise = self._device, self._buffers, self._grid, self._noise
         constant = min(grid.sites * noise.constant, blend.MOST_VARIANCE)
-        terms = (noise.spare, noise.black, noise.linear, constant, noise.fixed, noise.uneven)
+        terms = (noise.protect, noise.black, noise.linear, constant, noise.fixed, noise.uneven)
         device.run(
             "evidence", *grid.blocks, raw, buffers.kept[0], vectors, buffers.left[0], *buffers.found, buffers.weights,
             *terms, grid.blocks[1],
@@ -209,7 +208,8 @@ class OpenCLFilter:
 
 
 def _units(grid: Grid) -> int:
-    """Of all planes one behind the other, and some rows that the last window may read beyond them."""
+    """Return the number of values of all planes one behind the other, and of some rows that the last window may read
+    beyond them."""
     rows, cols = (side // period for side, period in zip(grid.shape, grid.period, strict=True))
     planes = ((rows >> level, cols >> level) for level in range(grid.planes))
     return sum((down + 2 * MARGIN + TILE_ROWS) * (across + 2 * MARGIN + SLACK) for down, across in planes)
@@ -218,11 +218,11 @@ def _units(grid: Grid) -> int:
 def opencl_filters(
     period: tuple[int, ...], camera: CameraModel, device: str | None = None, variant: str | None = None
 ) -> Callable[[], OpenCLFilter]:
-    """What makes filters on a device, as OpenCLRenderer chooses it; they share its kernels, and a thread."""
+    """Return a function that makes filters on a device, as OpenCLRenderer chooses it; they share its kernels, and a
+    thread."""
     chosen = Device(period, device, variant)
     # PoCL compiles kernels when they run: now, since a renderer in another thread may compile when the first frame comes.
     first, tiny = OpenCLFilter(chosen, period, camera), Grid.of((1, 1), period).shape
     for _ in range(2):
         first.filtered(RawFrame("none", np.zeros(tiny, np.uint16), camera.black_level, camera.white_level))
-    chosen.compiler.keep()
     return lambda: OpenCLFilter(chosen, period, camera)

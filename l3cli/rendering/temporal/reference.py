@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.frame import NoiseLeft, RawFrame
+from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.rendering.temporal.blend import ONE, Blend, blended, first_blend
 from l3cli.rendering.temporal.grid import Grid
 from l3cli.rendering.temporal.motion import Vectors, planes_of, vectors_of
@@ -41,5 +41,5 @@ class ReferenceFilter:
 
 
 def reference_filters(period: tuple[int, ...], camera: CameraModel) -> Callable[[], ReferenceFilter]:
-    """What makes them."""
+    """Return a function that makes reference filters."""
     return lambda: ReferenceFilter(period, camera)

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_curves import responsivity
-from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_faults, load_camera
+from l3cli.artifacts.camera_curves import full_width, responsivity
+from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_faults, columns_left_out, load_camera
 from l3cli.errors import InputFileError
-from l3cli.faults import Fault, fault
+from l3cli.recipes.faults import Fault, fault
 from l3cli.simulation.light import make_light, white_rates
 from l3cli.stages.checking.source import Source
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def faults(recipe: CameraRecipe | PhaseRecipe, source: Source) -> Iterator[Fault]:
-    """All that is wrong with the numbers of a recipe, or with its file of curves."""
+    """Yield all that is wrong with the numbers of a recipe, or with its file of curves."""
     if source.path.suffix != ".toml":
         yield fault("commands know a camera recipe by its suffix; call the file NAME.toml", "name")
     if isinstance(recipe, PhaseRecipe):
@@ -36,13 +36,13 @@ def faults(recipe: CameraRecipe | PhaseRecipe, source: Source) -> Iterator[Fault
 
 
 def meaning(recipe: CameraRecipe | PhaseRecipe, source: Source) -> tuple[dict[str, Any], list[Fault]]:
-    """The camera in figures."""
-    return describe(load_camera(source.path)), []
+    """Return the camera in figures, and a note on columns of its file of curves."""
+    return describe(load_camera(source.path)) | {"note": columns_left_out(source.path)}, []
 
 
 def describe(camera: CameraModel) -> dict[str, Any]:
-    """Curves of each channel, its share of what the brightest collects of a white, and the exposures that fill a pixel.
-    InputFileError if it collects nothing."""
+    """Return the curves of each channel, its share of what the brightest collects of a white, and the exposures that fill a
+    pixel. InputFileError if it collects nothing."""
     lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHTS}
     rates = {name: white_rates(camera, light) * camera.channel_gains for name, light in lights.items()}  # of 1 cd/m²
     if dark := [name for name, rate in rates.items() if not rate.max() > 0]:
@@ -77,15 +77,3 @@ def describe(camera: CameraModel) -> dict[str, Any]:
         "luminance_cd_m2": LUMINANCE,
         "exposure_s": {light: exposure / LUMINANCE for light, exposure in filled.items()},
     }
-
-
-def full_width(wavelength: Array, curve: Array) -> float | None:
-    """nm between the half maxima about the peak of a curve; None where it does not fall so far on both sides."""
-    peak, half = int(curve.argmax()), curve.max() / 2
-    below, above = np.flatnonzero(curve[:peak] < half), np.flatnonzero(curve[peak:] < half)
-    if not (below.size and above.size):
-        return None
-    low, high = int(below[-1]), peak + int(above[0])
-    left = np.interp(half, curve[low : low + 2], wavelength[low : low + 2])
-    right = np.interp(-half, -curve[high - 1 : high + 1], wavelength[high - 1 : high + 1])
-    return float(right - left)

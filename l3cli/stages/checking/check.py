@@ -1,5 +1,6 @@
-"""What `l3 check` does: find the recipes that are meant, judge each, and tell every fault with its line."""
+"""Stage of `l3 check`: find the recipes that are meant, judge each, and list every fault with its line."""
 
+import itertools
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -10,16 +11,16 @@ from typing import Any, NamedTuple
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.config import parse_toml, read_text
 from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
-from l3cli.faults import Fault, about_others, typed
-from l3cli.ledger import note_inputs
-from l3cli.recipes import known_benchmarks
+from l3cli.recipes.builtin import known_benchmarks
+from l3cli.recipes.faults import LISTED, Fault, about_others, typed
+from l3cli.recipes.toml import parse_toml, read_text
+from l3cli.recipes.toml_lines import KeyPath, key_lines, line_of
 from l3cli.stages.checking import cameras as camera_recipes
 from l3cli.stages.checking import classes, labs, measurements, scenes
 from l3cli.stages.checking.kinds import CAMERA, KINDS, Kind, kind_of, names
 from l3cli.stages.checking.source import Source, files_named, key_in
-from l3cli.toml_lines import KeyPath, key_lines, line_of
+from l3cli.system.ledger import note_inputs
 
 JUDGES: dict[str, ModuleType] = {
     CAMERA: camera_recipes, "lab": labs, "scenes": scenes, "classes": classes, "measurements": measurements,
@@ -37,18 +38,25 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class Judgement:
-    """What is wrong with a file or, if nothing is, what it means."""
+    """Faults of a file or, if it has none, its meaning."""
 
     path: Path
     kind: str | None = None  # of KINDS; None: unknown
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()  # LISTED at most
+    more: int = 0  # faults that are not listed, as far as they were looked for
     meaning: dict[str, Any] = field(default_factory=dict)
     files: tuple[Path, ...] = ()  # that it names
 
     def document(self) -> dict[str, Any]:
-        """All of it, ready for JSON."""
+        """Return all of it, ready for JSON."""
         found = [finding._asdict() for finding in self.findings]
-        return {"file": str(self.path), "kind": self.kind, "faults": found, "meaning": self.meaning}
+        return {
+            "file": str(self.path),
+            "kind": self.kind,
+            "faults": found,
+            "more_faults": self.more,
+            "meaning": self.meaning,
+        }
 
 
 def check(given: Sequence[str]) -> list[Judgement]:
@@ -58,9 +66,9 @@ def check(given: Sequence[str]) -> list[Judgement]:
     meant = list(dict.fromkeys(each for name in given for each in recipes_of(name)))
     cameras: dict[Path, CameraModel] = {}
     judged: dict[Path, Judgement] = {}
-    for path in sorted(meant, key=lambda path: not _is_camera(path)):
-        beside = [each for each in cameras if each.parent == path.parent]
-        judged[path] = judge(path, cameras[(beside or [*cameras])[0]] if cameras else None)
+    for path in sorted(meant, key=lambda path: not _is_camera(path)) if len(meant) > 1 else meant:
+        neighbours = [each for each in cameras if each.parent == path.parent]
+        judged[path] = judge(path, cameras[(neighbours or [*cameras])[0]] if cameras else None)
         if judged[path].kind == CAMERA and not judged[path].findings:
             cameras[path] = load_camera(path)
     note_inputs({"recipes": [file for path in meant for file in (path, *judged[path].files)]})
@@ -68,7 +76,7 @@ def check(given: Sequence[str]) -> list[Judgement]:
 
 
 def recipes_of(name: str) -> list[Path]:
-    """The files that are meant by a path, a folder of recipes, or a name, which several kinds of recipes may have."""
+    """Return the files that are meant by a path, a folder of recipes, or a name, which several kinds of recipes may have."""
     path = Path(name)
     if path.exists() and not path.is_dir():  # what is no file its reader refuses
         return [path]
@@ -94,7 +102,7 @@ def _is_camera(path: Path) -> bool:
 
 
 def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
-    """All that is wrong with a file, or what it means, for a camera if one is given."""
+    """Return all that is wrong with a file, or what it means, for a camera if one is given."""
     try:
         text = read_text(path, "a recipe or a measurement file")
         content = parse_toml(text, str(path))
@@ -105,19 +113,20 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
     kind = next((kind for found in names().values() for kind, file in found if file == path), None) or kind_of(content)
     if kind is None:
         kinds = ", ".join(each.title for each in KINDS.values())
-        message = (
-            f"its kind cannot be told from its keys; it may be {kinds}: add what only one of them has, such as responsivity"
-        )
+        message = f"its keys do not show its kind; it may be {kinds}: add what only one of them has, such as responsivity"
         return Judgement(path, None, (Finding(1, "", message),))
     meaning, faults = _judged(kind, Source(path, content, camera))
-    return Judgement(path, kind.name, _findings(faults, text), {} if faults else meaning, files_named(path, content))
+    findings = _findings([each for each in faults if each.message][:LISTED], text)
+    more = len(faults) - len(findings)
+    return Judgement(path, kind.name, findings, more, {} if faults else meaning, files_named(path, content))
 
 
 def _judged(kind: Kind, source: Source) -> tuple[dict[str, Any], list[Fault]]:
-    """What a recipe means, and its faults: by types, then by what its keys say, then by what becomes of it."""
+    """Return the meaning of a recipe, and its faults: by types, then by its keys, then by their consequences."""
     recipe, faults = typed(dict(source.content), kind.structure(source.content))
     if recipe is not None:
-        faults += about_others(JUDGES[kind.name].faults(recipe, source), faults)
+        others = about_others(JUDGES[kind.name].faults(recipe, source), faults)
+        faults += itertools.islice(others, max(LISTED + 1 - len(faults), 0))  # what follows would take long and help nobody
     meaning: dict[str, Any] = {}
     if not faults:
         try:
@@ -129,7 +138,7 @@ def _judged(kind: Kind, source: Source) -> tuple[dict[str, Any], list[Fault]]:
 
 
 def _findings(faults: Iterable[Fault], text: str) -> tuple[Finding, ...]:
-    """Faults in the order of the file."""
+    """Return the faults in the order of the file."""
     lines = key_lines(text)
     found = []
     for message, keys in faults:
@@ -139,5 +148,5 @@ def _findings(faults: Iterable[Fault], text: str) -> tuple[Finding, ...]:
 
 
 def _written(key: KeyPath) -> str:
-    """A key as messages write it, entries counted from 1."""
+    """Return a key as messages write it, entries counted from 1."""
     return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")

@@ -10,7 +10,7 @@ from l3cli.artifacts.layers import RATIO_TAPS
 from l3cli.artifacts.structure_rule import DIRECTIONS
 from l3cli.classes import contrast, level
 from l3cli.classes.rule import make_rule
-from l3cli.faults import Fault, fault
+from l3cli.recipes.faults import Fault, fault
 from l3cli.stages.checking.source import Source
 from l3cli.training.recipe import LayerRecipe, TrainingRecipe, layer_faults, learning_faults
 
@@ -19,7 +19,7 @@ WEIGHT, OTHERS = 4, 12  # bytes of a weight or intercept; of the number of sampl
 
 
 def faults(recipe: TrainingRecipe, source: Source) -> Iterator[Fault]:
-    """All that is wrong with a recipe, for its camera if one is given."""
+    """Yield all that is wrong with a recipe, for its camera if one is given."""
     yield from learning_faults(recipe.learning)
     yield from layer_faults(recipe.layer)
     classes = recipe.classes
@@ -30,7 +30,7 @@ def faults(recipe: TrainingRecipe, source: Source) -> Iterator[Fault]:
 
 
 def meaning(recipe: TrainingRecipe, source: Source) -> tuple[dict[str, Any], list[Fault]]:
-    """Classes of each layer, those near saturation at their most, and the bytes of the table for a camera."""
+    """Return the classes of each layer, those near saturation at their most, and the bytes of the table for a camera."""
     classes, camera = recipe.classes, source.camera
     levels, contrasts = level.edge_shares(classes).size + 1, len(classes.contrasts) + 1
     cases = classes.max_cases if camera is None else min(classes.max_cases, 2 ** len(camera.channels))
@@ -58,7 +58,7 @@ def meaning(recipe: TrainingRecipe, source: Source) -> tuple[dict[str, Any], lis
 
 
 def _later(layer: LayerRecipe, levels: int, cases: int) -> int:
-    """Classes a site of a later layer: leaves of a tree, or structures at every level."""
+    """Return the classes a site of a later layer: leaves of a tree, or structures at every level."""
     if layer.leaves:
         return layer.leaves + cases - 1
     structures = 1 + len(layer.strengths) * (1 + DIRECTIONS)

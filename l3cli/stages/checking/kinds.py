@@ -7,17 +7,17 @@ from typing import Any, NamedTuple
 import msgspec
 
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe
-from l3cli.config import TELLING, Recipe
 from l3cli.io.correction_recipe import CorrectionRecipe
 from l3cli.io.measurement_recipe import MeasurementRecipe
-from l3cli.recipes import known_recipes
+from l3cli.recipes.builtin import known_recipes
+from l3cli.recipes.toml import TELLING, Recipe
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.training.recipe import TrainingRecipe
 
 
 class Kind(NamedTuple):
-    """What a recipe may be."""
+    """Kind of a recipe."""
 
     name: str
     recipes: tuple[type[Recipe], ...]  # the structures that it may have
@@ -28,7 +28,7 @@ class Kind(NamedTuple):
         return self.recipes[0].title
 
     def structure(self, content: Mapping[str, Any]) -> type[Recipe]:
-        """The structure of a file of this kind."""
+        """Return the structure of a file of this kind."""
         return self.recipes[-1] if "base" in content else self.recipes[0]
 
 
@@ -47,8 +47,8 @@ KINDS = {
 
 
 def kind_of(content: Mapping[str, Any]) -> Kind | None:
-    """The kind that has most of a file's keys and tables, those counting most that no other kind has; None where two have
-    equally many."""
+    """Return the kind that has most of a file's keys and tables, those counting most that no other kind has; None where two
+    have equally many."""
     ranked = sorted(KINDS.values(), key=lambda kind: _likeness(content, kind), reverse=True)
     best, second = (_likeness(content, kind) for kind in ranked[:2])
     return ranked[0] if best > second else None
@@ -62,7 +62,7 @@ def _likeness(content: Mapping[str, Any], kind: Kind) -> tuple[int, int]:
 
 
 def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
-    """Whether a table is where one belongs, and a list where one does."""
+    """Return whether a table is where one belongs, and a list where one does."""
     try:
         msgspec.convert(value, field.type)
     except msgspec.ValidationError as error:
@@ -71,7 +71,7 @@ def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
 
 
 def names() -> dict[str, list[tuple[Kind, Path]]]:
-    """Every recipe that comes with l3, by name: its kind and file; several kinds may have one of a name."""
+    """Return every recipe that comes with l3, by name: its kind and file; several kinds may have one of a name."""
     known: dict[str, list[tuple[Kind, Path]]] = {}
     for kind in KINDS.values():
         for name, path in (known_recipes(kind.folder) if kind.folder else {}).items():

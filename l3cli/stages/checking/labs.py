@@ -4,16 +4,16 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from l3cli.faults import Fault
+from l3cli.recipes.faults import Fault
+from l3cli.recipes.toml_lines import KeyPath
 from l3cli.simulation.lab import plan
 from l3cli.simulation.lab_recipe import LabRecipe, lab_faults
 from l3cli.stages.checking.scenes import named_light
 from l3cli.stages.checking.source import Source
-from l3cli.toml_lines import KeyPath
 
 
 def faults(recipe: LabRecipe, source: Source) -> Iterator[Fault]:
-    """All that is wrong with a recipe, for its camera if one is given."""
+    """Yield all that is wrong with a recipe, for its camera if one is given."""
     yield from lab_faults(recipe, source.camera)
     lights: list[tuple[KeyPath, str]] = [(("white", "illuminant"), recipe.white.illuminant)]
     lights += [(("chart", "illuminants", number), name) for number, name in enumerate(recipe.chart.illuminants)]
@@ -22,7 +22,7 @@ def faults(recipe: LabRecipe, source: Source) -> Iterator[Fault]:
 
 
 def meaning(recipe: LabRecipe, source: Source) -> tuple[dict[str, Any], list[Fault]]:
-    """Captures and frames of each kind."""
+    """Return captures and frames of each kind."""
     if source.camera is None:
         return {}, []
     captures = plan(source.camera, recipe, 0)

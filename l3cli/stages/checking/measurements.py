@@ -8,27 +8,35 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.camera_recipe import MOST_PRNU, cfa_faults, length_faults, load_camera, share_faults
-from l3cli.curve_file import read_table
-from l3cli.curve_table import RELATIVE
 from l3cli.errors import InputFileError
-from l3cli.faults import Fault, fault
+from l3cli.frames.measurement import PATCH_NAMES
 from l3cli.io.correction_recipe import CorrectionRecipe
 from l3cli.io.curves import read_finished, read_sweep
-from l3cli.io.measurement_recipe import CaptureRecipe, ChartRecipe, MeasurementRecipe, MonoRecipe, PhotoRecipe, is_table
+from l3cli.io.measurement_recipe import (
+    CaptureRecipe,
+    ChartRecipe,
+    MeasurementRecipe,
+    MonoRecipe,
+    PhotoRecipe,
+    is_table,
+    key_faults,
+)
 from l3cli.io.measurements import MOST_MONITOR, load_measurements, patch_name
 from l3cli.io.priors import prior_files
-from l3cli.measurement import PATCH_NAMES
 from l3cli.physics import charts
+from l3cli.recipes.faults import Fault, fault
+from l3cli.recipes.toml_lines import KeyPath
+from l3cli.spectra.file import read_table
+from l3cli.spectra.table import RELATIVE
 from l3cli.stages.checking.scenes import GRID, named_light
 from l3cli.stages.checking.source import Source
-from l3cli.toml_lines import KeyPath
 
 CAPTURES = ("mono", "band", "chart", "white", "dark")  # lists of tables that name frames
 
 
 def faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> Iterator[Fault]:
-    """What is wrong with numbers of the sensor and of captures, and with every file that is named; what remains, such as
-    sections that do not go together, `meaning` finds, one by one."""
+    """Yield the faults of the numbers of the sensor and of captures, and of every file that is named; the rest, such as
+    sections that do not go together, `meaning` finds one by one."""
     if isinstance(recipe, CorrectionRecipe):
         yield from _correction_faults(recipe, source)
         return
@@ -43,10 +51,7 @@ def faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> Iter
     yield from cfa_faults(recipe.cfa)
     if recipe.datasheet is not None:
         yield from share_faults(recipe.datasheet.prnu, "datasheet.prnu", MOST_PRNU)
-    for key, most in (("lamp_drift", 1), ("wavelength_nm", 100)):
-        if not 0 <= getattr(recipe.uncertainty, key) < most:
-            message = "uncertainty is a standard deviation: lamp_drift in 0…1, wavelength_nm in 0…100"
-            yield fault(message, f"uncertainty.{key}")
+    yield from key_faults(recipe)
     for section in CAPTURES:
         for number, capture in enumerate(getattr(recipe, section)):
             yield from _capture_faults(capture, (section, number), source)
@@ -56,8 +61,8 @@ def faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> Iter
 
 
 def _correction_faults(recipe: CorrectionRecipe, source: Source) -> Iterator[Fault]:
-    """Of the camera that is taken from another file, and of the captures."""
-    yield from source.attempt(("base",), load_camera, source.beside(recipe.base))
+    """Yield the faults of the camera that is taken from another file, and of the captures."""
+    yield from source.attempt(("base",), load_camera, source.file(recipe.base))
     for section in ("dark", "white"):
         captures = getattr(recipe, section)
         if not captures:
@@ -67,22 +72,22 @@ def _correction_faults(recipe: CorrectionRecipe, source: Source) -> Iterator[Fau
 
 
 def _photo_faults(photo: PhotoRecipe, key: KeyPath, source: Source) -> Iterator[Fault]:
-    """Of the files, the light and the chart of a photo."""
+    """Yield the faults of the files, the light and the chart of a photo."""
     for field in ("frames", "dark", "white"):
         yield from _missing(getattr(photo, field), (*key, field), source)
     for field, name, named in (("light", photo.light, named_light), ("chart", photo.chart, _named_chart)):
         if name is not None:
-            work = (read_table, source.beside(name)) if is_table(name) else (named, name)
+            work = (read_table, source.file(name)) if is_table(name) else (named, name)
             yield from source.attempt((*key, field), *work)
 
 
 def _named_chart(name: str) -> None:
-    """RecipeError unless a chart has that name."""
+    """Raise RecipeError unless a chart has that name."""
     charts.chart(name, GRID)
 
 
 def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: Source) -> Iterator[Fault]:
-    """Of the frames, the exposure and the spectra of a capture."""
+    """Yield the faults of the frames, the exposure and the spectra of a capture."""
     table = key[0]
     if capture.seconds is None or not 0 < capture.seconds < float("inf"):
         message = f"a [[{table}]] capture needs one of exposure_s, exposure_ms and exposure_us, above 0"
@@ -94,19 +99,19 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: Source) -> Ite
         yield fault(f"a [[{table}]] capture needs frames", (*key, "frames"))
     yield from _missing(capture.frames, (*key, "frames"), source)
     if isinstance(capture, MonoRecipe):
-        yield from source.attempt((*key, "spectrum"), _check_light, source.beside(capture.spectrum), capture)
+        yield from source.attempt((*key, "spectrum"), _check_light, source.file(capture.spectrum), capture)
     if isinstance(capture, ChartRecipe):
         if len(capture.corners) != 4 or not np.isfinite(capture.corners).all():
             message = f"a [[{table}]] has {len(capture.corners)} corners; give col, row of patches 1, 6, 24, 19"
             yield fault(message, (*key, "corners"))
-        yield from source.attempt((*key, "radiance"), _check_chart, source.beside(capture.radiance), capture, table)
+        yield from source.attempt((*key, "radiance"), _check_chart, source.file(capture.radiance), capture, table)
 
 
 def _missing(names: Sequence[str], key: KeyPath, source: Source) -> Iterator[Fault]:
-    """Of frames that are not there."""
+    """Yield the faults of frames that do not exist."""
     for number, name in enumerate(names):
-        if not os.path.isfile(source.beside(name)):
-            yield fault(f"{source.beside(name)} does not exist; it is named as a frame", (*key, number))
+        if not os.path.isfile(source.file(name)):
+            yield fault(f"{source.file(name)} does not exist; it is named as a frame", (*key, number))
 
 
 def _check_light(path: Path, step: MonoRecipe) -> None:
@@ -125,23 +130,24 @@ def _check_chart(path: Path, chart: ChartRecipe, table: str) -> None:
 def _curve_faults(recipe: MeasurementRecipe, source: Source) -> Iterator[Fault]:
     channels, sweep, curves = recipe.cfa.channels, recipe.sweep, recipe.curves
     if sweep is not None:
-        paths = source.beside(sweep.table), source.beside(sweep.response.file)
+        paths = source.file(sweep.table), source.file(sweep.response.file)
         yield from source.attempt(("sweep", "table"), read_sweep, *paths, channels, sweep.response.column)
     if curves is not None:
-        yield from source.attempt(("curves", "file"), read_finished, source.beside(curves.file), channels, curves.per_energy)
+        asked = channels, curves.per_energy, curves.columns
+        yield from source.attempt(("curves", "file"), read_finished, source.file(curves.file), *asked)
     if recipe.prior is not None:
-        yield from source.attempt(("prior",), prior_files, source.beside(recipe.prior))
+        yield from source.attempt(("prior",), prior_files, source.file(recipe.prior))
 
 
 def meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> tuple[dict[str, Any], list[Fault]]:
-    """Sections with their captures, frames and exposures."""
+    """Return the sections with their captures, frames and exposures."""
     body = load_measurements(source.path).body
     sections = _captures(recipe)
     if isinstance(recipe, CorrectionRecipe):
         names = [[body.channels[site] for site in row] for row in body.cfa]
         return {"name": body.name, "array": names, "channels": list(body.channels), "sections": sections}, []
     if recipe.mono:
-        steps = [read_table(source.beside(step.spectrum)).column(step.column) for step in recipe.mono]
+        steps = [read_table(source.file(step.spectrum)).column(step.column) for step in recipe.mono]
         peaks = [float(step.wavelength[step.values[0].argmax()]) for step in steps]
         sections["mono"]["wavelength_nm"] = [min(peaks), max(peaks)]
     for section in ("band", "chart"):
@@ -160,7 +166,7 @@ def meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> tup
 
 
 def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
-    """How many captures and frames each section of such has, and their exposures."""
+    """Return the numbers of captures and frames of each section, and their exposures."""
     sections: dict[str, Any] = {}
     for section in CAPTURES:
         captures: list[CaptureRecipe] = getattr(recipe, section, [])

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.faults import Fault, fault
 from l3cli.io.scenes.files import find
 from l3cli.io.scenes.registry import is_folder
 from l3cli.physics import spectra
-from l3cli.simulation.light import MEASURED, SCENE_LIGHT, parts
+from l3cli.recipes.faults import Fault, fault
+from l3cli.recipes.toml_lines import KeyPath
+from l3cli.simulation.light import MEASURED, SCENE_LIGHT, mixture
 from l3cli.simulation.recipe import SceneRecipe, scene_faults, shots
 from l3cli.simulation.sources import FileSource, name_of, wanted_scenes
 from l3cli.simulation.sources import Source as SceneSource
@@ -20,13 +21,12 @@ from l3cli.stages.simulation.preparation import prepare, read_curve
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import refusals, size_of
 from l3cli.stages.simulation.units import frame_bytes
-from l3cli.toml_lines import KeyPath
 
 GRID = np.arange(400.0, 701.0, 10.0)  # nm, on which a light's name is tried
 
 
 def faults(recipe: SceneRecipe, source: Source) -> Iterator[Fault]:
-    """All that is wrong with a recipe, for its camera if one is given, and with the files that it names."""
+    """Yield all that is wrong with a recipe, for its camera if one is given, and with the files that it names."""
     yield from scene_faults(recipe, source.camera)
     lens, target = recipe.lens, recipe.target
     if lens.defocus_um < 0:
@@ -41,20 +41,20 @@ def faults(recipe: SceneRecipe, source: Source) -> Iterator[Fault]:
     for text, key in _lights(recipe):
         yield from _light_faults(text, key, source)
     if isinstance(lens.transmittance, str):
-        yield from source.attempt(("lens", "transmittance"), read_curve, source.beside(lens.transmittance), "transmittance")
+        yield from source.attempt(("lens", "transmittance"), read_curve, source.file(lens.transmittance), "transmittance")
     if target.outputs.endswith(MEASURED):
-        yield from source.attempt(("target", "outputs"), read_curve, source.beside(target.outputs), "functions")
+        yield from source.attempt(("target", "outputs"), read_curve, source.file(target.outputs), "functions")
     for number, scene in enumerate(recipe.scene):
         yield from source.attempt(("scene", number, "file"), _files, scene, source.path)
     for number, pair in enumerate(recipe.pair):
         for side, name in (("raw", pair.raw), ("picture", pair.picture)):
-            if not os.path.isfile(source.beside(name)):
-                message = f"{source.beside(name)} does not exist; name a file relative to the recipe"
+            if not os.path.isfile(source.file(name)):
+                message = f"{source.file(name)} does not exist; name a file relative to the recipe"
                 yield fault(message, f"pair.{number}.{side}")
 
 
 def _lights(recipe: SceneRecipe) -> Iterator[tuple[str, KeyPath]]:
-    """The lights that a recipe names, and where."""
+    """Yield the lights that a recipe names, and where."""
     yield from ((text, ("illuminants", number)) for number, text in enumerate(recipe.illuminants))
     if recipe.target.illuminant is not None:
         yield recipe.target.illuminant, ("target", "illuminant")
@@ -66,27 +66,27 @@ def _lights(recipe: SceneRecipe) -> Iterator[tuple[str, KeyPath]]:
 def _light_faults(text: str, key: KeyPath, source: Source) -> Iterator[Fault]:
     if text == SCENE_LIGHT:
         return
-    wrong = list(source.attempt(key, parts, text))
+    wrong = list(source.attempt(key, mixture, text))
     yield from wrong
-    for _, name in [] if wrong else parts(text):
+    for _, name in [] if wrong else mixture(text):
         if name.endswith(MEASURED):
-            yield from source.attempt(key, read_curve, source.beside(name), "light")
+            yield from source.attempt(key, read_curve, source.file(name), "light")
         else:
             yield from source.attempt(key, named_light, name)
 
 
 def named_light(name: str) -> None:
-    """RecipeError unless a light has that name."""
+    """Raise RecipeError unless a light has that name."""
     spectra.illuminant(name, GRID)
 
 
 def _files(scene: SceneSource, recipe: Path) -> list[Path]:
-    """The files of a source; InputFileError if it is to have some and there are none."""
+    """Return the files of a source; InputFileError if it is to have some and there are none."""
     return find(scene.file, recipe.parent, is_folder(name_of(scene))) if isinstance(scene, FileSource) else []
 
 
 def meaning(recipe: SceneRecipe, source: Source) -> tuple[dict[str, Any], list[Fault]]:
-    """Frames, and their size where a camera is given; the files that do not fit on its sensor."""
+    """Return the frames, and their size where a camera is given; the files that do not fit on its sensor."""
     run = None
     if source.camera is None:
         files = [_files(scene, source.path) for scene in recipe.scene]
@@ -113,7 +113,7 @@ def meaning(recipe: SceneRecipe, source: Source) -> tuple[dict[str, Any], list[F
 
 
 def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> dict[str, Any]:
-    """Pixels and bytes of the simulated frames of a camera."""
+    """Return the pixels and bytes of the simulated frames of a camera."""
     sizes = []
     for scene, paths in zip(recipe.scene, files, strict=True):
         each = len(recipe.illuminants) * len(recipe.luminances_cd_m2) * len(recipe.exposures()[1])

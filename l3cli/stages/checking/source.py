@@ -1,6 +1,6 @@
 """The file that is checked, and where in it an error belongs that names no key."""
 
-import glob
+import contextlib
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.errors import L3Error, shortened
-from l3cli.faults import Fault
-from l3cli.toml_lines import KeyPath
+from l3cli.errors import InputFileError, L3Error, shortened
+from l3cli.io.scenes.files import find
+from l3cli.recipes.faults import Fault
+from l3cli.recipes.toml_lines import KeyPath
 
 SUFFIX = re.compile("_(dn|e|s|nm|um|mm|m)$")  # of a key with a unit
 SHORTEST = 4  # letters of a text that an error is known by
@@ -25,12 +26,12 @@ class Source:
     content: Mapping[str, Any]
     camera: CameraModel | None  # that the recipe is for, if one is given
 
-    def beside(self, name: str) -> Path:
-        """A file that the recipe names."""
+    def file(self, name: str) -> Path:
+        """Return a file that the recipe names."""
         return self.path.parent / name
 
     def attempt(self, key: KeyPath | None, work: Callable[..., object], *arguments: object) -> Iterator[Fault]:
-        """The fault, if there is one, with which `work` fails: at `key`, or where its message belongs."""
+        """Yield the fault, if there is one, with which `work` fails: at `key`, or where its message belongs."""
         try:
             work(*arguments)
         except (L3Error, OSError) as error:  # a name that is too long, a folder that must not be read
@@ -38,24 +39,27 @@ class Source:
             yield Fault(message, (key_in(message, self.content) if key is None else key,))
 
     def plain(self, error: L3Error | OSError) -> str:
-        """An error's message without the name of this file."""
+        """Return an error's message without the name of this file."""
         if isinstance(error, OSError):
             return f"{shortened(str(error.filename))}: {error.strerror}; name another file"
         return re.sub(rf"^{re.escape(str(self.path))}(:\d+)?: ", "", str(error))
 
 
 def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
-    """Every file that a recipe at `path` names, whatever for: by its name, a pattern, or in a mixture of lights."""
+    """Return every file that a recipe at `path` names, whatever for: by its name, a pattern, or in a mixture of lights."""
     found: list[Path] = []
     for _, value in _keys(content, ()):
         for name in dict.fromkeys([value, *value.split()]) if isinstance(value, str) else []:
             single = path.parent / name
-            found += [Path(each) for each in (str(single), *glob.glob(str(single))) if os.path.isfile(each)]
+            found += [single] if os.path.isfile(single) else []
+            if any(letter in name for letter in "*?["):
+                with contextlib.suppress(InputFileError):
+                    found += find(name, path.parent)
     return tuple(dict.fromkeys(found))
 
 
 def key_in(message: str, content: Mapping[str, Any]) -> KeyPath:
-    """The key that a message is about: whose name, or else whose text (that of a file, say) it holds; () where there
+    """Return the key that a message is about: whose name, or else whose text (that of a file, say) it holds; () where there
     is none."""
     found: list[tuple[int, KeyPath]] = []
     for path, value in _keys(content, ()):

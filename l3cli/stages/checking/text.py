@@ -1,23 +1,45 @@
-"""What recipes mean, as lines and tables of plain text."""
+"""Meaning of recipes, as lines and tables of plain text."""
 
+import re
+from collections.abc import Iterable
 from typing import Any
 
-from l3cli.columns import columns, figure
 from l3cli.report.parts import counted
-from l3cli.stages.checking.check import Judgement
+from l3cli.stages.checking.check import Finding, Judgement
 from l3cli.stages.checking.kinds import KINDS
+from l3cli.system.text import columns, figure
 
 INDENT = "  "
+ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")  # of a message: what differs between equal faults
+FEW, NAMED = 3, 8  # equal faults that each have a line; lines that are named of more
 
 
 def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
-    """A line a fault, as editors know it; or what the recipe means, tables no wider than `width` characters."""
+    """Return a line a fault, as editors know it; or what the recipe means, tables no wider than `width` characters."""
     if judgement.findings:
-        return [f"{judgement.path}:{finding.line}: {finding.message}" for finding in judgement.findings]
+        lines = [f"{judgement.path}:{line}: {message}" for line, message in folded(judgement.findings)]
+        more = f"{f'{judgement.more} ' * (judgement.more > 1)}more"
+        return [*lines, f"{judgement.path}: and {more}"] if judgement.more else lines
     assert judgement.kind is not None
     inside = None if width is None else width - len(INDENT)
     lines = WRITERS[judgement.kind](judgement.meaning, inside) if judgement.meaning else []
     return [f"{judgement.path}: {KINDS[judgement.kind].title}", *(f"{INDENT}{line}".rstrip() for line in lines)]
+
+
+def folded(findings: Iterable[Finding]) -> list[tuple[int, str]]:
+    """Return line and message of each finding; of more than FEW that differ only in the entry of a list, or in the file
+    that is missing, the first with the lines of the others."""
+    alike: dict[str, list[Finding]] = {}
+    for finding in findings:
+        alike.setdefault(ENTRY.sub("", finding.message), []).append(finding)
+    lines: list[tuple[int, str]] = []
+    for first, *others in alike.values():
+        if len(others) < FEW:
+            lines += [(finding.line, finding.message) for finding in (first, *others)]
+        else:
+            where = ", ".join(str(finding.line) for finding in others[:NAMED]) + " …" * (len(others) > NAMED)
+            lines.append((first.line, f"{first.message} (and {len(others)} times more, in lines {where})"))
+    return sorted(lines, key=lambda each: each[0])
 
 
 def _camera(camera: dict[str, Any], width: int | None) -> list[str]:
@@ -44,6 +66,7 @@ def _camera(camera: dict[str, Any], width: int | None) -> list[str]:
         f"efficiency: e-/photon, {first:g}…{last:g} nm; white: what a channel collects of it, over the brightest channel",
         f"a white fills a pixel at {', '.join(filled)}: "
         f"at {camera['luminance_cd_m2']:g} cd/m² and f/{camera['f_number']:g} in {', '.join(times)}",
+        *filter(None, [camera["note"]]),
     ]
 
 

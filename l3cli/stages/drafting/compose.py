@@ -1,6 +1,5 @@
-"""What was found in a folder → the text of a measurement file."""
+"""Text of a measurement file from the survey of a folder."""
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,15 +7,24 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.calibration.draft import charts
-from l3cli.calibration.draft.matching import Column, columns_of, match_charts, match_light, match_steps
+from l3cli.calibration.draft.matching import (
+    columns_of,
+    match_charts,
+    match_light,
+    match_steps,
+    note_unused,
+    radiances,
+    unknown_unit,
+)
 from l3cli.calibration.draft.sorting import Group
 from l3cli.calibration.draft.text import DraftText
-from l3cli.curve_table import BRIGHTEST, DIMMEST, CurveTable
 from l3cli.errors import listed
 from l3cli.io.captures import read_capture
+from l3cli.recipes.toml import toml_value
+from l3cli.spectra.table import CurveTable
+from l3cli.spectra.units import PHOTON_RADIANCE, POWER_RADIANCE
 from l3cli.stages.drafting.body import describe_camera
 from l3cli.stages.drafting.survey import Survey
-from l3cli.units import PHOTON_RADIANCE, POWER_RADIANCE
 
 HEAD = "Draft: complete the lines marked TODO, check those marked ASSUMED, then run l3 calibrate on this file."
 LAMP = (
@@ -25,11 +33,14 @@ LAMP = (
 )
 LEAST_CHARTS = 2  # that separate gain from light
 CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # an example
+SHARING = ("[[mono]]", "[[band]]")  # whose captures have [common]
+SEVERAL = 2  # captures that lack the same from which on [common] has it
+EXAMPLE_SPECTRUM = "spectra/mono.csv"
 PAIR = 2  # frames that noise is measured on
 
 
 def compose(seen: Survey, camera: CameraModel | None, name: str, folder: str) -> DraftText:
-    """The draft of everything in a folder, whose frames' names begin with `folder`."""
+    """Return the draft of everything in a folder, whose frames' names begin with `folder`."""
     return _Composer(seen, camera, folder).text(name)
 
 
@@ -37,15 +48,16 @@ class _Composer:
     def __init__(self, seen: Survey, camera: CameraModel | None, folder: str) -> None:
         self.seen, self.camera, self.folder = seen, camera, folder
         self.out = DraftText()
-        self.steps, self.bands = seen.of_kind("mono"), seen.of_kind("band")
-        self.charts = seen.of_kind("chart", "structured")
-        self.whites, self.darks = seen.of_kind("white"), seen.of_kind("dark")
+        self.shared: set[str] = set()  # keys that [common] has for all steps or bands
+        self.steps, self.bands = seen.groups_of("mono"), seen.groups_of("band")
+        self.charts = seen.groups_of("chart", "structured")
+        self.whites, self.darks = seen.groups_of("white"), seen.groups_of("dark")
         if self.steps and self.bands:  # one source of responsivity; narrow light on an even field is the better one
             seen.notes.append(f"{len(self.bands)} captures of a chart in narrow bands beside monochromatic ones: left out")
             self.bands = []
 
     def text(self, name: str) -> DraftText:
-        """Everything, in the order of a measurement file."""
+        """Return everything, in the order of a measurement file."""
         out = self.out
         if self.camera is not None:
             out.key("name", self.camera.name)
@@ -65,9 +77,7 @@ class _Composer:
             what = "no source of responsivity: monochromatic captures, a chart, or finished curves"
             out.todo_table("[curves]", what, ("file", "curves.csv"), ("per_energy", True))
         self._sensor_frames()
-        unused = [
-            table.name.path for table in self.seen.tables if json.dumps(table.path, ensure_ascii=False) not in str(out)
-        ]
+        unused = [table.name.path for table in self.seen.tables if toml_value(table.path) not in str(out)]
         if unused:
             self.seen.notes.append(f"tables of spectra that nothing refers to: {listed(unused)}")
         out.head(HEAD, *self.seen.notes)
@@ -76,10 +86,12 @@ class _Composer:
     # -------------------------------------------------------------------------------------------------- captures
 
     def _common(self, group: Group, heading: str) -> None:
-        """Frames and exposure time of a capture."""
+        """Add frames and exposure time of a capture."""
         out, first = self.out, group.first
         out.table(heading)
         out.key("frames", [self._named(frame.name.path) for frame in group.frames])
+        if first.seconds is None and "exposure_s" in self.shared and heading in SHARING:
+            return
         if first.seconds is None:
             out.todo("exposure_s", 0.01, "s; neither the file nor its name states the exposure time", first.name.path)
         else:
@@ -92,12 +104,17 @@ class _Composer:
         out, seen = self.out, self.seen
         columns = columns_of(seen.tables)
         matched = match_steps(self.steps, columns, seen.scale, seen.notes)
+        units = [each.spectra.path for each in matched if each and unknown_unit(each.spectra.table, each.number - 1)]
+        self._share(self.steps, units, POWER_RADIANCE)
         out.comment("", *LAMP)
-        for step, column in zip(self.steps, matched, strict=True):
+        for number, (step, column) in enumerate(zip(self.steps, matched, strict=True), 1):
             self._common(step, "[[mono]]")
             uneven = step.first.summary.unevenness(float(seen.scale.black.mean()))
             if uneven > 4 * charts.DIM and not seen.scale.clipped(step):
                 out.comment(f"the light is uneven by {uneven:.0%}: a [[mono]] frame is an even field")
+            if not columns and len(matched) >= SEVERAL:
+                self._wanted_spectrum(number, step)
+                continue
             if column is None:
                 out.todo("spectrum", "spectra/mono.csv", "measured radiance of this light", step.first.name.path)
                 continue
@@ -105,21 +122,44 @@ class _Composer:
             how = "" if step.first.name.nm is not None else f"ASSUMED: in order, {column.nm:g} nm"
             out.key("column", column.key, how)
             self._unit(column.spectra.table, column.number - 1)
-        _say_unused(columns, matched, seen.notes)
+        note_unused(columns, matched, seen.notes)
+
+    def _share(self, groups: Sequence[Group], unitless: Sequence[str], unit: str) -> None:
+        """Add [common]: what several captures lack, once for all of them."""
+        out, untimed = self.out, [group for group in groups if group.first.seconds is None]
+        if len(untimed) < SEVERAL and len(unitless) < SEVERAL:
+            return
+        out.table("[common]")
+        if len(untimed) >= SEVERAL:
+            self.shared.add("exposure_s")
+            what = f"s, of {len(untimed)} captures; those that differ have an exposure_s of their own"
+            out.todo("exposure_s", 0.01, what, untimed[0].first.name.path)
+        if len(unitless) >= SEVERAL:
+            self.shared.add("unit")
+            what = f"of the radiances of {len(unitless)} captures, where the heading states none"
+            out.todo("unit", unit, what, unitless[0])
+
+    def _wanted_spectrum(self, number: int, step: Group) -> None:
+        """Add the spectrum of a step as a column of a table that is still to be made; that is said of the first alone."""
+        out, nm = self.out, step.first.name.nm
+        if number == 1:
+            what = "make this table of the measured radiance of every [[mono]], a column each, or name yours"
+            out.fill("spectrum", EXAMPLE_SPECTRUM, what, step.first.name.path)
+        else:
+            out.key("spectrum", EXAMPLE_SPECTRUM, "as above")
+        out.key("column", number if nm is None else f"{nm:g}nm")
 
     def _unit(self, table: CurveTable, column: int | None) -> None:
-        """The unit of radiances, where their heading states none."""
-        values = table.values if column is None else table.values[column : column + 1]
-        if any(table.units):
-            return
-        if DIMMEST <= values.max() <= BRIGHTEST:
+        """Add the unit of radiances, where their heading states none."""
+        if unknown_unit(table, column) and (column is None or "unit" not in self.shared):
+            where, peak = table.path.name, radiances(table, column).max()
+            self.out.todo("unit", POWER_RADIANCE, f"its heading states none, it peaks at {peak:.3g}", where)
+        elif not any(table.units) and not unknown_unit(table, column):
             self.out.assume("unit", PHOTON_RADIANCE, "the heading states none; it is as large as such radiances are", False)
-        else:
-            where = table.path.name
-            self.out.todo("unit", POWER_RADIANCE, f"its heading states none, it peaks at {values.max():.3g}", where)
 
     def _chart_corners(self) -> dict[int, charts.Corners]:
-        """The corners of each chart by the identity of its capture; captures that show something else are left out."""
+        """Return the corners of each chart by the identity of its capture; captures that show something else are left
+        out."""
         seen, found = self.seen, dict[int, charts.Corners]()
         for group in list(self.charts):
             corners = charts.find_corners(self._mosaic(group.first.name.path) - self._black, seen.period)
@@ -145,7 +185,7 @@ class _Composer:
             self.out.todo("corners", CORNERS, what, path)
 
     def _charts(self, corners: dict[int, charts.Corners]) -> None:
-        """[[chart]] captures beside a monochromator."""
+        """Add [[chart]] captures beside a monochromator."""
         out, seen = self.out, self.seen
         tables = match_charts(self.charts, seen.tables, seen.notes)
         for number, (group, table) in enumerate(zip(self.charts, tables, strict=True), 1):
@@ -167,26 +207,28 @@ class _Composer:
                 self._unit(table.table, None)
 
     def _bands(self) -> None:
-        """[[band]] captures: a chart behind narrow filters."""
+        """Add [[band]] captures: a chart behind narrow filters."""
         out, seen = self.out, self.seen
         corners = charts.corners_of_series(self.bands, seen.scale, seen.period, self._mosaic)
-        tables = [table for table in seen.tables if table.of_patches]
+        by_band = {table.name.nm: table for table in reversed(seen.tables) if table.has_patches}
+        lacking = [f"{nm:g} nm" for group in self.bands if (nm := group.first.name.nm) not in by_band]
+        self._share(self.bands, lacking, "relative power")
         for group in self.bands:
             path, nm = group.first.name.path, group.first.name.nm
             self._common(group, "[[band]]")
             out.key("illuminant", f"{nm:g} nm")
             self._corners(corners, path)
-            same = [table for table in tables if table.name.nm == nm]
-            if same:
-                out.key("radiance", same[0].path)
-                self._unit(same[0].table, None)
+            if nm in by_band:
+                out.key("radiance", by_band[nm].path)
+                self._unit(by_band[nm].table, None)
             else:
                 what = f"CSV: light of the {nm:g} nm band times reflectance, a column for each of the 24 patches"
                 out.todo("radiance", f"spectra/{nm:g}nm.csv", what, path)
-                out.todo("unit", "relative power", "of these radiances, where the heading states none", path)
+                if "unit" not in self.shared:
+                    out.todo("unit", "relative power", "of these radiances, where the heading states none", path)
 
     def _photos(self, corners: dict[int, charts.Corners]) -> None:
-        """[[photo]]: charts alone."""
+        """Add [[photo]]: charts alone."""
         out, seen = self.out, self.seen
         for group in self.charts:
             path = group.first.name.path
@@ -212,7 +254,7 @@ class _Composer:
 
     @property
     def _measured_sensor(self) -> bool:
-        """Whether there are white frames and dark ones to measure the sensor by."""
+        """Return whether there are white frames and dark ones to measure the sensor by."""
         return bool(self.whites) and bool(self.darks)
 
     def _sensor_frames(self) -> None:
@@ -249,10 +291,3 @@ class _Composer:
             ("black_level_dn", round(self._black)), ("white_level_dn", top), ("well_capacity_e", 10000),
             ("read_noise_e", 5.0),
         )  # fmt: skip
-
-
-def _say_unused(columns: Sequence[Column], matched: Sequence[Column | None], notes: list[str]) -> None:
-    unused = [column for column in columns if all(column is not each for each in matched)]
-    if unused and any(matched):
-        where = ", ".join(f"{column.nm:g} nm" for column in unused[:6])
-        notes.append(f"{len(unused)} spectra belong to no monochromatic capture: {where}{' …' if len(unused) > 6 else ''}")

@@ -1,4 +1,4 @@
-"""What lies in a folder of captures: frames of one sensor by what they show, tables of spectra, and what is left out."""
+"""Content of a folder of captures: frames of one sensor by their values, tables of spectra, and what is left out."""
 
 import os
 from collections import Counter
@@ -23,9 +23,16 @@ MOST_NOTED = 12  # frames of which each gets a line of its own
 
 
 def named_from(path: Path, output: Path) -> str:
-    """How a measurement file names a path: relative to its folder, whole where that leads out of it."""
+    """Return the name of a path in a measurement file: relative to its folder, whole where that leads out of it."""
     relative = os.path.relpath(path, output.parent)
     return str(path.absolute()) if relative.startswith("..") else Path(relative).as_posix()
+
+
+def spectra_of(listing: CaptureFolder, output: Path, notes: list[str]) -> list[Spectra]:
+    """Return the tables of spectra of a folder in the natural order of their names; `notes` gets what is left out."""
+    tables = read_spectra(listing, notes)
+    spectra = [Spectra(named_from(listing.folder / name, output), read_name(name), table) for name, table in tables]
+    return sorted(spectra, key=lambda each: natural(each.name.path))
 
 
 @dataclass(frozen=True)
@@ -51,13 +58,13 @@ class Survey:
     def path(self, frame: Frame) -> Path:
         return self.listing.folder / frame.name.path
 
-    def of_kind(self, *kinds: str) -> list[Group]:
+    def groups_of(self, *kinds: str) -> list[Group]:
         return [group for group in self.groups if group.kind in kinds]
 
 
 @dataclass(frozen=True)
 class _Fact:
-    """What a file states of its frame."""
+    """Facts that a file states about its frame."""
 
     path: str
     shape: tuple[int, int]
@@ -76,14 +83,12 @@ def survey(folder: Path, output: Path, camera: CameraModel | None, console: Cons
     """Read every file of a folder. InputFileError if it holds no raw frame, RecipeError if they are not of `camera`."""
     listing = list_captures(folder)
     notes = list(listing.notes)
-    tables = [
-        Spectra(named_from(folder / name, output), read_name(name), table) for name, table in read_spectra(listing, notes)
-    ]
-    tables.sort(key=lambda each: natural(each.name.path))
+    tables = spectra_of(listing, output, notes)
     facts, frames = _facts(listing, notes, console)
     if not facts:
-        raise InputFileError(_nothing(folder, tables, notes))
-    kept = _of_one_sensor(facts, notes)
+        reason = f": {notes[0].removesuffix('; left out')}" if notes else ""
+        raise InputFileError(f"{folder} holds no raw frame{reason}; give the folder of a camera's captures")
+    kept = _frames_of_one_sensor(facts, notes)
     shape, pattern = kept[0].shape, kept[0].pattern
     if camera is not None and shape != (camera.rows, camera.cols):
         raise RecipeError(
@@ -102,7 +107,7 @@ def survey(folder: Path, output: Path, camera: CameraModel | None, console: Cons
 
 
 def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
-    """The frames with wavelengths that their names state without a unit."""
+    """Return the frames with wavelengths that their names state without a unit."""
     names = with_bare_wavelengths([frame.name for frame in usable])
     new = [name for name, frame in zip(names, usable, strict=True) if name != frame.name]
     if new:
@@ -110,23 +115,8 @@ def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
     return [replace(frame, name=name) for frame, name in zip(usable, names, strict=True)]
 
 
-def _nothing(folder: Path, tables: Sequence[Spectra], notes: Sequence[str]) -> str:
-    """That there is no frame, what there is, and what can be done with it."""
-    if tables:
-        table = tables[0]
-        first, last = table.table.wavelength[[0, -1]]
-        held = f"{table.name.path} ({len(table.table.values)} columns, {first:g}…{last:g} nm)"
-        more = f" and {len(tables) - 1} more" if len(tables) > 1 else ""
-        return (
-            f"{folder} holds no raw frame, but tables such as {held}{more}; finished curves need no draft: name them in a "
-            'measurement file, as [curves] (documentation, "Measurement files")'
-        )
-    reason = f": {notes[0].removesuffix('; left out')}" if notes else ""
-    return f"{folder} holds no raw frame{reason}; give the folder of a camera's captures"
-
-
 def _facts(listing: CaptureFolder, notes: list[str], console: Console) -> tuple[list[_Fact], dict[str, RawFile]]:
-    """What every frame's file states, and the frames that fit into memory meanwhile."""
+    """Return the facts that every frame's file states, and the frames that fit into memory meanwhile."""
     facts, kept, room = [], dict[str, RawFile](), 64 << 20
     refused: list[str] = []
     for path in console.progress(listing.frames, len(listing.frames), "files"):
@@ -152,8 +142,8 @@ def _few(lines: Sequence[str]) -> list[str]:
     ]
 
 
-def _of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fact]:
-    """The frames of the size and array that most frames have."""
+def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fact]:
+    """Return the frames of the size and array that most frames have."""
     count = Counter(fact.sensor for fact in facts)
     usual = max(count, key=lambda sensor: (count[sensor], -[fact.sensor for fact in facts].index(sensor)))
     for sensor in count:
@@ -170,7 +160,7 @@ def _of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fact]:
 def _period(
     facts: Sequence[_Fact], camera: CameraModel | None, listing: CaptureFolder, pattern: NDArray[np.int64] | None
 ) -> tuple[int, int]:
-    """Rows and columns of the array: the camera's, that of the files, or as the brightest frames show it."""
+    """Return the rows and columns of the array: the camera's, that of the files, or as the brightest frames show it."""
     if camera is not None:
         return camera.cfa.shape[0], camera.cfa.shape[1]
     if pattern is not None:
@@ -189,7 +179,7 @@ def _summarised(
     kept: dict[str, RawFile],
     console: Console,
 ) -> list[Frame]:
-    """Every frame by what it shows; those that are no raw values are left out or noted."""
+    """Return every frame by what it shows; those that are no raw values are left out or noted."""
     usable, refused, changed = [], [], Counter[str]()
     for fact in console.progress(facts, len(facts), "frames"):
         raw = kept.get(fact.path) or read_capture(listing.folder / fact.path)

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.calibration.perspective import corner_cells, through
+from l3cli.charts.perspective import corner_cells, through
 from l3cli.errors import InputFileError
-from l3cli.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.physics import charts
-from l3cli.rendering.grey import Grey
-from l3cli.rendering.white import SceneWhite, Whites
-from l3cli.rendering.white_source import WhiteSource, white_source
+from l3cli.rendering.white.grey import Grey
+from l3cli.rendering.white.scene_white import SceneWhite, Whites
+from l3cli.rendering.white.source import WhiteSource, white_source
 
 if TYPE_CHECKING:
-    from l3cli.calibration.photo.locate import Located
+    from l3cli.charts.locate import Located
 
 CHART = "chart"
 NEUTRALS = range(18, 24)  # patches, from white to black
@@ -49,7 +49,7 @@ class ChartWhite:
 
     def white(self, frame: RawFrame) -> ChartSceneWhite:
         """The white of a frame; InputFileError if there is no chart in it, or no grey of one can be measured."""
-        from l3cli.calibration.photo.locate import locate
+        from l3cli.charts.locate import locate
 
         table, (rows, cols) = self._table, charts.CLASSIC
         mosaic = frame.evened().values - (frame.black_level + frame.dark)
@@ -67,7 +67,7 @@ class ChartWhite:
 
 
 def source_of(text: str, table: TransformTable, estimated_by: TransformTable | None = None) -> WhiteSource | None:
-    """What "chart" asks for, and all that `white_source` knows; None where `text` is a white by itself."""
+    """Return the source that "chart" asks for, or that `white_source` knows; None where `text` is a white by itself."""
     return ChartWhite(table) if text == CHART else white_source(text, table, estimated_by)
 
 

@@ -1,4 +1,4 @@
-"""Where pictures go, which files stand there already, and the mark that lets a sequence of them go on."""
+"""Destination of pictures, the files that exist there already, and the checkpoint that lets a sequence of them go on."""
 
 import contextlib
 import hashlib
@@ -10,16 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from l3cli.errors import RecipeError
-from l3cli.files import atomic_output, refuse_existing, refuse_spared
 from l3cli.io import images
+from l3cli.io.frame_times import Pacing
 from l3cli.io.numbered import PATTERN, last_number, numbered_files, numbered_name
 from l3cli.io.paged import PAGED, new_pages
-from l3cli.io.sequences import Footage, Pending
-from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
-from l3cli.locks import sole_writer_of_folder
-from l3cli.stages.claims import Claims, refuse_unwritable
+from l3cli.io.sequences import FrameReference, FrameSequence
+from l3cli.io.video import Y4M, VideoChoice, check_video, is_video, new_video, new_y4m
+from l3cli.stages.claims import OutputGuard, refuse_unwritable
 from l3cli.stages.rendering.mark import Mark, Origins
 from l3cli.stages.rendering.rendition import Rendition, file_of
+from l3cli.system.files import atomic_output, refuse_existing, refuse_protected
+from l3cli.system.locks import sole_writer_of_folder
 
 PICTURE_WRITERS = 2  # threads that compress picture files
 STDOUT = Path("-")
@@ -27,8 +28,8 @@ STDOUT = Path("-")
 
 @dataclass(frozen=True)
 class Destination:
-    """Where pictures go: "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder", a single
-    "file", or "pages" of one."""
+    """Destination of pictures: "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder", a single "file",
+    or "pages" of one."""
 
     path: Path
     kind: str
@@ -38,23 +39,28 @@ class Destination:
 
     @property
     def one_by_one(self) -> bool:
-        """Whether every frame becomes a file."""
+        """Return whether every frame becomes a file."""
         return self.kind in ("pattern", "folder", "file")
 
     @property
     def pictures(self) -> bool:
-        """Whether every frame becomes a picture by itself, be it a file or a page."""
+        """Return whether every frame becomes a picture by itself, be it a file or a page."""
         return self.one_by_one or self.kind == "pages"
 
     @property
     def linear(self) -> bool:
-        """Whether linear values are written rather than codes."""
+        """Return whether linear values are written rather than codes."""
         return self.one_by_one and images.is_linear(self.file(0, "frame"), self.bits)
 
     @property
     def raw(self) -> bool:
-        """Whether files for raw developers are written."""
+        """Return whether files for raw developers are written."""
         return self.file_suffix is not None and self.file_suffix.lower() == images.RAW
+
+    @property
+    def has_times(self) -> bool:
+        """Return whether every frame has a time of its own."""
+        return self.kind == "video" and self.path.suffix.lower() != Y4M
 
     def file(self, number: int, stem: str) -> Path:
         """The file of a frame."""
@@ -64,7 +70,7 @@ class Destination:
 
     @property
     def file_suffix(self) -> str | None:
-        """Of every file, where every frame becomes one."""
+        """Suffix of every file, where every frame becomes one."""
         return self.file(0, "frame").suffix if self.one_by_one else None
 
     @property
@@ -106,63 +112,63 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destinatio
     return destination
 
 
-def paged(destination: Destination, footage: Footage) -> Destination:
+def paged(destination: Destination, sequence: FrameSequence) -> Destination:
     """The destination with pages, if it is a single file that can have them and there are several frames."""
-    if destination.kind == "file" and footage.rendered != 1 and destination.path.suffix.lower() in PAGED:
+    if destination.kind == "file" and sequence.rendered != 1 and destination.path.suffix.lower() in PAGED:
         return replace(destination, kind="pages")
     return destination
 
 
-def claim(destination: Destination, force: bool, claims: Claims) -> None:
+def claim(destination: Destination, force: bool, claims: OutputGuard) -> None:
     """L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single picture
     is there already; RecipeError if that is read."""
     if destination.kind in ("video", "file"):
         claims.claim_file(destination.path, force)
     elif destination.kind == "stream":
-        refuse_spared(1)
+        refuse_protected(1)
     else:
         refuse_unwritable(destination.file(0, "frame"))
         claims.hold(sole_writer_of_folder(*destination.lock), destination.path)
 
 
-def refuse_outputs(destination: Destination, footage: Footage, force: bool, mark: Mark | None = None) -> None:
+def refuse_outputs(destination: Destination, sequence: FrameSequence, force: bool, mark: Mark | None = None) -> None:
     """RecipeError if the frames do not fit into the destination or would replace what is read, L3Error if they would replace
     what is there and not of the mark's run."""
-    if destination.kind == "file" and footage.rendered != 1:
-        count = "a sequence" if footage.rendered is None else f"{footage.rendered} frames"
+    if destination.kind == "file" and sequence.rendered != 1:
+        count = "a sequence" if sequence.rendered is None else f"{sequence.rendered} frames"
         raise RecipeError(
             f"{destination.path} holds one picture, the inputs are {count}; name a folder, a pattern "
             f"({destination.path.stem}_%04d{destination.path.suffix}), a .tif or a video"
         )
     if destination.kind not in ("pattern", "folder"):
         return
-    if footage.is_stream:
-        files = _existing(destination, footage)
+    if sequence.is_stream:
+        files = _existing(destination, sequence)
     else:
-        pictures = (pending for place, pending in enumerate(footage.frames) if footage.renders(place))
+        pictures = (pending for place, pending in enumerate(sequence.frames) if sequence.renders(place))
         files = [destination.file(pending.number, pending.stem) for pending in pictures]
     if len(set(files)) < len(files):
         raise RecipeError("two inputs have the same name and would write the same file; render them one by one")
     for file in files:
-        refuse_spared(file)
+        refuse_protected(file)
         refuse_existing(file, force or (mark is not None and mark.is_ours(file)))
 
 
-def refuse_missing(footage: Footage) -> None:
+def refuse_missing(sequence: FrameSequence) -> None:
     """InputFileError if it is known already that a frame is missing."""
-    if footage.missing:
-        raise footage.absent(footage.missing[0])
+    if sequence.missing:
+        raise sequence.absent(sequence.missing[0])
 
 
-def _existing(destination: Destination, footage: Footage) -> list[Path]:
+def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
     """Pictures that are there and that frames of a stream, which may be endless, would replace."""
-    if footage.wanted is None:
+    if sequence.wanted is None:
         return _pictures(destination)
-    wanted = footage.wanted if footage.part is None else footage.wanted[footage.part.start : footage.part.stop]
+    wanted = sequence.wanted if sequence.part is None else sequence.wanted[sequence.part.start : sequence.part.stop]
     if destination.kind == "pattern":
         return [file for number, file in numbered_files(destination.path).items() if number in wanted]
     numbers = {last_number(file) for file in _pictures(destination)}
-    frames = [footage.frames.pending(number) for number in numbers if number is not None and number in wanted]
+    frames = [sequence.frames.pending(number) for number in numbers if number is not None and number in wanted]
     return [destination.file(pending.number, pending.stem) for pending in frames]
 
 
@@ -175,7 +181,12 @@ def _pictures(destination: Destination) -> list[Path]:
 
 @contextlib.contextmanager
 def marked(
-    destination: Destination, key: list[Any], resume: bool, force: bool, footage: Footage, origins: Callable[[], Origins]
+    destination: Destination,
+    key: list[Any],
+    resume: bool,
+    force: bool,
+    sequence: FrameSequence,
+    origins: Callable[[], Origins],
 ) -> Iterator[Mark | None]:
     """Refuse what cannot be written, then keep the run's mark, for a sequence of pictures, until all is done.
 
@@ -184,15 +195,15 @@ def marked(
     if destination.kind not in ("pattern", "folder"):
         if resume:
             raise RecipeError(f"‹resume› goes on with a sequence of pictures; {destination.path} is written in one go")
-        refuse_outputs(destination, footage, force)
+        refuse_outputs(destination, sequence, force)
         yield None
         return
     mark = Mark(destination.mark, hashlib.sha256(json.dumps(key, sort_keys=True, default=str).encode()).hexdigest(), force)
     if resume and destination.mark.is_file():
         mark.take_over(str(destination.path))
-        if footage.count is not None:
-            _refuse_changed(destination, footage, mark, origins())
-    refuse_outputs(destination, footage, mark.force, mark)
+        if sequence.count is not None:
+            _refuse_changed(destination, sequence, mark, origins())
+    refuse_outputs(destination, sequence, mark.force, mark)
     mark.begin()
     try:
         yield mark
@@ -202,39 +213,43 @@ def marked(
     mark.end(complete=True)
 
 
-def _refuse_changed(destination: Destination, footage: Footage, mark: Mark, origins: Origins) -> None:
+def _refuse_changed(destination: Destination, sequence: FrameSequence, mark: Mark, origins: Origins) -> None:
     """RecipeError, before anything is read, if pictures are there that are known to be of other frames."""
-    for place, pending in enumerate(footage.frames):
-        origin = origins.of(pending).origin  # which may tell of every frame before
-        if footage.renders(place):
-            mark.keeps(destination.file(pending.number, pending.stem), origin)
+    for place, pending in enumerate(sequence.frames):
+        pending = origins.of(pending)  # which may tell of every frame before
+        if sequence.renders(place):
+            mark.keeps(destination.file(pending.number, pending.stem), pending)
     mark.refuse_others()
 
 
 @contextlib.contextmanager
 def open_sink(
     destination: Destination, choice: VideoChoice, rendition: Rendition, outputs: tuple[str, ...], mark: Mark | None,
-    footage: Footage,
-) -> Iterator[tuple[Callable[[tuple[Pending, Any]], None], int]]:  # fmt: skip
-    """What writes a frame, and the number of threads that may do so at a time."""
+    sequence: FrameSequence, pacing: Pacing,
+) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
+    """Open the writer of frames; give it and the number of threads that may call it at a time."""
+
+    def timed(write: Callable[[Any, int], None]) -> Callable[[tuple[FrameReference, Any]], None]:
+        return lambda item: write(item[1], pacing.time(item[0].number))
+
     if destination.one_by_one:
 
-        def write(item: tuple[Pending, Any]) -> None:
+        def write(item: tuple[FrameReference, Any]) -> None:
             pending, made = item
             file = destination.file(pending.number, pending.stem)
             content = made if isinstance(made, bytes) else file_of(file, made, rendition, outputs)
             with atomic_output(file) as temporary:
                 temporary.write_bytes(content)
                 if mark:
-                    mark.add(file, temporary, pending.origin)
+                    mark.add(file, temporary, pending)
 
         yield write, PICTURE_WRITERS
     elif destination.kind == "pages":
-        with new_pages(destination.path, rendition.space, footage.rendered) as pages:
-            yield lambda item: pages.write(item[1].pixels, item[1].label), 1
-    elif destination.kind == "stream" or destination.path.suffix.lower() == ".y4m":
+        with new_pages(destination.path, rendition.space, sequence.rendered) as pages:
+            yield timed(lambda made, _: pages.write(made.pixels, made.label)), 1
+    elif not destination.has_times:
         with new_y4m(None if destination.kind == "stream" else destination.path, choice) as stream:
-            yield lambda item: stream.write(item[1].pixels), 1
+            yield timed(lambda made, _: stream.write(made.pixels)), 1
     else:
         with new_video(destination.path, choice) as video:
-            yield lambda item: video.write(item[1].pixels), 1
+            yield timed(lambda made, time: video.write(made.pixels, time)), 1

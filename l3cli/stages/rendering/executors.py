@@ -10,28 +10,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from l3cli.errors import InputFileError, L3Error
-from l3cli.files import require_same
-from l3cli.frame import RawFrame, upright
-from l3cli.importing import without_collecting
+from l3cli.frames.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.label import Label
-from l3cli.io.raw.files import KnownBetter, read_raw
-from l3cli.io.sequences import Pending
-from l3cli.parallel import Crew
-from l3cli.parallel.threads import Meanwhile
-from l3cli.rendering.balance import WhiteBalance
+from l3cli.io.raw.files import RawOverrides, read_raw
+from l3cli.io.sequences import FrameReference
+from l3cli.parallel import WorkerPool
+from l3cli.parallel.threads import BackgroundTask
 from l3cli.rendering.display import Display
-from l3cli.rendering.lights import Mix, mixed
+from l3cli.rendering.white.balance import WhiteBalance
+from l3cli.rendering.white.lights import Mix, mixed
 from l3cli.stages.plan import is_dry
 from l3cli.stages.rendering.corrections import CameraFile, correction_again
 from l3cli.stages.rendering.rendition import Exposed, Rendered, Rendition, Unread, file_of, rendered, shown
+from l3cli.system.files import require_same
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
+    from l3cli.frames.shading import Shading
     from l3cli.parallel.cluster import Scheduler
-    from l3cli.rendering.kept_table import Layouts
     from l3cli.rendering.renderer import Renderer
-    from l3cli.shading import Shading
 
 
 class Local:
@@ -42,12 +40,12 @@ class Local:
     def __init__(self, renderer: "Renderer", setup: "RenderSetup") -> None:
         self._renderer, self._rendition, self._digest = renderer, setup.rendition, setup.digest
 
-    def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
+    def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[FrameReference, Any]]:
         """Each frame rendered, in order.
 
         Pictures whose exposure is known beforehand overlap on the device: while one is written the next is at work.
         """
-        at_work: collections.deque[tuple[Pending, RawFrame]] = collections.deque()
+        at_work: collections.deque[tuple[FrameReference, RawFrame]] = collections.deque()
 
         rendition, usual = self._rendition, self._rendition.balance
         if usual is None or rendition.is_linear:
@@ -76,13 +74,13 @@ def _read(exposed: Exposed) -> RawFrame:
 
 @dataclass(frozen=True)
 class RenderSetup:
-    """What all frames share."""
+    """Settings that all frames share."""
 
     table: Path  # absolute: workers open it
     digest: str  # SHA-256 of the table
     backend: str
     engine: Mapping[str, str | None]  # the backend's options
-    known: KnownBetter
+    known: RawOverrides
     rendition: Rendition
     suffix: str | None  # of the picture files; None: pixels are wanted
     camera: CameraFile | None = None  # whose defects and flat field are corrected
@@ -103,13 +101,13 @@ class RenderJob:
 class Remote:
     """Renders frames by the workers of other machines."""
 
-    def __init__(self, crew: Crew, setup: RenderSetup, by_path: bool, shading: "Shading | None" = None) -> None:
+    def __init__(self, pool: WorkerPool, setup: RenderSetup, by_path: bool, shading: "Shading | None" = None) -> None:
         """`by_path`: workers read the files themselves; `shading`: that of the setup's camera, which they know."""
-        self._crew, self._setup, self.by_path, self._shading = crew, setup, by_path, shading
+        self._crew, self._setup, self.by_path, self._shading = pool, setup, by_path, shading
 
-    def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
+    def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[FrameReference, Any]]:
         """Each frame rendered, the content of its picture's file, or what is wrong with it, in order."""
-        away: collections.deque[Pending] = collections.deque()
+        away: collections.deque[FrameReference] = collections.deque()
 
         def jobs() -> Iterator[RenderJob]:
             for each in exposed:
@@ -124,7 +122,7 @@ class Remote:
 
 
 def label_of(frame: RawFrame, table: str, identity: str) -> Label:
-    """What the picture of a frame states; `table`: SHA-256 of the table."""
+    """Return the metadata of a frame's picture; `table`: SHA-256 of the table."""
     return Label(frame.shot, frame.exposure, table, identity)
 
 
@@ -161,7 +159,7 @@ def _renderer(
     require_same(path, digest)
     table = load(TransformTable, path)
     table = mixed(table.pictured() if pictures else table, mix)
-    return table, quiet_renderer(backend, table, None, **dict(engine))
+    return table, quiet_renderer(backend, table, **dict(engine))
 
 
 def while_reading(
@@ -175,13 +173,12 @@ def while_reading(
         return contextlib.nullcontext()
 
     def work() -> None:
-        with without_collecting():
-            if scheduler is None:
-                make_ready(backend, **engine)
-            if suffix is not None:
-                images.make_ready(suffix)
+        if scheduler is None:
+            make_ready(backend, **engine)
+        if suffix is not None:
+            images.make_ready(suffix)
 
-    return Meanwhile(work)
+    return BackgroundTask(work)
 
 
 class Renderers:
@@ -191,14 +188,13 @@ class Renderers:
     def __init__(self) -> None:
         self._kept: dict[Any, Renderer] = {}
 
-    def of(self, setup: RenderSetup, table: "TransformTable", layouts: "Layouts") -> "Renderer":
-        """The renderer of a run; `layouts`: what has been made of the file's table before."""
+    def of(self, setup: RenderSetup, table: "TransformTable") -> "Renderer":
+        """The renderer of a run."""
         from l3cli.rendering.quiet import quiet_renderer
 
         key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items()), setup.mix
         if key not in self._kept:
-            of_file = layouts if setup.mix is None else None
-            self._kept = {key: quiet_renderer(setup.backend, table, of_file, **setup.engine)}
+            self._kept = {key: quiet_renderer(setup.backend, table, **setup.engine)}
         return self._kept[key]
 
     def forget(self) -> None:
@@ -208,15 +204,15 @@ class Renderers:
 
 @contextlib.contextmanager
 def executor_of(
-    setup: RenderSetup, table: "TransformTable", layouts: "Layouts", scheduler: "Scheduler | None", renderers: Renderers
+    setup: RenderSetup, table: "TransformTable", scheduler: "Scheduler | None", renderers: Renderers
 ) -> "Iterator[Local | Remote]":
     """Who renders: this process, or the workers of a scheduler."""
     from l3cli.parallel import workers
 
     if scheduler is None:
-        yield Local(renderers.of(setup, table, layouts), setup)
+        yield Local(renderers.of(setup, table), setup)
     else:
-        with workers(1, scheduler) as crew:
+        with workers(1, scheduler) as pool:
             known, correction = replace(setup.known, dark=None, correction=None), setup.known.correction
             shading = None if correction is None else correction.shading
-            yield Remote(crew, replace(setup, known=known), by_path=setup.known.dark is None, shading=shading)
+            yield Remote(pool, replace(setup, known=known), by_path=setup.known.dark is None, shading=shading)

@@ -1,19 +1,19 @@
-"""How frames are shown that are in memory: exposure and white as given, or as those of a rendered sequence."""
+"""Display of frames in memory: exposure and white as given, or as those of a rendered sequence."""
 
 import itertools
-import threading
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.io.images import FLOAT_BITS
-from l3cli.rendering.balance import SteadyWhite, WhiteBalance
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
-from l3cli.rendering.white_source import WhiteSource, given_white, usual_balance
+from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
+from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance
 from l3cli.stages.rendering.chart_white import source_of
 from l3cli.stages.rendering.frame_whites import FrameWhites
 from l3cli.stages.rendering.rendition import Rendition, chosen_space
+from l3cli.system.locks import ThreadLock
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -26,8 +26,9 @@ def shown_as(
     table: "TransformTable", exposure: float | None, white: str | None, space: str, bits: int,
     estimated_by: "TransformTable | None" = None,
 ) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
-    """How pictures are made, and where frames have their white from, None: all have that of the rendition. `estimated_by`:
-    as of source_of. RecipeError if there is no such white or space, or the table's outputs are not X, Y, Z."""
+    """Return the rendition of pictures, and the source of the frames' white; None: all have that of the rendition.
+    `estimated_by`: as of source_of. RecipeError if there is no such white or space, or the table's outputs are not X, Y,
+    Z."""
     require_xyz(table.outputs)
     source = source_of(white, table, estimated_by) if white is not None else None
     given = None if source else given_white(white, table)
@@ -50,7 +51,7 @@ class Following:
         self._meter = LightMeter(table) if rendition.measures_exposure else None
         self._steady = SteadyExposure(self._rate)
         self._whites = FrameWhites(source, SteadyWhite(self._rate)) if source else None
-        self._alone = threading.Lock()
+        self._alone = ThreadLock()
         self._places = itertools.count()
         self._first: tuple[float, WhiteBalance | None] | None = None
 

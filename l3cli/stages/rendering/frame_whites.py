@@ -1,9 +1,9 @@
 """The white of frame after frame, and what is said of it."""
 
-from l3cli.frame import RawFrame
-from l3cli.rendering.balance import SteadyWhite, WhiteBalance
-from l3cli.rendering.white import SceneWhite
-from l3cli.rendering.white_source import WhiteSource
+from l3cli.frames.frame import RawFrame
+from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
+from l3cli.rendering.white.scene_white import SceneWhite
+from l3cli.rendering.white.source import WhiteSource
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_odd_white, warn_of_stated_white
 from l3cli.stages.rendering.chart_white import ChartSceneWhite
@@ -47,7 +47,7 @@ class WhiteReport:
             return
         if white is None:
             if self._stills:
-                self._console.say(f"{frame.name}: nothing to tell its white by; the table's is taken")
+                self._console.info(f"{frame.name}: nothing to tell its white by; the table's is taken")
             return
         self._last = frame.name, white
         if self._stills or self._said is None:
@@ -66,4 +66,4 @@ class WhiteReport:
     def _say(self, name: str, white: SceneWhite) -> None:
         assert self._source is not None
         self._said = white
-        self._console.say(f"{name}: white {self._source.about}: {white}")
+        self._console.info(f"{name}: white {self._source.about}: {white}")

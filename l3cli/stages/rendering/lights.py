@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import L3Error
-from l3cli.frame import RawFrame
-from l3cli.io.sequences import Footage
-from l3cli.rendering.lights import Mix, described, nearest_for
-from l3cli.rendering.white_source import WhiteSource, given_white
+from l3cli.frames.frame import RawFrame
+from l3cli.io.sequences import FrameSequence
+from l3cli.rendering.white.lights import Mix, described, nearest_for
+from l3cli.rendering.white.source import WhiteSource, given_white
 from l3cli.stages.console import Console
 
 Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for or nearest_for
@@ -27,50 +27,50 @@ def mix_of_given(white: str | None, table: TransformTable, choice: Choice, conso
     given = given_white(white, table)
     if given is None:
         names = ", ".join(light.name for light in table.lights)
-        console.say(f"the table's transforms for all its lights in common ({names}) are taken; ‹white› chooses others")
+        console.info(f"the table's transforms for all its lights in common ({names}) are taken; ‹white› chooses others")
         return None
     mix = choice(table, given.light.xyz)
     assert mix is not None
-    console.say(f"white {white}: transforms of {described(table, mix)}")
+    console.info(f"white {white}: transforms of {described(table, mix)}")
     return mix
 
 
 def mix_of_first(
-    source: WhiteSource, table: TransformTable, footage: Footage, console: Console
-) -> tuple[Mix | None, Footage]:
+    source: WhiteSource, table: TransformTable, sequence: FrameSequence, console: Console
+) -> tuple[Mix | None, FrameSequence]:
     """The light nearest to the white of the first of the frames, by whose transforms all of them are rendered, and the
     frames; None, the transforms of all lights in common, where it has none. What is wrong with a frame is said when it is
     rendered."""
-    first, footage = _first_frame(footage)
-    white, alone = None, footage.count == 1
+    first, sequence = _first_frame(sequence)
+    white, alone = None, sequence.count == 1
     if first is not None:
         with contextlib.suppress(L3Error):
             white = source.white(first)
     if first is None or white is None:
         if not alone:
-            console.say("the first frame tells no white; the table's transforms for all its lights in common are taken")
-        return None, footage
+            console.info("the first frame tells no white; the table's transforms for all its lights in common are taken")
+        return None, sequence
     mix = nearest_for(table, white.light.xyz)
     assert mix is not None
     kept = "" if alone else ", for all frames"
-    console.say(f"{first.name}: white {source.about}: transforms of {described(table, mix)}{kept}")
-    return mix, footage
+    console.info(f"{first.name}: white {source.about}: transforms of {described(table, mix)}{kept}")
+    return mix, sequence
 
 
-def _first_frame(footage: Footage) -> tuple[RawFrame | None, Footage]:
+def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequence]:
     """The first frame, None if there is none or it is broken, and the frames again: those of a stream come once."""
-    frames = footage.frames
+    frames = sequence.frames
     number = next(iter(frames.wanted), None)
     if number is None:
-        return None, footage
+        return None, sequence
     first: RawFrame | None = None
     broken: Exception | None = None
     try:
         first = frames.series.read(number)
     except (L3Error, OSError) as error:
         broken = error
-    if not footage.is_stream:
-        return first, footage
+    if not sequence.is_stream:
+        return first, sequence
 
     def read(wanted: int) -> RawFrame | None:
         if wanted != number:
@@ -81,4 +81,4 @@ def _first_frame(footage: Footage) -> tuple[RawFrame | None, Footage]:
 
     # Numbers without an end come once, too.
     wanted = itertools.chain([number], frames.wanted) if isinstance(frames.wanted, Iterator) else frames.wanted
-    return first, replace(footage, frames=replace(frames, series=replace(frames.series, read=read), wanted=wanted))
+    return first, replace(sequence, frames=replace(frames, series=replace(frames.series, read=read), wanted=wanted))

@@ -3,7 +3,8 @@ that is, and lists what it has made, of what.
 
 A picture is listed before it gets its name, the list being on the disk by then. So a file that is not listed is none of the
 run's, however it ended; one that is listed, but not there, is made. Size and time identify a file: digests would take as
-long as a tenth of the rendering.
+long as a tenth of the rendering. Only where a frame's file has these and another inode, or one that was touched since, does
+the digest decide that its picture states.
 """
 
 import contextlib
@@ -12,14 +13,17 @@ import hashlib
 import json
 import os
 import stat
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from l3cli.errors import RecipeError
-from l3cli.files import write_whole
-from l3cli.frame import RawFrame
-from l3cli.io.sequences import Pending
+from l3cli.frames.frame import RawFrame
+from l3cli.io.label import of_file
+from l3cli.io.sequences import FrameReference
+from l3cli.system.files import sha256, write_whole
+from l3cli.system.ledger import fingerprint
 
 Dated = tuple[int, int]  # size in bytes, time of the last change in ns
 
@@ -33,12 +37,21 @@ def _dated(path: Path) -> Dated | None:
     return (state.st_size, state.st_mtime_ns) if stat.S_ISREG(state.st_mode) else None
 
 
+class _Made(NamedTuple):
+    """A picture that a run has made."""
+
+    dated: Dated
+    origin: str | None  # of its frame
+    inode: tuple[int, ...] | None  # of the frame's file: time of its last change, number
+    identity: str  # that the picture states of its frame
+
+
 class Mark:
     """The mark of the run `key`. `force`: it may replace what it finds."""
 
     def __init__(self, path: Path, key: str, force: bool) -> None:
         self._path, self._key, self.force = path, key, force
-        self._made: dict[str, tuple[Dated, str]] = {}  # picture → identity of its file, what it was made of
+        self._made: dict[str, _Made] = {}  # by name
         self._unasked: set[str] = set()  # pictures whose frames have not come up yet
         self._file: BinaryIO | None = None
 
@@ -48,24 +61,22 @@ class Mark:
         if first.split(" ")[0] != self._key:
             raise RecipeError(f"{made_by} holds a run with another table, inputs or options; leave ‹resume› out")
         self.force = self.force or first.endswith(" force")
-        for line in lines:
-            with contextlib.suppress(ValueError):  # a line that was cut off
-                name, dated, origin = json.loads(line)
-                self._made[name] = (tuple(dated), origin)
-        self._made = {name: made for name, made in self._made.items() if self.is_ours(self._path.with_name(name))}
+        self._made = {name: made for name, made in _listed(lines) if _dated(self._path.with_name(name)) == made.dated}
         self._unasked = set(self._made)
 
     def is_ours(self, file: Path) -> bool:
-        """Whether a file is there that the run has made."""
-        return file.name in self._made and _dated(file) == self._made[file.name][0]
+        """Return whether a file exists that the run has made."""
+        return file.name in self._made and _dated(file) == self._made[file.name].dated
 
-    def keeps(self, file: Path, origin: str | None) -> bool:
-        """Whether the picture of a frame is there already; RecipeError if it was made of something else. Without an origin
-        nothing can be said yet."""
+    def keeps(self, file: Path, pending: FrameReference) -> bool:
+        """Return whether the picture of a frame exists already; RecipeError if it was made of something else. Without an
+        origin nothing can be said yet."""
         self._unasked.discard(file.name)
-        if origin is None or not self.is_ours(file):
+        if pending.origin is None or not self.is_ours(file):
             return False
-        if self._made[file.name][1] != origin:
+        made = self._made[file.name]
+        same = made.inode == pending.inode or (pending.source and made.identity == of_file(sha256(pending.source)))
+        if made.origin != pending.origin or not same:
             raise RecipeError(f"{file} was made of another input than is given now; leave ‹resume› out")
         return True
 
@@ -79,14 +90,15 @@ class Mark:
     def begin(self) -> None:
         """Write the mark; what is listed from now on goes behind it."""
         lines = [f"{self._key} force" if self.force else self._key]
-        lines += [json.dumps([name, *origin]) for name, origin in self._made.items()]
+        lines += [json.dumps([name, *made]) for name, made in self._made.items()]
         write_whole(self._path, "\n".join(lines))
         self._file = open(self._path, "ab", buffering=0)  # noqa: SIM115
 
-    def add(self, file: Path, temporary: Path, origin: str | None) -> None:
-        """List a picture that is about to get its name."""
+    def add(self, file: Path, temporary: Path, pending: FrameReference) -> None:
+        """List a picture of a frame that is about to get its name."""
         assert self._file is not None
-        line = ("\n" + json.dumps([file.name, _dated(temporary), origin])).encode()
+        made = [_dated(temporary), pending.origin, pending.inode, pending.identity]
+        line = ("\n" + json.dumps([file.name, *made])).encode()
         if self._file.write(line) < len(line):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fdatasync(self._file)
@@ -99,6 +111,21 @@ class Mark:
             self._path.unlink()
 
 
+def _listed(lines: Iterable[str]) -> Iterator[tuple[str, _Made]]:
+    """Each picture in the lines of a mark, by name."""
+    for line in lines:
+        with contextlib.suppress(ValueError, TypeError):  # a line that was cut off
+            name, dated, origin, inode, identity = json.loads(line)
+            yield name, _Made(tuple(dated), origin, inode and tuple(inode), identity)
+
+
+def listed_pictures(mark: Path) -> list[Path]:
+    """Return the pictures that a stopped run has made, by its mark, and nobody has changed since."""
+    lines = mark.read_text(encoding="utf-8", errors="replace").split("\n")[1:]
+    known = {mark.with_name(name): made.dated for name, made in _listed(lines)}
+    return [path for path, dated in known.items() if _dated(path) == dated]
+
+
 class Origins:
     """Records what pictures are made of, frame by frame: by file, number, size and time; by content where there is no file
     to go by. `all_before`: the exposure of a frame depends on every one before it, and so does its picture."""
@@ -107,19 +134,22 @@ class Origins:
         self._whole, self._all_before = whole, all_before  # `whole`: the file of frames that are no files
         self._before = ""
 
-    def of(self, pending: Pending) -> Pending:
+    def of(self, pending: FrameReference) -> FrameReference:
         """The frame with its origin, if that is known before it is read; ask before, lest it change in between."""
         source = pending.source or self._whole
-        dated = _dated(source)
-        return pending if dated is None else self._with_origin(pending, [os.path.realpath(source), pending.number, *dated])
+        if _dated(source) is None:
+            return pending
+        size, changed, *inode = fingerprint(source)
+        known = self._with_origin(pending, [os.path.realpath(source), pending.number, size, changed])
+        return replace(known, inode=tuple(inode))
 
-    def of_read(self, pending: Pending, frame: RawFrame) -> Pending:
+    def of_read(self, pending: FrameReference, frame: RawFrame) -> FrameReference:
         """The frame with its origin."""
         if pending.origin is not None:
             return pending
         return self._with_origin(pending, [pending.number, hashlib.sha256(frame.values.tobytes()).hexdigest()])
 
-    def _with_origin(self, pending: Pending, identity: list) -> Pending:
+    def _with_origin(self, pending: FrameReference, identity: list) -> FrameReference:
         origin = hashlib.sha256(json.dumps([self._before, *identity]).encode()).hexdigest()
         if self._all_before:
             self._before = origin

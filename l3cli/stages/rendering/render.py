@@ -9,19 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from l3cli import __version__
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, InputFileError, RecipeError
-from l3cli.files import sha256
-from l3cli.io.raw.files import KnownBetter
-from l3cli.io.sequences import Footage, find_frames, read_dark
+from l3cli.io.frame_times import Pacing
+from l3cli.io.raw.files import RawOverrides
+from l3cli.io.sequences import FrameSequence, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.rendering.display import require_xyz
-from l3cli.rendering.kept_table import open_table
-from l3cli.rendering.lights import mixed, nearest_for
 from l3cli.rendering.temporal.chunks import Chunks
 from l3cli.rendering.temporal.filters import filters
-from l3cli.rendering.white_source import given_white, usual_balance
-from l3cli.stages.claims import Claims
+from l3cli.rendering.white.lights import mixed, nearest_for
+from l3cli.rendering.white.source import given_white, usual_balance
+from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_exposure_time, warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.chart_white import source_of
@@ -34,19 +34,21 @@ from l3cli.stages.rendering.plan import plan
 from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
 from l3cli.stages.rendering.sequence import Tally, follows, render_frames
 from l3cli.stages.rendering.shards import part_of
+from l3cli.system.files import sha256
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
 
-NOTHING_KNOWN = KnownBetter()
+NOTHING_KNOWN = RawOverrides()
 
 
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, console: Console, *, rate: Fraction | None = None, bits: int = 8,
     codec: str | None = None, crf: float | None = None, preset: str = "veryfast", suffix: str = "png",
-    frames: range | None = None, dataset: str | None = None, known: KnownBetter = NOTHING_KNOWN, dark: tuple[Path, ...] = (),
-    camera: Path | None = None, hot: bool = False,
-    exposure: float | None = None, white: str | None = None, space: str | None = None, remosaic: str | None = None,
+    frames: range | None = None, dataset: str | None = None, known: RawOverrides = NOTHING_KNOWN,
+    dark: tuple[Path, ...] = (), camera: Path | None = None, hot: bool = False,
+    exposure: float | None = None, stops: float = 0.0,
+    white: str | None = None, space: str | None = None, remosaic: str | None = None,
     backend: str = "opencl", device: str | None = None, variant: str | None = None, skip_bad: bool = False,
     resume: bool = False, scheduler: "Scheduler | None" = None, renderers: Renderers | None = None, force: bool = False,
     temporal: bool = False, shard: tuple[int, int] | None = None,
@@ -56,9 +58,10 @@ def render(
     `rate`: frames/s of a video, None: the input's or 30; `bits`, `codec`, `crf`, `preset`: of pictures and videos. `frames`:
     numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
     frames without light, whose mean is taken off; `camera`: model whose defects and flat field are corrected; `hot`: mend
-    each frame's hot pixels. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of the scene's white,
-    "camera", "auto", "chart" or "ROW,COL[,SIZE]" of a grey, None: the table's. `space`: of the values, None: sRGB, in
-    floating point the outputs as they are; `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames.
+    each frame's hot pixels. `exposure`: factor of Y, None: automatic; `stops`: EV by which pictures are brighter than that.
+    `white`: name or chromaticity of the scene's white, "camera", "auto", "chart" or "ROW,COL[,SIZE]" of a grey, None: the
+    table's. `space`: of the values, None: sRGB, in floating point the outputs as they are; `remosaic`: mosaic of a DNG
+    file, "bayer". `skip_bad`: leave out broken frames.
     `resume`: go on where a run was stopped. `renderers`: shared with other runs. `temporal`: frames follow one another in
     time, and share what is not noise. `shard`: (number from 1, of how many) that is rendered alone, as in a run over all.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
@@ -67,15 +70,14 @@ def render(
     choice = VideoChoice(rate or USUAL_RATE, bits, codec, crf, preset)
     destination = replace(destination_of(output, suffix, choice), shard=shard)
     engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
-    with Claims(console) as claims:
-        claims.spare(table, *inputs, *dark, *filter(None, [camera]))
+    with OutputGuard(console) as claims:
+        claims.protect(table, *inputs, *dark, *filter(None, [camera]))
         claim(destination, force, claims)
-        _refuse_misplaced(destination, white, exposure, space, remosaic)
+        _refuse_misplaced(destination, white, exposure, stops, space, remosaic)
         if engine and backend != "opencl":
             raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
         with while_reading(backend, engine, destination.file_suffix, scheduler):
-            opened = open_table(table)
-        transforms = opened.table
+            transforms, digest = load(TransformTable, table), sha256(table)
         if not destination.linear or space is not None:
             transforms = transforms.pictured()
         if dark:
@@ -87,52 +89,55 @@ def render(
         lit, mix = transforms, None if source else mix_of_given(white, transforms, nearest_for, console)
         transforms = mixed(lit, mix)
         rendition = _rendition(destination, None if source else white, exposure, space, remosaic, bits, transforms, console)
-        footage = find_frames(inputs, transforms, known, frames, dataset)
+        rendition = replace(rendition, stops=stops)
+        sequence = find_frames(inputs, transforms, known, frames, dataset)
         if shard is not None:
-            if footage.count == 1 and not (inputs[0].exists() or set("%#*?[") & set(str(inputs[0]))):
+            if sequence.count == 1 and not (inputs[0].exists() or set("%#*?[") & set(str(inputs[0]))):
                 raise InputFileError(f"{inputs[0]} does not exist; give a folder, a pattern or a stack")
-            footage = replace(footage, part=part_of(footage, shard, temporal))
-        destination = paged(destination, footage)
-        _spared(footage, claims)
+            sequence = replace(sequence, part=part_of(sequence, shard, temporal))
+        destination = paged(destination, sequence)
+        _spared(sequence, claims)
         if not skip_bad:
-            refuse_missing(footage)
-        choice = replace(choice, rate=rate or footage.rate or USUAL_RATE)
-        plan(table, inputs, dark, footage, destination, force or resume, skip_bad)
+            refuse_missing(sequence)
+        choice = replace(choice, rate=rate or sequence.rate or USUAL_RATE)
+        plan(table, inputs, dark, sequence, destination, force or resume, skip_bad)
+        stated = sequence.times() if sequence.times is not None and rate is None else None
+        stated = None if stated is None or stated.are_even else stated
+        pacing = Pacing(sequence.unit, stated, sequence.unit or 1)
+        choice = replace(choice, tick=pacing.tick if destination.has_times else None)
         if source is not None and white is not None and lit.lights:
-            mix, footage = mix_of_first(source, lit, footage, console)
+            mix, sequence = mix_of_first(source, lit, sequence, console)
             transforms = mixed(lit, mix)
             source, rendition = source_of(white, transforms, lit), replace(rendition, balance=usual_balance(transforms))
-        setup = RenderSetup(
-            table.absolute(), opened.digest, backend, engine, known, rendition, destination.file_suffix, model, mix
-        )
-        steady = follows(footage, destination) and (rendition.measures_exposure or source is not None)
-        chunks = _chunks(backend, engine, transforms, scheduler, footage, console) if temporal else None
+        setup = RenderSetup(table.absolute(), digest, backend, engine, known, rendition, destination.file_suffix, model, mix)
+        steady = follows(sequence, destination) and (rendition.measures_exposure or source is not None)
+        chunks = _chunks(backend, engine, transforms, scheduler, sequence, console) if temporal else None
         chosen = {"device": os.environ.get("L3_DEVICE"), **engine}
         levels = (replace(known, dark=None, correction=None), known.dark and known.dark.digest)
         key: list[Any] = [setup.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice]
         key += [space, remosaic, *levels, known.correction and known.correction.digest, steady, temporal, shard]
         key += [] if mix is None else [astuple(mix)]
+        key += [stops] if stops else []
         origins = functools.partial(Origins, inputs[0], steady or temporal)
         with (
-            marked(destination, key, resume, force, footage, origins) as mark,
-            executor_of(setup, transforms, opened.layouts, scheduler, renderers or Renderers()) as executor,
+            marked(destination, key, resume, force, sequence, origins) as mark,
+            executor_of(setup, transforms, scheduler, renderers or Renderers()) as executor,
         ):
             tally = render_frames(
-                footage, destination, executor, transforms, rendition, source, choice, mark, origins(), skip_bad, console,
-                chunks,
+                sequence, destination, executor, transforms, rendition, source, choice, mark, origins(), skip_bad, console,
+                pacing, chunks,
             )  # fmt: skip
         warn_of_exposure_time(known.exposure, transforms, console)
-        opened.keep()
         warn_of_kernels(console)
         return tally
 
 
 def _chunks(
-    backend: str, engine: Mapping[str, str | None], table: TransformTable, scheduler: "Scheduler | None", footage: Footage,
-    console: Console,
+    backend: str, engine: Mapping[str, str | None], table: TransformTable, scheduler: "Scheduler | None",
+    sequence: FrameSequence, console: Console,
 ) -> Chunks:  # fmt: skip
     """The filters of a sequence. They run here, also where workers render: frames depend on one another."""
-    if footage.count == 1:
+    if sequence.count == 1:
         console.warn("one frame has none before it: ‹temporal› changes nothing of it; give a sequence")
     try:
         return Chunks(filters(backend, table, **engine))
@@ -142,18 +147,23 @@ def _chunks(
         return Chunks(filters("reference", table))  # the devices are the workers'; all backends give the same
 
 
-def _spared(footage: Footage, claims: Claims) -> Footage:
+def _spared(sequence: FrameSequence, claims: OutputGuard) -> FrameSequence:
     """Frames whose files no output may replace; those of a stream, which may be endless, lie in one file."""
-    if not footage.is_stream:
-        claims.spare(*(pending.source for pending in footage.frames if pending.source))
-    return footage
+    if not sequence.is_stream:
+        claims.protect(*(pending.source for pending in sequence.frames if pending.source))
+    return sequence
 
 
 def _refuse_misplaced(
-    destination: Destination, white: str | None, exposure: float | None, space: str | None, remosaic: str | None
+    destination: Destination,
+    white: str | None,
+    exposure: float | None,
+    stops: float,
+    space: str | None,
+    remosaic: str | None,
 ) -> None:
     """RecipeError if something is asked for that the destination cannot have."""
-    if destination.linear and space is None and (exposure is not None or white is not None):
+    if destination.linear and space is None and (exposure is not None or stops or white is not None):
         raise RecipeError(
             "files of floating point hold the outputs as they are; ‹exposure› and ‹white› are for those of a ‹space›"
         )
@@ -169,7 +179,7 @@ def _rendition(
     destination: Destination, white: str | None, exposure: float | None, space: str | None, remosaic: str | None,
     bits: int, table: TransformTable, console: Console,
 ) -> Rendition:  # fmt: skip
-    """How outputs become pictures; RecipeError if they cannot."""
+    """Return the rendition of outputs as pictures; RecipeError if there is none."""
     if destination.linear and space is None:
         return outputs_as_they_are(table)
     require_xyz(table.outputs)

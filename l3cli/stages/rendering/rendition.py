@@ -1,4 +1,4 @@
-"""What makes a picture of a raw frame's outputs: white, exposure, colour space, bits; or the outputs as they are."""
+"""Rendition of a raw frame's outputs as a picture: white, exposure, colour space, bits; or the outputs as they are."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,15 +8,15 @@ import numpy as np
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
-from l3cli.frame import RawFrame, upright
+from l3cli.frames.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.label import NOTHING, Label
 from l3cli.io.raw.developed import MOSAICS, dng_file, raw_values
-from l3cli.io.sequences import Pending
+from l3cli.io.sequences import FrameReference
 from l3cli.physics.display import exposure_scale
 from l3cli.physics.spaces import REC2020, SPACES, SRGB, XYZ, Space, chromaticity_of
-from l3cli.rendering.balance import WhiteBalance, balanced
 from l3cli.rendering.display import Display, adapted_display, linear_matrix
+from l3cli.rendering.white.balance import WhiteBalance, balanced
 
 if TYPE_CHECKING:
     from l3cli.rendering.renderer import Renderer
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Rendition:
-    """What makes pictures of outputs."""
+    """Rendition of outputs as pictures."""
 
     balance: WhiteBalance | None  # of frames that have none of their own; None: outputs are written as they are
     exposure: float | None  # None: automatic
@@ -32,20 +32,21 @@ class Rendition:
     space: Space | None = SRGB  # of the values; without a curve they are linear, in floating point. None: no colours
     raw: bool = False  # for raw developers: the exposure is stated, not carried out
     mosaic: str | None = None  # … a mosaic of the pixels, one of MOSAICS
+    stops: float = 0.0  # EV by which pictures are brighter than their exposure says
 
     @property
     def is_linear(self) -> bool:
-        """Whether values are linear, in floating point."""
+        """Return whether values are linear, in floating point."""
         return self.space is None or self.space.curve is None
 
     @property
     def measures_exposure(self) -> bool:
-        """Whether pictures are made whose exposure is automatic."""
+        """Return whether pictures are made whose exposure is automatic."""
         return self.balance is not None and self.exposure is None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the values of a picture."""
+        """Names of the values of a picture."""
         return ("X", "Y", "Z") if self.space and self.space.name == XYZ.name else ("R", "G", "B")
 
 
@@ -91,7 +92,7 @@ class Unread:
 class Exposed:
     """A frame to be rendered, and how it is shown."""
 
-    pending: Pending
+    pending: FrameReference
     frame: RawFrame | Unread
     scale: float  # of its exposure, 0: automatic
     balance: WhiteBalance | None  # its own; None: the rendition's
@@ -118,7 +119,7 @@ def rendered(
         return Rendered(upright(renderer.picture(balanced_frame, display), frame.orientation), label)
     planes = renderer.outputs(frame if balance is None else balanced(frame, renderer.table, balance.gains))
     if balance is not None and rendition.space is not None:
-        scale = scale * balance.luminance or exposure_scale(planes[1])
+        scale = (scale * balance.luminance or exposure_scale(planes[1])) * 2**rendition.stops
         matrix = linear_matrix(balance.adaptation, 1.0 if rendition.raw else scale, rendition.space)
         planes = np.einsum("po,orc->prc", matrix.astype(np.float32), planes)
     pixels = upright(np.moveaxis(planes, 0, -1), frame.orientation)
@@ -131,7 +132,7 @@ def shown(
     """A frame with the gains of its white balance, and how its outputs are shown; `scale`: of its exposure, 0: automatic."""
     frame = balanced(frame, renderer.table, balance.gains)
     # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
-    scale = scale * balance.luminance or exposure_scale(renderer.outputs(frame)[1])
+    scale = (scale * balance.luminance or exposure_scale(renderer.outputs(frame)[1])) * 2**rendition.stops
     return frame, adapted_display(balance.adaptation, scale, rendition.bits, rendition.space or SRGB)
 
 

@@ -9,20 +9,21 @@ import itertools
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from l3cli.errors import InputFileError, L3Error
-from l3cli.files import sha256
-from l3cli.frame import RawFrame, upright
+from l3cli.frames.frame import RawFrame, upright
+from l3cli.io.frame_times import Pacing
 from l3cli.io.label import of_file, of_values
-from l3cli.io.sequences import Footage, Pending
+from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.io.video import VideoChoice
-from l3cli.parallel.threads import Behind, ahead
-from l3cli.rendering.balance import SteadyWhite, WhiteBalance
+from l3cli.parallel.threads import WriteBehind, prefetched
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
 from l3cli.rendering.temporal.chunks import Chunks, needed
-from l3cli.rendering.white import SceneWhite
-from l3cli.rendering.white_source import WhiteSource
+from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
+from l3cli.rendering.white.scene_white import SceneWhite
+from l3cli.rendering.white.source import WhiteSource
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import FrameWarnings
 from l3cli.stages.rendering.destination import Destination, open_sink
@@ -30,10 +31,12 @@ from l3cli.stages.rendering.executors import Local, Remote
 from l3cli.stages.rendering.frame_whites import FrameWhites, WhiteReport
 from l3cli.stages.rendering.mark import Mark, Origins
 from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread
+from l3cli.system.files import sha256
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
 
+EVEN, KEPT, LOST = "even", "kept", "lost"  # of the frames' times: evenly spaced, or not and kept in the video or lost
 DEPTH = 3  # frames that wait at most between reading and rendering, and between rendering and writing
 
 
@@ -41,7 +44,7 @@ DEPTH = 3  # frames that wait at most between reading and rendering, and between
 class _Read:
     """A frame that was read or is to be, or why not."""
 
-    pending: Pending
+    pending: FrameReference
     frame: RawFrame | Unread | None
     brightness: float = 0.0
     white: SceneWhite | None = None  # measured on it
@@ -55,43 +58,46 @@ class _Read:
 
 @dataclass
 class Tally:
-    """How many frames there are pictures of, how many were left out, and in what time."""
+    """Numbers of frames rendered and left out, and the time taken."""
 
     done: int = 0
     failures: int = 0
     seconds: float = 0.0  # from the first frame's reading to the last one's writing
+    frame_times: str | None = None  # EVEN, KEPT or LOST of what is shown in time; None: pictures
 
     def leave_out(self, error: L3Error, skip_bad: bool, console: Console, count: int = 1) -> None:
         """Say that a frame, or several, are left out; raise why, unless `skip_bad`."""
         if not skip_bad:
             raise error
         self.failures += count
-        console.alert(f"l3: {error}")
+        console.report(f"l3: {error}")
 
 
 def render_frames(
-    footage: Footage, destination: Destination, executor: Local | Remote, table: "TransformTable",
+    sequence: FrameSequence, destination: Destination, executor: Local | Remote, table: "TransformTable",
     rendition: Rendition, source: WhiteSource | None, choice: VideoChoice, mark: Mark | None, origins: Origins,
-    skip_bad: bool, console: Console, temporal: Chunks | None = None,
+    skip_bad: bool, console: Console, pacing: Pacing, temporal: Chunks | None = None,
 ) -> Tally:  # fmt: skip
     """Render every frame into the destination. What is broken is raised, or, with `skip_bad`, said and left out.
     `source`: of the white of each frame, None: that of the rendition; `temporal`: filters them in time."""
     start = time.monotonic()
-    in_order = follows(footage, destination)
+    in_order = follows(sequence, destination)
     steady = SteadyExposure(choice.rate) if in_order and rendition.measures_exposure else None
     whites = FrameWhites(source, SteadyWhite(choice.rate) if in_order else None) if source else None
-    tally, warnings, told = Tally(), FrameWarnings(table), WhiteReport(source, footage.stills, console)
-    for numbers in footage.missing:
-        tally.leave_out(footage.absent(numbers), skip_bad, console, len(numbers))
-    sink = open_sink(destination, choice, rendition, table.outputs, mark, footage)
-    with sink as (write, threads), Behind(write, DEPTH, threads) as writing:
+    tally, warnings, told = Tally(), FrameWarnings(table), WhiteReport(source, sequence.stills, console)
+    for numbers in sequence.missing:
+        tally.leave_out(sequence.absent(numbers), skip_bad, console, len(numbers))
+    sink = open_sink(destination, choice, rendition, table.outputs, mark, sequence, pacing)
+    with sink as (write, threads), WriteBehind(write, DEPTH, threads) as writing:
         meters = _Meters(LightMeter(table) if steady else None, whites, in_order)
-        reading = ahead(_read(footage, destination, meters, mark, origins, executor.by_path, temporal is not None), DEPTH)
+        reading = prefetched(
+            _read(sequence, destination, meters, mark, origins, executor.by_path, temporal is not None), DEPTH
+        )
         if temporal:
-            reading = ahead(_filtered(reading, temporal), DEPTH)
-        total = footage.part.stop if footage.part else footage.count and footage.count - footage.lost
+            reading = prefetched(_filtered(reading, temporal), DEPTH)
+        total = sequence.part.stop if sequence.part else sequence.count and sequence.count - sequence.lost
         reading = console.progress(reading, total, "frames")
-        exposed = warnings.watched(_exposed(reading, rendition, steady, skip_bad, tally, told, console), footage.stills)
+        exposed = warnings.watched(_exposed(reading, rendition, steady, skip_bad, tally, told, console), sequence.stills)
         for pending, made in executor.render(exposed):
             if isinstance(made, L3Error):
                 tally.done -= 1
@@ -102,24 +108,52 @@ def render_frames(
             raise InputFileError("none of the frames could be read; nothing is written")
     warnings.report(console)
     told.report()
+    report_times(sequence, destination, pacing, choice.rate, tally, console)
     tally.seconds = max(time.monotonic() - start, 1e-9)
     done, failures = tally.done, tally.failures
-    if not footage.stills:
-        console.say(f"{destination.path}: {done} frames, {done / tally.seconds:.3g} a second")
+    if not sequence.stills:
+        console.info(f"{destination.path}: {done} frames, {done / tally.seconds:.3g} a second")
     if failures:
-        console.alert(f"l3: {failures} of {done + failures} frames left out")
+        console.report(f"l3: {failures} of {done + failures} frames left out")
     return tally
 
 
-def follows(footage: Footage, destination: Destination) -> bool:
-    """Whether exposure and white that are measured follow one another in time: not of stills that become
-    pictures, each of which has its own."""
-    return not (footage.stills and destination.pictures)
+def report_times(
+    sequence: FrameSequence, destination: Destination, pacing: Pacing, rate: Fraction, tally: Tally, console: Console
+) -> None:  # fmt: skip
+    """Say in the tally what became of the frames' times, and warn of gaps and of times that are lost. `rate`: frames/s."""
+    cure = "name a .mp4, .mov or .mkv to keep their times"
+    if pacing.stated is not None:
+        tally.frame_times = KEPT if destination.has_times else LOST
+        if tally.frame_times == LOST:
+            shown = "pictures have no times" if destination.pictures else f"y4m shows {float(rate):.4g} a second"
+            console.warn(f"{sequence.what}: its frames follow after {pacing.stated.range()}, and {shown}; {cure}")
+    elif destination.pictures:
+        return
+    elif sequence.unit is None and not sequence.stills:
+        tally.frame_times = LOST
+        console.warn(f"{sequence.what}: the numbers of its files do not count frames; {float(rate):.4g} a second are shown")
+    elif pacing.first_gap is None:
+        tally.frame_times = EVEN
+    else:
+        tally.frame_times = KEPT if destination.has_times else LOST
+        more = f", and {pacing.gaps - 1} more gaps" if pacing.gaps > 1 else ""
+        gap = "{}: no frame is there between {} and {}".format(sequence.what, *pacing.first_gap) + more
+        if tally.frame_times == LOST:
+            console.warn(f"{gap}, and y4m has none; {cure}")
+        elif not tally.failures:  # which have been said
+            console.warn(f"{gap}; the frame before is shown for as long")
+
+
+def follows(sequence: FrameSequence, destination: Destination) -> bool:
+    """Return whether exposure and white that are measured follow one another in time: not of stills that become pictures,
+    each of which has its own."""
+    return not (sequence.stills and destination.pictures)
 
 
 @dataclass(frozen=True)
 class _Meters:
-    """What is measured on frames as they are read."""
+    """Measurements on frames as they are read."""
 
     light: LightMeter | None
     whites: FrameWhites | None
@@ -129,7 +163,7 @@ class _Meters:
     def any(self) -> bool:
         return bool(self.light or self.whites)
 
-    def measured(self, pending: Pending, frame: RawFrame, kept: bool) -> _Read:
+    def measured(self, pending: FrameReference, frame: RawFrame, kept: bool) -> _Read:
         white = self.whites.measured(frame) if self.whites else None
         balance = self.whites.balance if self.whites else None
         brightness = self.light.brightness(frame, balance) if self.light else 0.0
@@ -137,19 +171,19 @@ class _Meters:
 
 
 def _asked(
-    footage: Footage, destination: Destination, mark: Mark | None, origins: Origins
-) -> Iterator[tuple[int, Pending, bool]]:
+    sequence: FrameSequence, destination: Destination, mark: Mark | None, origins: Origins
+) -> Iterator[tuple[int, FrameReference, bool]]:
     """Each frame with its place, and whether its picture is known to be there already, before it is read."""
-    for place, pending in enumerate(itertools.islice(footage.frames, footage.part.stop if footage.part else None)):
-        kept = not footage.renders(place)
+    for place, pending in enumerate(itertools.islice(sequence.frames, sequence.part.stop if sequence.part else None)):
+        kept = not sequence.renders(place)
         if mark:
             pending = origins.of(pending)
         if mark and not kept:
-            kept = pending.origin is not None and mark.keeps(destination.file(pending.number, pending.stem), pending.origin)
+            kept = pending.origin is not None and mark.keeps(destination.file(pending.number, pending.stem), pending)
         yield place, pending, kept
 
 
-def _with_need(asked: Iterator[tuple[int, Pending, bool]]) -> Iterator[tuple[int, Pending, bool, bool]]:
+def _with_need(asked: Iterator[tuple[int, FrameReference, bool]]) -> Iterator[tuple[int, FrameReference, bool, bool]]:
     """Each of `_asked`, and whether a picture that is not there yet depends on it in the filter."""
     frames, ahead_of_them = itertools.tee(asked)
     needs = needed((place, not kept) for place, _, kept in ahead_of_them)
@@ -157,20 +191,20 @@ def _with_need(asked: Iterator[tuple[int, Pending, bool]]) -> Iterator[tuple[int
 
 
 def _read(
-    footage: Footage, destination: Destination, meters: _Meters, mark: Mark | None, origins: Origins, by_path: bool,
+    sequence: FrameSequence, destination: Destination, meters: _Meters, mark: Mark | None, origins: Origins, by_path: bool,
     temporal: bool,
 ) -> Iterator[_Read]:  # fmt: skip
     """Read and measure frame after frame; of frames that are kept only what later ones need of it. `by_path`: a file that
     becomes a file, and is neither measured nor filtered, is left to who renders it; `temporal`: frames will be filtered."""
     size: tuple[int, ...] | None = None
-    asked = _asked(footage, destination, mark, origins)
+    asked = _asked(sequence, destination, mark, origins)
     # A stream is not asked for what has not come yet, unless its length is known.
-    looks_ahead = temporal and (not footage.is_stream or footage.part is not None)
+    looks_ahead = temporal and (not sequence.is_stream or sequence.part is not None)
     ahead_of = _with_need(asked) if looks_ahead else ((*each, not each[2]) for each in asked)
     for place, pending, kept, need in ahead_of:
-        counted = footage.renders(place)
+        counted = sequence.renders(place)
         file = destination.file(pending.number, pending.stem)
-        if not need and not (meters.any and meters.in_order) and not footage.is_stream:
+        if not need and not (meters.any and meters.in_order) and not sequence.is_stream:
             yield _Read(pending, None, kept=True, counted=counted)
             continue
         try:
@@ -181,8 +215,8 @@ def _read(
                 continue
             frame = pending.read()
             if frame is None:
-                if rest := footage.rest(pending.number):
-                    yield _Read(pending, None, error=footage.absent(rest), lost=len(rest))
+                if rest := sequence.rest(pending.number):
+                    yield _Read(pending, None, error=sequence.absent(rest), lost=len(rest))
                 break
             if not destination.one_by_one:
                 size = size or _upright_shape(frame)
@@ -194,7 +228,7 @@ def _read(
             continue
         if mark and pending.origin is None:
             pending = origins.of_read(pending, frame)
-            kept = kept or mark.keeps(file, pending.origin)
+            kept = kept or mark.keeps(file, pending)
         if destination.pictures and not kept:
             pending = replace(pending, identity=_identity(pending, frame))
         to_filter = place if temporal and (need or not looks_ahead) else None
@@ -212,8 +246,8 @@ def _filtered(reading: Iterator[_Read], temporal: Chunks) -> Iterator[_Read]:
         yield each
 
 
-def _identity(pending: Pending, frame: RawFrame) -> str:
-    """What a picture states of the frame that it was made from."""
+def _identity(pending: FrameReference, frame: RawFrame) -> str:
+    """Return the identity of the frame that a picture was made from, as the picture states it."""
     if pending.source is not None:
         return of_file(sha256(pending.source))
     return of_values(hashlib.sha256(frame.values.astype("<u2", copy=False).tobytes()).hexdigest())

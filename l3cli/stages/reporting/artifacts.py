@@ -10,8 +10,9 @@ from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set
 from l3cli.errors import InputFileError
-from l3cli.files import sha256
 from l3cli.stages.sequence_evaluation import document, read_sequence_figures
+from l3cli.system.files import sha256
+from l3cli.system.text import short_names
 
 KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable)}
 
@@ -41,7 +42,7 @@ class Given:
 
     @property
     def pairs(self) -> list[tuple[tuple[Entry, TransformTable], tuple[Entry, TrainingSet]]]:
-        """What is evaluated: each table with each training set of its array that it was not trained on."""
+        """Return each table with each training set of its array that it was not trained on: what is evaluated."""
         return [
             (table, frames)
             for table in self.tables
@@ -59,18 +60,16 @@ class Given:
 
 
 def trained_on(table: TransformTable, frames: Entry) -> bool:
-    """Whether the table's history names the training set's file."""
+    """Return whether the table's history names the training set's file."""
     return any(frames.sha256 in digests for stage in table.history for digests in stage.inputs.values())
 
 
 def by_kind(paths: tuple[Path, ...]) -> Given:
-    """Artifacts by kind, each once; InputFileError if one is none, is damaged, or does not fit the others."""
+    """Return artifacts by kind, each once; InputFileError if one is none, is damaged, or does not fit the others."""
     entries_by_digest: dict[str, Entry] = {}
     sequences: dict[str, dict[str, Any]] = {}
     sums: dict[str, str] = {}
-    names = [path.name for path in paths]
-    for path in paths:
-        name = path.name if names.count(path.name) == 1 else f"{path.parent.name}/{path.name}"
+    for path, name in zip(paths, short_names(paths), strict=True):
         if path.suffix.lower() == SEQUENCE:
             sequences[name], sums[name] = document(read_sequence_figures(path)), sha256(path)
             continue
@@ -107,6 +106,6 @@ def _artifact(path: Path) -> Artifact:
 
 
 def _array_of(artifact: Artifact) -> tuple[Any, ...]:
-    """What tells colour filter arrays apart."""
+    """Return the key that distinguishes colour filter arrays."""
     of: Any = artifact.camera if isinstance(artifact, TrainingSet) else artifact
     return of.channels, of.cfa.shape, of.cfa.tobytes()

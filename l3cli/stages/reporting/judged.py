@@ -3,18 +3,21 @@
 from dataclasses import dataclass
 from typing import Any
 
+from numpy.typing import NDArray
+
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingSet, TrainingSetReader, open_training_set
-from l3cli.io.embedded import jpeg
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet, TrainingSetReader, open_training_set
+from l3cli.io.images import jpeg
 from l3cli.report.front import Pictures, front_section, shown_frames
-from l3cli.report.parts import Section, Subsection
+from l3cli.report.parts import Figures, Section, Subsection
+from l3cli.report.patches import patches_figure, patches_table
 from l3cli.report.pixels import picker
+from l3cli.simulation.procedural import chart_places
 from l3cli.stages.console import Console
 from l3cli.stages.evaluation import evaluate_frame, raw_of
 from l3cli.stages.frame_renderers import FrameRenderers
 from l3cli.stages.input_warnings import warn_if_unlike
 from l3cli.stages.reporting.artifacts import Entry
-from l3cli.stages.reporting.charts import chart_subsection
 from l3cli.stages.reporting.pixels import crop_of
 
 CROPPED = ("ours", "ideal", "basic")  # pictures whose pixels can be looked at
@@ -84,3 +87,21 @@ def _front(
     title = f"Pictures: {table[0].name} on {seen.name}"
     below = (*([chart] if chart else []), Subsection("Pixels", (looked_into,)))
     return front_section(document, pictures, title, anchor, limits[0], jpeg, below)
+
+
+def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray], head: TrainingSet) -> Subsection | None:
+    """Return the patches of the ColorChecker in frame `number` of a training set and in `planes`, those of every pipeline;
+    None where its target shows none."""
+    from l3cli.evaluation.patches import holds_chart, patch_colours
+
+    light = head.target_light or frame.light
+    size = frame.raw.shape[0], frame.raw.shape[1]
+    places = (regions for regions in chart_places(size) if holds_chart(frame, light, regions))
+    regions = next(places, None)
+    if regions is None:
+        return None
+    colours = patch_colours(frame, planes, regions)
+    ours = next(iter(planes))
+    title = f"Patches in frame {number + 1}, {frame.scene}, {frame.illuminant}"
+    figure = patches_figure(title, ("ideal", ours), (colours.ideal, colours.shown[ours]), colours.delta_e)
+    return Subsection("Colour chart", (Figures((figure,)), patches_table(colours.delta_e)))

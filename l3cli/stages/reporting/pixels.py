@@ -9,7 +9,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.names import class_words, plane_class_words
-from l3cli.frame import RawFrame
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.renderer import Renderer
 from l3cli.report.colours import channel_light, hex_colour
 from l3cli.report.pixels import SIZES, Crop, Layer, Sites, packed, richest
@@ -20,8 +20,8 @@ PLANES = ("X − aY", "Y", "Z − bY")  # that later layers read
 def crop_of(
     table: TransformTable, camera: CameraModel, renderer: Renderer, raw: RawFrame, limit: int, more: int = 0
 ) -> tuple[Crop, str]:
-    """The crop of most classes, and it packed as text: the largest of SIZES that takes at most `limit` letters, else the
-    smallest; then the table's other classes, the most frequent first, in at most `more` letters."""
+    """Return the crop of most classes, and it packed as text: the largest of SIZES that takes at most `limit` letters, else
+    the smallest; then the table's other classes, the most frequent first, in at most `more` letters."""
     light = channel_light(camera.responsivity, camera.wavelength)
     sites = Sites(table.cfa, table.channels, tuple(hex_colour(each) for each in light))
     labels = [np.asarray(renderer.labels(raw, number)) for number in range(len(table.layers))]
@@ -45,7 +45,7 @@ def crop_of(
 def _layer(
     table: TransformTable, layer: MosaicLayer | PlaneLayer, labels: NDArray[np.integer], here: NDArray[np.integer]
 ) -> Layer:
-    """The classes `here`, in part of a frame of `labels`."""
+    """Return the classes `here`, in part of a frame of `labels`."""
     classes, indices = np.unique(here, return_inverse=True)
     side, planes = (layer.rule.patch, ("mosaic",)) if isinstance(layer, MosaicLayer) else (layer.side, PLANES)
     return Layer(
@@ -60,8 +60,8 @@ def _layer(
 
 
 def _with_others(table: TransformTable, crop: Crop, labels: list[NDArray[np.integer]], every: bool, letters: int) -> Crop:
-    """The crop with the classes that do not occur in it, those of most pixels of the frame first: all of them or those that
-    occur in the frame, with as many of their weights as `letters` for each layer hold."""
+    """Return the crop with the classes that do not occur in it, those of most pixels of the frame first: all of them or
+    those that occur in the frame, with as many of their weights as `letters` for each layer hold."""
     layers = []
     for layer, held, of in zip(table.layers, crop.layers, labels, strict=True):
         pixels = np.bincount(of.ravel(), minlength=len(layer.weights))

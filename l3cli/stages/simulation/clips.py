@@ -10,7 +10,7 @@ from l3cli.simulation import sources
 from l3cli.stages.simulation.run import SimulationRun
 
 if TYPE_CHECKING:
-    from l3cli.scene import ChannelPicture, Scene
+    from l3cli.frames.scene import ChannelPicture, Scene
     from l3cli.simulation.motion import Course
 
 MOVING, LEAVES, COLOURS = 1, 2, 3  # parts of a seed: course, shapes, and colours of the leaves
@@ -22,7 +22,7 @@ def clip_of(
     """The scene, as it was drawn or read, in each frame of its clip; ValueError if the camera moves beyond it."""
     from dataclasses import replace
 
-    from l3cli.scene import ChannelPicture
+    from l3cli.frames.scene import ChannelPicture
     from l3cli.simulation import clip
     from l3cli.simulation.framing import framed_size, scale_of, turned
 
@@ -42,7 +42,8 @@ def clip_of(
 
 
 def known_motion(wanted: sources.WantedScene, run: SimulationRun) -> Callable[[int], NDArray[np.float32]]:
-    """What each frame of a clip has moved by since the frame before, as `clip.motion_between` gives it."""
+    """Return a function that gives the motion of each frame of a clip since the frame before, as `clip.motion_between`
+    does."""
     from l3cli.simulation import clip
 
     course = _course(wanted, run)
@@ -62,15 +63,16 @@ def _colours(
     scene: "Scene | ChannelPicture", count: int, wanted: sources.WantedScene, run: SimulationRun
 ) -> NDArray[np.float32]:
     """Reflectances or signals (leaf, band) of the leaves."""
-    from l3cli.scene import ChannelPicture
-    from l3cli.simulation.reflectances import palette, surfaces
+    from l3cli.frames.scene import ChannelPicture
+    from l3cli.simulation.reflectances import DRAWN, palette, surfaces
 
     rng = np.random.default_rng(_seed(wanted, run, COLOURS))
     if isinstance(scene, ChannelPicture):
         return rng.uniform(0.05, 0.9, (count, scene.signal.shape[2])).astype(np.float32)
     if count == 0:
         return np.zeros((0, scene.wavelength.size), np.float32)
-    materials = palette(rng, surfaces(tuple(scene.wavelength)))
+    every = np.union1d(DRAWN, scene.wavelength)
+    materials = palette(rng, surfaces(tuple(every)))[:, np.isin(every, scene.wavelength)]
     return materials[rng.integers(len(materials), size=count)].astype(np.float32)
 
 

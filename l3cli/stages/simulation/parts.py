@@ -12,14 +12,14 @@ from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.store import open_artifact, read_history
 from l3cli.artifacts.training_set import TrainingPair, read_part
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import is_ours, refuse_spared, sweep, write_whole
 from l3cli.stages.simulation.run import SimulationRun
+from l3cli.system.files import is_ours, refuse_protected, sweep, write_whole
 
 MARK = "run"  # names, in a folder of stored frames, the run they belong to
 
 
 def key_of(stage: Stage) -> str:
-    """What distinguishes a run from others: all that its frames depend on."""
+    """Return the key that distinguishes a run from others: all that its frames depend on."""
     return hashlib.sha256(json.dumps(dataclasses.asdict(stage), sort_keys=True).encode()).hexdigest()
 
 
@@ -38,12 +38,13 @@ def open_folder(output: Path, key: str, resume: bool, force: bool) -> Path:
 
 
 def goes_on(output: Path, key: str, resume: bool, force: bool) -> bool:
-    """Whether the run called `key` goes on with frames that are stored beside `output`; errors as of `open_folder`."""
+    """Return whether the run called `key` goes on with frames that are stored beside `output`; errors as of
+    `open_folder`."""
     folder, mark = _folder_and_mark(output)
     if not folder.exists():
         return False
     for each in folder.iterdir():
-        refuse_spared(each)
+        refuse_protected(each)
     if not mark.is_file() and not all(is_ours(each.name) for each in folder.iterdir()):
         raise L3Error(f"{folder} holds files that l3 did not make; move it elsewhere")
     same = resume and mark.is_file() and mark.read_text() == key
@@ -75,7 +76,7 @@ def remove_finished(output: Path) -> None:
 
 
 def is_of_run(output: Path, key: str) -> bool:
-    """Whether `output` is the whole training set of the run called `key`."""
+    """Return whether `output` is the whole training set of the run called `key`."""
     if not output.is_file():
         return False
     try:

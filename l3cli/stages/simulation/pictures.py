@@ -4,13 +4,14 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from l3cli.artifacts.training_set import TrainingPair
+from l3cli.io.numbered import IDEAL, MOTION, RAW
 from l3cli.simulation.recipe import shots as asked
 from l3cli.stages.console import Console
 from l3cli.stages.frame_names import frame_name
 from l3cli.stages.simulation.run import SimulationRun
 
-MOTION = ("down", "right", "seen")  # channels of a file of motion
-WRITTEN = ("*_raw.tif", "*_ideal.png", "*_ideal.exr", "*_motion.exr", "*.dng")  # into the folders of pictures
+CHANNELS = ("down", "right", "seen")  # of a file of motion
+WRITTEN = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # into the folders of pictures
 
 
 def write_beside(
@@ -24,7 +25,7 @@ def write_beside(
         for index, scale in _write_pictures(run, frames, pictures).items():
             if index in lengths:
                 last = index + lengths[index] - 1
-                console.say(f"frames {index}–{last}: ‹exposure› {scale:.6g} renders them as bright as their ideal pictures")
+                console.info(f"frames {index}–{last}: ‹exposure› {scale:.6g} renders them as bright as their ideal pictures")
     if dng:
         _write_dng(run, frames, dng)
 
@@ -40,19 +41,20 @@ def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: 
     scales = {}
     for index, frame in enumerate(frames):
         name = frame_name(index, frame.scene)
-        write_mosaic(folder / f"{name}_raw.tif", frame.raw, frame.dark_time)
+        write_mosaic(folder / f"{name}{RAW}", frame.raw, frame.dark_time)
         if run.target.outputs != ("X", "Y", "Z"):
             planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
             write_linear(folder / f"{name}_ideal.exr", planes, run.target.outputs)
             continue
         display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
-        write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))
+        write_picture(folder / f"{name}{IDEAL}", encode(frame.target, display))
         scales[index] = run.camera.output_unit / (frame.white[1] * frame.exposure)
     return scales
 
 
 def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> dict[int, int]:
-    """Of each frame of a clip what it has moved by since the one before; frames of each clip by the number of its first."""
+    """Write the motion of each frame of a clip since the one before; return the number of frames of each clip by the
+    number of its first."""
     import numpy as np
 
     from l3cli.io.images import write_linear
@@ -65,7 +67,7 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> 
         moved = known_motion(wanted, run)
         for shot in shots:
             name = frame_name(shot.index, wanted.name)
-            write_linear(folder / f"{name}_motion.exr", np.moveaxis(moved(shot.moment), 0, -1), MOTION)
+            write_linear(folder / f"{name}{MOTION}", np.moveaxis(moved(shot.moment), 0, -1), CHANNELS)
             if shot.moment == 0:
                 lengths[shot.index] = wanted.source.motion.frames
     return lengths
@@ -74,8 +76,7 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> 
 def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> None:
     """Each raw frame as DNG, with the white balance of its light where that is known."""
     from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
-    from l3cli.simulation.light import make_light
-    from l3cli.simulation.raw_colour import colour_matrix, neutral
+    from l3cli.simulation.light import colour_matrix, make_light, neutral
 
     camera = run.camera
     lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHT_CODES}

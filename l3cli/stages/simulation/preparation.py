@@ -1,4 +1,4 @@
-"""What is checked and resolved before any frame is simulated."""
+"""Checks and resolutions before any frame is simulated."""
 
 import dataclasses
 import re
@@ -8,20 +8,22 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import recipe_text
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.training_set import TrainingSet
-from l3cli.config import read_text
-from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError, listed
-from l3cli.files import sha256
 from l3cli.io.scenes.files import find
 from l3cli.io.scenes.registry import is_folder
+from l3cli.recipes.toml import read_text
 from l3cli.simulation import recipe as asked
 from l3cli.simulation.light import SCENE_LIGHT, Curve, check_measured, make_light, recorded_under
 from l3cli.simulation.recipe import SceneRecipe
+from l3cli.simulation.sensor import noise_plugin
 from l3cli.simulation.sources import FileSource, name_of
 from l3cli.simulation.targets import make_target
+from l3cli.spectra.file import read_table
 from l3cli.stages.console import Console
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import files_of, refusals
+from l3cli.system.files import sha256
+from l3cli.system.plugins import package
 
 
 def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> tuple[SimulationRun, list[list[Path]]]:
@@ -65,7 +67,7 @@ def fitting(
     if not (any(kept) or synthetic or run.recipe.pair):
         raise InputFileError(f"{path}: no scene is left of {len(bad)}: {listed(map(str, bad))}")
     for error in bad:
-        console.alert(f"l3: {error}")
+        console.report(f"l3: {error}")
     return kept, len(bad)
 
 
@@ -90,6 +92,8 @@ def head_of(
     texts = [read_text(recipes[0]), recipe_text(recipes[1])]
     sums = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
     recipe = "\n".join(text for text in texts if text)
+    if model := run.recipe.sensor.noise_model:
+        recipe += f"\n# noise_model of {package(noise_plugin(model))}\n"
     stage = Stage("simulate", {"seed": seed}, recipe, sums)
     return TrainingSet(
         camera=dataclasses.replace(run.camera, history=()),

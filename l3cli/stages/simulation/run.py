@@ -1,4 +1,4 @@
-"""What all frames of a simulation share."""
+"""Settings that all frames of a simulation share."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

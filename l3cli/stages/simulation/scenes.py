@@ -11,18 +11,18 @@ from l3cli.stages.simulation.clips import clip_of
 from l3cli.stages.simulation.run import SimulationRun
 
 if TYPE_CHECKING:
-    from l3cli.scene import ChannelPicture, Scene
+    from l3cli.frames.scene import ChannelPicture, Scene
 
 
 def files_of(source: sources.Source, path: Path) -> list[Path]:
-    """What is read of a scene of that name: bands of a folder, an ENVI header and its data, else the file itself."""
+    """Return the files of a scene of that name: bands of a folder, an ENVI header and its data, else the file itself."""
     return format_of(sources.name_of(source), path).files(path)
 
 
 def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callable[[int], Scene | ChannelPicture]":
     """The scene, read or synthetic, as it lies on the sensor in each frame of its clip; one that stands still is the same in
     all. InputFileError if it does not fit there."""
-    from l3cli.scene import ChannelPicture
+    from l3cli.frames.scene import ChannelPicture
     from l3cli.simulation import synthetic
     from l3cli.simulation.framing import framed, framed_picture
 
@@ -48,7 +48,7 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
 
 def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene | ChannelPicture":
     """The scene of a file: read as such, or made of a picture or a cube."""
-    from l3cli.scene import ChannelPicture, Scene, SpectralCube
+    from l3cli.frames.scene import ChannelPicture, Scene, SpectralCube
 
     source = wanted.source
     content = format_of(sources.name_of(source), path).read(path, **_keys(source, path, run))
@@ -76,7 +76,8 @@ def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "
 
 
 def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, Any]:
-    """What the reader of a file gets of the recipe; a light by its wavelengths in nm and photons, None without one."""
+    """Return the keys of the recipe that the reader of a file takes; a light by its wavelengths in nm and photons, None
+    without one."""
     keys = {key: getattr(source, key) for key in format_of(sources.name_of(source), path).keys}
     if keys.get("light"):
         light = run.recorded[keys["light"]]
@@ -88,8 +89,8 @@ def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, A
 
 
 def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, InputFileError]]:
-    """Of the files of each source those that cannot be read or do not fit on the sensor, and why, from their headers.
-    RecipeError if a synthetic scene does not fit."""
+    """Return, of the files of each source, those that cannot be read or do not fit on the sensor, and why, from their
+    headers. RecipeError if a synthetic scene does not fit."""
     bad: list[dict[Path, InputFileError]] = []
     for source, paths in zip(run.recipe.scene, files, strict=True):
         bad.append({})

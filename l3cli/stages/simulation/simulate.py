@@ -6,15 +6,12 @@ import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from l3cli.artifacts.camera_recipe import camera_files, load_camera
+from l3cli.artifacts.camera_recipe import camera_files, columns_left_out, load_camera
 from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
-from l3cli.config import load_recipe
-from l3cli.files import refuse_existing
-from l3cli.ledger import note_inputs, note_places
-from l3cli.locks import finished_together, refuse_other_run
 from l3cli.parallel import workers
+from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.recipe import SceneRecipe, shots
-from l3cli.stages.claims import Claims
+from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work, is_dry
 from l3cli.stages.simulation.parts import (
@@ -30,6 +27,9 @@ from l3cli.stages.simulation.pictures import WRITTEN, write_beside
 from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.units import frame_bytes, received, simulate_unit, units_of
+from l3cli.system.files import refuse_existing
+from l3cli.system.ledger import note_inputs, note_places
+from l3cli.system.locks import finished_together, refuse_other_run
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -52,8 +52,8 @@ def simulate(
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
     folders = list(dict.fromkeys(filter(None, (pictures, dng))))
-    with Claims(console) as claims:
-        claims.spare(scenes, *camera_files(camera))
+    with OutputGuard(console) as claims:
+        claims.protect(scenes, *camera_files(camera))
         claims.hold_file(output)
         if not is_dry():
             remove_finished(output)
@@ -67,7 +67,7 @@ def simulate(
         run, files = prepare(recipe, scenes, model, seed)
         files, bad = fitting(run, files, scenes, skip_bad, console)
         inputs = {"camera": camera_files(camera), **input_files(run, files)}
-        claims.spare(*itertools.chain(*inputs.values()))
+        claims.protect(*itertools.chain(*inputs.values()))
         head = head_of(run, model, (scenes, camera), inputs, seed)
         run = dataclasses.replace(run, key=key_of(head.history[-1]))
         stands = resume and not force and is_of_run(output, run.key)
@@ -75,6 +75,8 @@ def simulate(
             refuse_existing(output, force)
         if is_dry():
             _plan(run, files, (scenes, camera), (output, *folders), resume, stands, force)
+        if note := columns_left_out(camera):
+            console.info(note)
         note_inputs({"scene recipe": [scenes], **inputs})
         note_places((output, *folders))
         with contextlib.ExitStack() as unfinished:
@@ -91,7 +93,7 @@ def simulate(
                     write_beside(run, files, StoredFrames(run, total), pictures, dng, console)
                     _assemble(run, head, output, total, console)  # last: whoever has the set has its pictures, too
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
-        console.say(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}")
+        console.info(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}")
         return total, bad
 
 
@@ -128,9 +130,9 @@ def _simulate_frames(
     }
     wanted = list(shots(run.recipe, files)) if run.recipe.scene else []
     total = sum(len(each) for _, each in wanted) + len(run.recipe.pair)
-    with workers(jobs, scheduler) as crew:
-        work = units_of(run, wanted, crew.size)
-        counts = received(crew, work, digests) if scheduler else crew(simulate_unit, work)
+    with workers(jobs, scheduler) as pool:
+        work = units_of(run, wanted, pool.size)
+        counts = received(pool, work, digests) if scheduler else pool(simulate_unit, work)
         finished = (index for count in counts for index in range(count))
         for _ in console.progress(finished, total, "frames"):
             pass

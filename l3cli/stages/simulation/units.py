@@ -1,4 +1,4 @@
-"""What the processes of a simulation do: read or draw a scene, simulate its frames, store each in a file."""
+"""Work of a simulation's processes: read or draw a scene, simulate its frames, store each in a file."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -9,17 +9,17 @@ import numpy as np
 
 from l3cli.artifacts.training_set import whole_part, write_part
 from l3cli.errors import InputFileError
-from l3cli.files import require_same, write_whole
-from l3cli.parallel import Crew
+from l3cli.parallel import WorkerPool
 from l3cli.parallel.cluster import scratch_folder
 from l3cli.simulation import sources
 from l3cli.simulation.light import SCENE_LIGHT
 from l3cli.simulation.recipe import Pair, Shot
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import files_of, scene_over_time
+from l3cli.system.files import require_same, write_whole
 
 if TYPE_CHECKING:
-    from l3cli.scene import ChannelPicture, Scene
+    from l3cli.frames.scene import ChannelPicture, Scene
     from l3cli.simulation.frame import Averaging, Saturating
     from l3cli.simulation.light import Light
 
@@ -28,7 +28,7 @@ SENT = 64 << 20  # bytes of frames that a worker of another machine sends at a t
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """What one process does in a go: some frames of one scene, or one real pair."""
+    """Work of one process in a go: some frames of one scene, or one real pair."""
 
     run: SimulationRun
     what: sources.WantedScene | Pair
@@ -37,7 +37,7 @@ class WorkUnit:
 
     @property
     def files(self) -> list[Path]:
-        """What it reads."""
+        """Return the files that the unit reads."""
         if isinstance(self.what, Pair):
             return [self.run.base / self.what.raw, self.run.base / self.what.picture]
         return files_of(self.what.source, self.what.path) if self.what.path else []
@@ -63,7 +63,7 @@ def simulate_unit(unit: WorkUnit) -> int:
     if isinstance(unit.what, Pair):
         write_part(run.part(shots[0].index), _pair(unit.what, run), 0.0, run.key)
         return 1
-    from l3cli.scene import ChannelPicture
+    from l3cli.frames.scene import ChannelPicture
     from l3cli.simulation.light import uncovered_share
 
     at = scene_over_time(unit.what, run)
@@ -78,7 +78,7 @@ def simulate_unit(unit: WorkUnit) -> int:
     return len(unit.shots)
 
 
-def received(crew: Crew, work: list[WorkUnit], digests: Mapping[Path, str]) -> Iterator[int]:
+def received(pool: WorkerPool, work: list[WorkUnit], digests: Mapping[Path, str]) -> Iterator[int]:
     """Have all units simulated by workers of other machines, which see the same inputs, and store what they send: how many
     frames are done, again and again."""
     needed = []
@@ -88,7 +88,7 @@ def received(crew: Crew, work: list[WorkUnit], digests: Mapping[Path, str]) -> I
         most = max(1, SENT // frame_bytes(unit.run))
         hashes = {path: digests[path] for path in unit.files}
         needed += [replace(unit, shots=missing[at : at + most], digests=hashes) for at in range(0, len(missing), most)]
-    for parts in crew(_sent, needed):
+    for parts in pool(_sent, needed):
         for index, content in parts:
             write_whole(needed[0].run.part(index), content)
         yield len(parts)
@@ -105,7 +105,7 @@ def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
 
 
 def frame_bytes(run: SimulationRun) -> int:
-    """Of the largest frame: electrons of every channel, raw mosaic, target."""
+    """Return the size in bytes of the largest frame: electrons of every channel, raw mosaic, target."""
     return run.camera.rows * run.camera.cols * (4 * len(run.camera.channels) + 2 + 4 * len(run.target.outputs))
 
 
@@ -115,7 +115,7 @@ def _frame(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationRun, seco
 
     falling = _light(scene, shot, run)
     exposure = _exposure(falling, shot, run) if seconds is None else seconds
-    noise, seed = run.recipe.sensor.noise, (run.seed, shot.index)
+    noise, seed = run.recipe.sensor.noise_model or run.recipe.sensor.noise, (run.seed, shot.index)
     try:
         return simulate(run.camera, scene, falling, exposure, run.recipe.lens, seed, run.target, noise)
     except ValueError as error:
@@ -137,7 +137,7 @@ def _exposure_time(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationR
 
 
 def _light(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationRun) -> "Light":
-    from l3cli.scene import Scene
+    from l3cli.frames.scene import Scene
     from l3cli.simulation.light import scene_light
 
     if shot.illuminant == SCENE_LIGHT:
@@ -160,14 +160,15 @@ def _exposure(falling: "Light", shot: Shot, run: SimulationRun) -> "float | Satu
 
 
 def _pair(pair: Pair, run: SimulationRun) -> Any:
-    from l3cli.io.images import read_image
-    from l3cli.io.raw.files import KnownBetter, read_raw
+    from l3cli.frames.frame import upright
+    from l3cli.io.images import picture_flip, read_image
+    from l3cli.io.raw.files import RawOverrides, read_raw
     from l3cli.io.scenes.rgb import read as read_rgb_picture
     from l3cli.physics.display import xyz_from_srgb_matrix
     from l3cli.simulation.pairs import make_pair
 
     raw_path, path = run.base / pair.raw, run.base / pair.picture
-    raw = read_raw(raw_path, run.camera, KnownBetter(phase=pair.phase))
+    raw = read_raw(raw_path, run.camera, RawOverrides(phase=pair.phase))
     outputs = run.target.outputs
     pixels, names = read_image(path)
     if set(outputs) <= set(names):
@@ -178,6 +179,6 @@ def _pair(pair: Pair, run: SimulationRun) -> Any:
     else:
         raise InputFileError(f"{path} has no channels called {', '.join(outputs)}; give an EXR with them")
     try:
-        return make_pair(raw, picture, outputs, run.camera, pair, path.stem)
+        return make_pair(raw, upright(picture, picture_flip(path)), outputs, run.camera, pair, path.stem)
     except ValueError as error:
         raise InputFileError(f"{path}: {error}") from error

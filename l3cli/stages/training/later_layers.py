@@ -33,7 +33,7 @@ from l3cli.training.training_pass import spread_patches
 UNITS = 8  # a process: more tell progress better, but every one hands on its own sums
 
 
-def learn_later(
+def learn_refinement_layers(
     run: TrainingRun, table: TransformTable, execution: Execution, like: TransformTable | None = None
 ) -> TransformTable:
     """The table with the layers that the recipe wants after the first; `like`: classes are those of its layers, but for the
@@ -53,7 +53,9 @@ def tell_what_is_left_out(run: TrainingRun, console: Console) -> None:
     """Say that layers the recipe asks for are not learned, if that is so."""
     if run.recipe.layer and not run.has_later_layers:
         outputs = ", ".join(run.head.outputs)
-        console.alert(f"one layer is learned for the outputs {outputs}; later ones read three, the second of them luminance")
+        console.report(
+            f"one layer is learned for the outputs {outputs}; later ones read three, the second of them luminance"
+        )
 
 
 def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
@@ -98,7 +100,7 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
     """The layer's class rule, from a pilot over all frames; that it is to be `like` takes from it the scale of gradients."""
     frames = range(len(run.patches))
     units = _units(run, layer, None, frames, execution)
-    measured = execution.console.progress(execution.crew(_measure, units), len(units), f"layer {layer.number}, pilot")
+    measured = execution.console.progress(execution.pool(_measure, units), len(units), f"layer {layer.number}, pilot")
     scale = gradient_scale(layer, [noise for part in measured for noise in part])
     if like is not None:
         return replace(like, **scale._asdict())
@@ -107,10 +109,10 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
         classes = f"{rule.levels} levels × ({rule.structures} structures + {rule.cases - 1} saturation cases)"
     else:
         units = _units(run, layer, scale, frames, execution)
-        sampled = execution.console.progress(execution.crew(_sample, units), len(units), f"layer {layer.number}, tree")
+        sampled = execution.console.progress(execution.pool(_sample, units), len(units), f"layer {layer.number}, tree")
         rule = tree_rule(layer, scale, [sample for part in sampled for sample in part])
         classes = f"{rule.structures} leaves, {rule.depth} tests deep, + {rule.cases - 1} saturation cases"
-    execution.console.say(f"layer {layer.number}: {sum(layer.mosaics)} mosaics, {classes} a site")
+    execution.console.info(f"layer {layer.number}: {sum(layer.mosaics)} mosaics, {classes} a site")
     return rule
 
 
@@ -120,7 +122,7 @@ def summed_layer(
     """Sums of the canonical sites over `frames`."""
     sums = no_sums(layer, rule)
     units = _units(run, layer, rule, frames, execution)
-    for part in execution.console.progress(execution.crew(_sum, units), len(units), f"layer {layer.number}"):
+    for part in execution.console.progress(execution.pool(_sum, units), len(units), f"layer {layer.number}"):
         add_sums(sums, part)
     return sums
 
@@ -129,7 +131,7 @@ def _units(
     run: TrainingRun, layer: LayerPass, known: GradientScale | PlaneRule | None, frames: range, execution: Execution
 ) -> list[LayerUnit]:
     about = (run.training, execution.remote, layer, known)
-    return [LayerUnit(*about, part) for part in parts_of(frames, min(len(frames), UNITS * execution.crew.size))]
+    return [LayerUnit(*about, part) for part in parts_of(frames, min(len(frames), UNITS * execution.pool.size))]
 
 
 def parts_of(frames: range, count: int) -> Iterator[range]:

@@ -46,7 +46,7 @@ def write_layer_shard(
         sites=np.array(list(sets[0])),
     )
     write_partial_sums(output, head, *(sums.values() for sums in sets))
-    execution.console.say(f"{output}: shard {index} of {count}, layer {layer.number}")
+    execution.console.info(f"{output}: shard {index} of {count}, layer {layer.number}")
 
 
 def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:

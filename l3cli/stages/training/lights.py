@@ -27,7 +27,7 @@ def learn_lights(run: TrainingRun, table: TransformTable, execution: Execution) 
     """The table with transforms for each light, if the recipe wants them."""
     sets = []
     for name, of_light in runs_by_light(run):
-        execution.console.say(f"transforms for {name}: {len(of_light.patches)} frames")
+        execution.console.info(f"transforms for {name}: {len(of_light.patches)} frames")
         pass_ = first_pass(of_light, replace(execution, console=Silent()))  # its white and light; classes are the table's
         pass_ = replace(pass_, rule=table.first.rule, exposure=table.exposure)
         made = learn_first(of_light, pass_, execution)
@@ -67,7 +67,7 @@ def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
 
 
 def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, list[int]]], dict[str, float]]:
-    """Of each light the indices of its frames by set, and its reciprocal colour temperature (mired); InputFileError if
+    """Return the indices of each light's frames by set, and its reciprocal colour temperature (mired); InputFileError if
     frames under a light of one name have different whites, or their light is not known."""
     whites: dict[str, NDArray[np.float64]] = {}
     frames: dict[str, dict[int, list[int]]] = {}

@@ -1,5 +1,4 @@
-"""What the processes of a training run do: take a pilot of all frames, sum up the patches of a pass, learn from whole
-sums."""
+"""Work of a training run's processes: take a pilot of all frames, sum up the patches of a pass, learn from whole sums."""
 
 import collections
 from collections.abc import Callable, Iterator
@@ -10,7 +9,7 @@ from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.classes.recipe import left_out
-from l3cli.parallel import Crew
+from l3cli.parallel import WorkerPool
 from l3cli.stages.console import Console
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.training.accumulate import sum_sites
@@ -29,7 +28,7 @@ MOST_PILOTED = 256  # frames that a worker looks at in one go before the passes
 class Execution:
     """Who does the work, and where it is reported."""
 
-    crew: Crew
+    pool: WorkerPool
     remote: bool  # on other machines, which have to see the same files
     console: Console
 
@@ -42,20 +41,20 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     for name in left_out(run.recipe.classes, run.head.camera):
         sites = "×".join(map(str, run.head.camera.cfa.shape))
         patch = run.recipe.classes.patch
-        execution.console.alert(
+        execution.console.report(
             f"classes.{name} is left out: an array of {sites} sites leaves no room for it in patches of {patch} pixels"
         )
     patches = pilot_patches(run.patches)
-    size = max(1, min(MOST_PILOTED, len(patches) // (4 * execution.crew.size)))
+    size = max(1, min(MOST_PILOTED, len(patches) // (4 * execution.pool.size)))
     chunks = (range(first, min(first + size, len(patches))) for first in range(0, len(patches), size))
     about = (run.training, execution.remote, run.head, run.recipe, run.seed)
     units = [PilotUnit(*about, frames, patches[frames.start : frames.stop]) for frames in chunks]
-    pilots = execution.console.progress(execution.crew(_pilot, units), len(units), "pilot")
+    pilots = execution.console.progress(execution.pool(_pilot, units), len(units), "pilot")
     rule, white, exposure, light = survey(pilots, run.patches, run.head, run.recipe, run.seed)
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
     further = "".join(f" × {axis.size} values of {axis.name}" for axis in rule.axes)
     classes = f"{rule.levels} levels × {rule.contrasts} contrasts{further} × {kinds}"
-    execution.console.say(f"{len(run.patches)} frames, {classes} a site")
+    execution.console.info(f"{len(run.patches)} frames, {classes} a site")
     number = FIRST if has_two_passes(run.head, learning) else LAST
     return TrainingPass(run.head, run.patches, rule, learning, white, run.seed, number, exposure, light)
 
@@ -93,17 +92,17 @@ def summed(
     function: Callable[[WorkUnit], dict[int, Any]], run: TrainingRun, pass_: TrainingPass, first: TransformTable | None,
     blocks: list[range], execution: Execution,
 ) -> Iterator[tuple[int, Any]]:  # fmt: skip
-    """What `function` makes of the work units, for each canonical site in order: its sums over `blocks`, added up where
-    several processes share a site, or what has been learned from them already."""
+    """Yield the result of `function` for the work units, for each canonical site in order: its sums over `blocks`, added
+    up where several processes share a site, or what has been learned from them already."""
     units = []
-    for share in work_shares(pass_, canonical_sites(pass_.head, pass_.rule, pass_.recipe), blocks, execution.crew.size):
+    for share in work_shares(pass_, canonical_sites(pass_.head, pass_.rule, pass_.recipe), blocks, execution.pool.size):
         weightings = {
             site: row_weighting(first, site, pass_.recipe.error_power) if first is not None else None for site in share.sites
         }
         units.append(WorkUnit(run.training, execution.remote, pass_, share, weightings))
     left = collections.Counter(site for unit in units for site in unit.weightings)
     waiting: dict[int, ClassSums] = {}
-    for results in execution.console.progress(execution.crew(function, units), len(units), "sums"):
+    for results in execution.console.progress(execution.pool(function, units), len(units), "sums"):
         for site, result in results.items():
             left[site] -= 1
             if site in waiting:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from l3cli.artifacts.quiet_set import QuietSet
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
-from l3cli.stages.training.later_layers import learn_later
+from l3cli.stages.training.later_layers import learn_refinement_layers
 from l3cli.stages.training.passes import Execution, learn_first
 from l3cli.stages.training.run import TrainingRun
 from l3cli.training.quiet import FilteredCamera, quiet_rule
@@ -17,12 +17,12 @@ def learn_quiet(run: TrainingRun, table: TransformTable, execution: Execution) -
     learning = run.recipe.learning
     if not learning.noise_left:
         return table
-    execution.console.say(f"a second set, for {learning.noise_left:g} of the noise over time")
+    execution.console.info(f"a second set, for {learning.noise_left:g} of the noise over time")
     number = FIRST if has_two_passes(run.head, learning) else LAST
     about = (run.head, run.patches, table.first.rule, learning, table.white_point, run.seed, number, table.exposure)
     pass_ = quiet_pass(run, TrainingPass(*about, table.light))
     filtered = replace(run, head=pass_.head)
-    made = learn_later(filtered, learn_first(filtered, pass_, execution), execution, like=table)
+    made = learn_refinement_layers(filtered, learn_first(filtered, pass_, execution), execution, like=table)
     return with_quiet(table, learning.noise_left, made)
 
 
@@ -35,7 +35,7 @@ def quiet_pass(run: TrainingRun, usual: TrainingPass) -> TrainingPass:
 
 
 def filtered_head(head: TrainingSet, noise_left: float) -> TrainingSet:
-    """What training sets have in common, as if their frames were of a filtered camera."""
+    """Return the common part of training sets as if their frames were of a filtered camera."""
     return replace(head, camera=FilteredCamera.of(head.camera, noise_left))
 
 

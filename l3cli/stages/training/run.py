@@ -9,11 +9,11 @@ from typing import Any
 
 from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
-from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError
-from l3cli.files import require_same, sha256, stamp
-from l3cli.recipes import known_recipes
+from l3cli.recipes.builtin import known_recipes
+from l3cli.recipes.toml import load_recipe, read_text
 from l3cli.stages.training.held_frames import HELD
+from l3cli.system.files import require_same, sha256, stamp
 from l3cli.training.recipe import TrainingRecipe, for_camera
 from l3cli.training.training_pass import FIRST, spread_patches
 
@@ -50,7 +50,7 @@ class TrainingRun:
 
     @property
     def has_later_layers(self) -> bool:
-        """Whether layers follow the first one: they read luminance and chroma, so for XYZ only."""
+        """Return whether layers follow the first one: they read luminance and chroma, so for XYZ only."""
         return bool(self.recipe.layer) and len(self.head.outputs) == 3
 
     def history_of_pass(self, number: int) -> tuple[Stage, ...]:

@@ -23,9 +23,9 @@ from l3cli.artifacts.partial_sums import (
 from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
-from l3cli.config import parse_recipe
 from l3cli.errors import InputFileError
-from l3cli.stages.claims import Claims
+from l3cli.recipes.toml import parse_recipe
+from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.later_layers import tell_what_is_left_out
@@ -55,8 +55,8 @@ def train_shard(
     """Write the partial sums of one shard, (number from 1, of how many): of the first pass or, with the table `first` that
     the shards of a pass make, of the next one. The other parameters and errors are those of `train`; InputFileError if
     `first` is of another run."""
-    with Claims(console) as claims:
-        claims.spare(*training, *filter(None, [classes, first]))
+    with OutputGuard(console) as claims:
+        claims.protect(*training, *filter(None, [classes, first]))
         claims.claim_file(output, force)
         made = Made(output, f"partial sums, shard {shard[0]} of {shard[1]},")
         with executed(training, console, classes, shares, seed, jobs, scheduler, made) as (run, execution):
@@ -99,14 +99,14 @@ def _write_shard(
     write_partial_sums(output, head, *sets)
     last = "layer 1" if run.has_later_layers else "last pass"
     what = "first pass" if pass_.number == FIRST else last
-    execution.console.say(f"{output}: shard {index} of {count}, {what}")
+    execution.console.info(f"{output}: shard {index} of {count}, {what}")
 
 
 def _sums(
     run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, blocks: list[range], sites: list[int],
     execution: Execution,
 ) -> Iterator[ClassSums]:  # fmt: skip
-    """Of a shard's blocks, for each canonical site in order."""
+    """Yield the sums of a shard's blocks, for each canonical site in order."""
     sums = summed(sum_unit, run, pass_, table, blocks, execution)
     if not blocks:  # more shards than blocks
         sums = ((site, empty_sums(pass_.rule, len(run.head.outputs))) for site in sites)
@@ -114,7 +114,7 @@ def _sums(
 
 
 def _is_of(run: TrainingRun, table: TransformTable, pass_: str) -> bool:
-    """Whether a table is what a pass of the run has made."""
+    """Return whether a table is what a pass of the run has made."""
     return table.history == run.history(pass_) and bool(table.quiet) == bool(run.recipe.learning.noise_left)
 
 
@@ -132,14 +132,14 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Tr
 
 def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, force: bool = False) -> TransformTable:
     """Make the table of all shards of a pass and write it; InputFileError if some are missing, doubled or of another run."""
-    with Claims(console) as claims:
-        claims.spare(*shards)
+    with OutputGuard(console) as claims:
+        claims.protect(*shards)
         claims.claim_file(output, force)
         table = _merged(shards, output)
         save(table, output)
         say_table(table, output, console)
         if made := table.history[-1].options.get("pass"):
-            console.say(f"this is the {NAMES[str(made)]}: go on with ‹shard› I/N ‹first› {output}")
+            console.info(f"this is the {NAMES[str(made)]}: go on with ‹shard› I/N ‹first› {output}")
         return table
 
 
@@ -179,7 +179,7 @@ def _learned(pass_: TrainingPass, readers: list[PartialSumsReader], of_set: str)
 
 
 def _recipe_and_seed(head: Head, path: Path) -> tuple[TrainingRecipe, int]:
-    """Of the run that partial sums are of."""
+    """Return the recipe and seed of the run that partial sums are of."""
     stage = head.history[-1] if head.history else Stage("", {})
     seed = stage.options.get("seed")
     recipe = parse_recipe(stage.recipe, TrainingRecipe, str(path))

@@ -11,11 +11,11 @@ from l3cli.artifacts.store import save
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.parallel import workers
-from l3cli.stages.claims import Claims
+from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.held_frames import held_for_a_run
-from l3cli.stages.training.later_layers import learn_later
+from l3cli.stages.training.later_layers import learn_refinement_layers
 from l3cli.stages.training.lights import learn_lights, runs_by_light
 from l3cli.stages.training.passes import Execution, first_pass, learn_first
 from l3cli.stages.training.quiet import learn_quiet
@@ -36,8 +36,8 @@ def train(
     `force`: replace the output if it exists. InputFileError or RecipeError if sets or recipe cannot be used, L3Error if the
     output cannot be written.
     """
-    with Claims(console) as claims:
-        claims.spare(*training, *filter(None, [classes]))
+    with OutputGuard(console) as claims:
+        claims.protect(*training, *filter(None, [classes]))
         claims.claim_file(output, force)
         made = Made(output, "transform table")
         with executed(training, console, classes, shares, seed, jobs, scheduler, made) as (run, execution):
@@ -61,8 +61,8 @@ def executed(
     made = replace(made, what=f"{made.what} of {sum(run.patches)} patches in {frames} frames")
     before_work({"training sets": training, "class recipe": [classes] if classes else []}, made)
     try:
-        with workers(jobs, scheduler) as crew, held_for_a_run():  # workers start while the first reads
-            yield run, Execution(crew, scheduler is not None, console)
+        with workers(jobs, scheduler) as pool, held_for_a_run():  # workers start while the first reads
+            yield run, Execution(pool, scheduler is not None, console)
     except RecipeError as error:
         raise RecipeError(f"{classes or 'the built-in class recipe'}: {error}") from error
 
@@ -70,17 +70,17 @@ def executed(
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
     """All passes of all sets."""
     table = learn_first(run, first_pass(run, execution), execution)
-    table = learn_quiet(run, learn_later(run, table, execution), execution)
+    table = learn_quiet(run, learn_refinement_layers(run, table, execution), execution)
     return learn_lights(run, table, execution)
 
 
 def say_table(table: TransformTable, output: Path, console: Console) -> None:
-    """What has been learned, in a line."""
+    """State what has been learned, in a line."""
     for number, (classes, unfilled) in enumerate(filling(table), start=1):
         which = f", layer {number}" if table.later else ""
-        console.say(f"{output}{which}: {classes} classes, {unfilled} of them without patches of their own")
+        console.info(f"{output}{which}: {classes} classes, {unfilled} of them without patches of their own")
 
 
 def filling(table: TransformTable) -> list[tuple[int, int]]:
-    """Of each layer how many classes it has, and how many of these without patches of their own."""
+    """Return the number of classes of each layer, and of those without patches of their own."""
     return [(len(layer.weights), int((layer.samples == 0).sum())) for layer in table.layers]

@@ -14,7 +14,7 @@ from l3cli.classes.level import unclipped_level
 from l3cli.classes.planes import COARSE, FixedPoint, coarse, later_fixed_point
 from l3cli.classes.statistics import mosaic_statistics, truncation
 from l3cli.classes.windows import Integers, neighbourhoods
-from l3cli.frame import pad_mosaic
+from l3cli.frames.frame import pad_mosaic
 from l3cli.training.layers.mosaics import Mosaic
 
 Floats = NDArray[np.float32]

@@ -55,7 +55,7 @@ class LayerPass:
 
     @property
     def number(self) -> int:
-        """Of the layer to be learned, the first being 1."""
+        """Number of the layer to be learned, the first being 1."""
         return 2 + len(self.before)
 
     def rng(self, frame: int, purpose: int) -> np.random.Generator:
@@ -63,7 +63,7 @@ class LayerPass:
         return np.random.default_rng([self.seed, self.number + 1, frame, purpose])
 
     def seer(self) -> Callable[[Mosaic], Seen]:
-        """What sees a mosaic as the layers before make it."""
+        """Return a function that gives the planes of a mosaic as the layers before make them."""
         first = FirstLayer(self.camera, self.rule, self.fixed)
         stages = [PlaneStage(layer, self.rule, self.basis) for layer in self.before]
 
@@ -73,7 +73,7 @@ class LayerPass:
         return see
 
     def reading(self, side: int) -> Reading:
-        """How windows of `side` are read at every site."""
+        """Return the reading of windows of `side` at every site."""
         maps, turns = self._turns()
         order = np.array([orientations(side)[turn] for turn in turns])
         return Reading(np.array([one.canonical for one in maps]), order, self.ratio_taps)

@@ -26,7 +26,7 @@ class Mosaic:
 
 @dataclass(frozen=True)
 class Exposed:
-    """How frames become mosaics."""
+    """Recipe by which frames become mosaics."""
 
     camera: CameraModel
     recipe: LearningRecipe

@@ -29,7 +29,7 @@ Y = 1
 
 @dataclass(frozen=True)
 class Reading:
-    """How windows of planes are read: in the orientation in which a site is learned."""
+    """Reading of windows of planes: in the orientation in which a site is learned."""
 
     canonical: Integers  # (site) that a site is learned as
     order: Integers  # (site, tap) place of each tap in the window
@@ -41,7 +41,7 @@ class Reading:
 
     @property
     def taps(self) -> int:
-        """Of a window of all planes, and behind it."""
+        """Number of taps of a window of all planes, and behind it."""
         return 3 * self.order.shape[1] + self.ratio_taps
 
     def taps_of(self, planes: NDArray, pixels: Integers, site: int, ratios: NDArray[np.float64]) -> Floats:

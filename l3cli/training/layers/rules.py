@@ -26,8 +26,8 @@ LAB_SLOPES = (500.0, 116.0, 200.0)  # of a*, L* and b* with the planes of a whit
 
 
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
-    """Of every frame whose index, `first` that of the first, is a multiple of `every`: sums of squared differences that
-    noise makes between pixels two apart of the luminance, and their number (2, level)."""
+    """Return, for every frame whose index, `first` being that of the first, is a multiple of `every`, sums of squared
+    differences that noise makes between pixels two apart of the luminance, and their number (2, level)."""
     see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True), []
     brightest = BRIGHTEST * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
     for index, frame in enumerate(frames, first):
@@ -49,7 +49,7 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
 
 
 class GradientScale(NamedTuple):
-    """How gradients are scaled at each level of the first layer, as the rules of plane layers have it."""
+    """Scale of gradients at each level of the first layer, as the rules of plane layers have it."""
 
     gradient_factor: NDArray[np.uint8]
     gradient_shift: NDArray[np.uint8]
@@ -84,7 +84,8 @@ def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
 def sample_tree(
     layer: LayerPass, scale: GradientScale, frames: Iterable[TrainingPair], first: int
 ) -> list[dict[int, TreeSample]]:
-    """Of every frame, the first of which has the index `first`, rows of each canonical site that a tree is grown on."""
+    """Return, for every frame, the first of which has the index `first`, rows of each canonical site that a tree is grown
+    on."""
     see, reading, sampled = layer.seer(), layer.reading(layer.recipe.side), []
     judged, turns = _judged(layer), layer.turns
     rows = -(-layer.recipe.tree_rows // sum(layer.mosaics))
@@ -122,7 +123,8 @@ def tree_rule(layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int
 
 
 def _judged(layer: LayerPass) -> NDArray[np.float32]:
-    """What errors of the outputs (output) are judged as (judged): of X, Y, Z in steps of L*a*b* near white."""
+    """Return the matrix (judged, output) that brings errors of the outputs into the space in which they are judged: of X,
+    Y, Z steps of L*a*b* near white."""
     if not layer.pictures:
         return np.eye(3, dtype=np.float32)
     white = layer.white_point / layer.white_point[LUMINANCE]

@@ -18,7 +18,7 @@ NEAR_SHARE = 0.9  # of the pseudo-patches come from the class's level, the other
 
 @dataclass(frozen=True)
 class LayerGoal:
-    """What a plane layer's transforms are to give."""
+    """Outputs that a plane layer's transforms are learned for."""
 
     pool: tuple[float, ...]  # weight of the classes one, two… levels away
     parent: float  # pseudo-patches

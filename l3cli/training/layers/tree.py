@@ -56,7 +56,7 @@ class TreeSample:
         return np.asarray(self.numerators[test, rows] > threshold * denominator)
 
     def quotient(self, test: int, rows: Indices) -> Floats:
-        """What is compared with thresholds."""
+        """Return the quotients that are compared with thresholds."""
         return np.asarray(self.numerators[test, rows] / self.denominators[EVERY[test].denominator, rows])
 
 

@@ -1,4 +1,4 @@
-"""What GStreamer's loader of Python plugins finds where GST_PLUGIN_PATH names the folder above this one's.
+"""Element that GStreamer's loader of Python plugins finds if GST_PLUGIN_PATH names the folder above this one's.
 
 The environment that holds this file need not be that of the loader's Python: what is installed beside l3cli comes first.
 """

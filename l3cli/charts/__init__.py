@@ -1,0 +1,1 @@
+"""A colour chart in a mosaic: found, and its patches measured."""

@@ -1,0 +1,240 @@
+"""A chart in a mosaic: plain regions that lie on a grid and follow the reflectances of its patches.
+
+Nothing is assumed of the channels: the values of each are compared with all that the reflectances allow, whatever its
+responsivity, which orders the patches at the same time.
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.charts.perspective import homography, through
+
+LONGEST = 480  # pixels of the picture that is searched
+SLOPES = (0.02, 0.04, 0.08, 0.15)  # relative, from pixel to pixel: plain is what changes less
+DARK = 0.02  # of the brightest: below, slopes are noise
+LEAST_AREA, MOST_SHARE = 9, 0.03  # pixels; of the picture: what a patch may cover
+LONG, FILLED = 2.2, (0.75, 1.25)  # of a patch: its long side over its short one; its area over a parallelogram's
+NEIGHBOURS, SEEDS = 8, 160  # regions that a region's grid steps are taken from; regions
+ASKEW, UNEQUAL = 0.5, 1.8  # of two steps: cosine of their angle, ratio of their lengths
+OFF = 0.22  # of a step: how far from its place on the grid a region may lie
+REFINED = (0.25, 0.15, 0.1, 0.1)  # of a cell: how far a region may lie from its patch, step by step
+LEAST_SHARE, LEAST_ON = 0.4, 5  # of the patches that must be regions; regions at least
+GROWN, TRIED = 200, 20  # grids that are followed beyond their first steps; grids whose reflectances are compared
+COMPONENTS = 6  # of the reflectances: with them every channel's values are explained but for a few percent
+LEAST_FIT = 0.9  # R² of the values by those
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Located:
+    """Place of a chart in a picture."""
+
+    to_pixels: Array  # (3, 3) homography from cells x, y to pixels col, row of the mosaic
+    fit: float  # R² of its values by its reflectances, mean over channels
+
+
+def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
+    """(row, col, channel) means over whole super-pixels of a mosaic whose first pixel is the CFA's."""
+    rows, cols = cfa.shape
+    height, width = mosaic.shape[0] // rows, mosaic.shape[1] // cols
+    blocks = mosaic[: height * rows, : width * cols].reshape(height, rows, width, cols).astype(np.float64)
+    channels = range(int(cfa.max()) + 1)
+    weights = np.array([(cfa == channel) / np.count_nonzero(cfa == channel) for channel in channels])
+    return np.einsum("hrwc,krc->hwk", blocks, weights)
+
+
+def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tuple[int, int]) -> Located | None:
+    """Return the chart of a grid (rows, cols) of patches with reflectances (patch, wavelength), row by row, in a mosaic
+    (row, col) of DN above black; None if none is there."""
+    picture = superpixels(mosaic, cfa)
+    if min(picture.shape[:2]) < min(grid):
+        return None
+    step = max(1, -(-max(picture.shape[:2]) // LONGEST))
+    height, width = (length // step for length in picture.shape[:2])
+    small = picture[: height * step, : width * step].reshape(height, step, width, step, -1).mean(axis=(1, 3))
+    basis = components(reflectance)
+    regions = [_plain_regions(small, slope) for slope in SLOPES]
+    placements = [_placed(matrix, small, basis, grid) for region in regions for matrix in _grids(*region, grid)]
+    best = max(filter(None, placements), key=lambda each: each.fit, default=None)
+    if best is None or best.fit < LEAST_FIT:
+        return None
+    best = _refined(best, np.concatenate([centres for centres, _ in regions]), grid)
+    scale = np.array([cfa.shape[1] * step, cfa.shape[0] * step], dtype=np.float64)
+    shift = (scale - 1) / 2  # of a small pixel's centre
+    return Located(np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]], [0, 0, 1]]) @ best.to_pixels, best.fit)
+
+
+def components(reflectance: Array) -> Array:
+    """(patch, component) orthonormal: what the values of any channel are made of, a constant for glare included."""
+    left, _, _ = np.linalg.svd(reflectance, full_matrices=False)
+    basis, _ = np.linalg.qr(np.column_stack([np.ones(len(reflectance)), left[:, :COMPONENTS]]))
+    return np.asarray(basis)
+
+
+# ---------------------------------------------------------------------------------------------------------- regions
+
+
+def _plain_regions(picture: Array, slope: float) -> tuple[Array, Array]:
+    """Return the centres (region, 2) col, row and areas (region) of regions of little slope that may be patches."""
+    from scipy import ndimage
+
+    steepest = np.zeros(picture.shape[:2])
+    for channel in range(picture.shape[2]):
+        plane = picture[..., channel]
+        floor = max(DARK * float(np.percentile(plane, 99)), 1e-9)  # of a black frame, too
+        change = ndimage.gaussian_gradient_magnitude(plane, 1.0)
+        steepest = np.maximum(steepest, change / (np.maximum(ndimage.gaussian_filter(plane, 1.0), 0.0) + floor))
+    label, count = ndimage.label(steepest < slope)
+    if not count:
+        return np.zeros((0, 2)), np.zeros(0)
+    area = np.bincount(label.ravel(), minlength=count + 1)[1:].astype(np.float64)
+    row, col = np.indices(label.shape)
+
+    def mean(values: Array) -> Array:
+        return np.bincount(label.ravel(), weights=values.ravel(), minlength=count + 1)[1:] / area
+
+    y, x = mean(row), mean(col)
+    yy, xx, xy = mean(row * row) - y * y, mean(col * col) - x * x, mean(row * col) - x * y
+    spread, tilt = (yy + xx) / 2 + 1 / 12, np.hypot((yy - xx) / 2, xy)
+    long, short = spread + tilt, np.maximum(spread - tilt, 1e-9)
+    filled = area / (12 * np.sqrt(long * short))
+    fits = (area >= LEAST_AREA) & (area <= MOST_SHARE * label.size) & (long < LONG**2 * short)
+    fits &= (filled > FILLED[0]) & (filled < FILLED[1])
+    return np.stack([x, y], axis=1)[fits], area[fits]
+
+
+# ------------------------------------------------------------------------------------------------------------ grids
+
+
+def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
+    """Homographies (3, 3) from grid places, the seed's (0, 0), to pixels, of the grids on which most regions lie."""
+    least = max(LEAST_ON, round(LEAST_SHARE * grid[0] * grid[1]))
+    if len(centres) < least:
+        return []
+    found: list[tuple[int, Array]] = []
+    for seed in np.argsort(-areas)[:SEEDS]:
+        alike = np.flatnonzero((areas > areas[seed] / 3) & (areas < areas[seed] * 3))
+        offsets = centres[alike] - centres[seed]
+        isolated = np.hypot(*offsets.T)
+        near = np.argsort(isolated)[1 : NEIGHBOURS + 1]
+        for one, other in itertools.permutations(near, 2):
+            u, v = offsets[one], offsets[other]
+            if not _may_be_steps(u, v):
+                continue
+            on = _on_grid(offsets @ np.linalg.inv(np.array([u, v])), max(grid))[1]
+            if on.sum() >= LEAST_ON:
+                first = np.array([[u[0], v[0], centres[seed][0]], [u[1], v[1], centres[seed][1]], [0.0, 0.0, 1.0]])
+                found.append((int(on.sum()), first))
+    found.sort(key=lambda each: -each[0])
+    grown = [_grown(centres, matrix, max(grid)) for _, matrix in found[:GROWN]]
+    grown.sort(key=lambda each: -each[0])
+    return [matrix for count, matrix in grown[:TRIED] if count >= least]
+
+
+def _may_be_steps(u: Array, v: Array) -> bool:
+    """Return whether two offsets may be one patch along a row and one down a column, seen from the front."""
+    lengths = np.hypot(*u), np.hypot(*v)
+    if min(lengths) == 0 or max(lengths) > UNEQUAL * min(lengths):
+        return False
+    turn = u[0] * v[1] - u[1] * v[0]  # above zero: rows run downwards where columns run to the right
+    return bool(turn > 0 and abs(u @ v) < ASKEW * lengths[0] * lengths[1])
+
+
+def _on_grid(coordinates: Array, reach: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Grid places (region, 2) x, y, and which regions lie on one, each place once."""
+    places = np.rint(coordinates).astype(np.int64)
+    off = np.abs(coordinates - places).max(axis=1)
+    on = (off < OFF) & (np.abs(places).max(axis=1) <= reach)
+    taken: dict[tuple[int, int], int] = {}
+    for index in np.flatnonzero(on):
+        key = (int(places[index, 0]), int(places[index, 1]))
+        if key in taken and off[taken[key]] <= off[index]:
+            on[index] = False
+        else:
+            on[taken.get(key, index)] = False
+            on[index] = True
+            taken[key] = int(index)
+    return places, on
+
+
+def _grown(centres: Array, matrix: Array, reach: int) -> tuple[int, Array]:
+    """Return the number of regions that lie on a grid, and its homography, from its first steps on fitted to ever farther
+    regions."""
+    count = 0
+    for radius in (2, 3, 5, reach, reach):
+        try:
+            coordinates = through(np.linalg.inv(matrix), centres)
+        except np.linalg.LinAlgError:
+            break
+        near = np.isfinite(coordinates).all(axis=1) & (np.abs(coordinates).max(axis=1) < radius + 0.5)
+        places, on = _on_grid(np.where(near[:, None], coordinates, 1e6), reach)
+        if on.sum() < LEAST_ON or min(np.ptp(places[on], axis=0)) < 1:
+            break
+        count, matrix = int(on.sum()), homography(places[on].astype(np.float64), centres[on])
+    return count, matrix
+
+
+def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located:
+    """Return the placement fitted to the regions that lie on its patches alone, of all slopes that made them plain."""
+    matrix = located.to_pixels
+    for tolerance in REFINED:
+        cells = through(np.linalg.inv(matrix), centres)
+        places = np.floor(np.where(np.isfinite(cells), cells, -1.0)) + 0.5
+        near = (
+            (np.abs(cells - places) < tolerance).all(axis=1) & (places > 0).all(axis=1) & (places < grid[::-1]).all(axis=1)
+        )
+        if len(np.unique(places[near], axis=0)) < LEAST_ON:
+            break
+        matrix = homography(places[near], centres[near])
+    return Located(matrix, located.fit)
+
+
+# -------------------------------------------------------------------------------------------------------- placement
+
+
+def _placed(matrix: Array, picture: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
+    """Return the placement of the chart on a grid, shifted and turned, under which its reflectances fit best."""
+    rows, cols = grid
+    reach = max(grid)
+    places = np.arange(-reach, reach + 1)
+    values = _sampled(picture, through(matrix, np.stack(np.meshgrid(places, places), axis=-1)))  # (y, x, channel)
+    best: tuple[float, int, int, int] | None = None
+    for turn in range(4):
+        turned = np.rot90(values, turn)
+        for y, x in np.ndindex(len(turned) - rows + 1, len(turned) - cols + 1):
+            patches = turned[y : y + rows, x : x + cols].reshape(rows * cols, -1)
+            if np.isnan(patches).any():
+                continue
+            share = fit(patches, basis)
+            if best is None or share > best[0]:
+                best = share, turn, y, x
+    if best is None:
+        return None
+    share, turn, y, x = best
+    index = np.stack(np.meshgrid(places, places), axis=-1)
+    corners = np.rot90(index, turn)[y : y + rows, x : x + cols].astype(np.float64)
+    centres = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), axis=-1) + 0.5
+    return Located(homography(centres.reshape(-1, 2), through(matrix, corners).reshape(-1, 2)), share)
+
+
+def _sampled(picture: Array, points: Array) -> Array:
+    """Return the means (…, channel) of 3 × 3 pixels about points (…, 2) col, row; NaN outside."""
+    from scipy import ndimage
+
+    smooth = ndimage.uniform_filter(picture, (3, 3, 1))
+    inside: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
+    index = np.rint(np.where(inside[..., None], points, -1)).astype(np.int64)
+    height, width = picture.shape[:2]
+    inside &= (index >= 0).all(axis=-1) & (index[..., 0] < width) & (index[..., 1] < height)
+    col, row = np.where(inside, index[..., 0], 0), np.where(inside, index[..., 1], 0)
+    return np.where(inside[..., None], smooth[row, col], np.nan)
+
+
+def fit(patches: Array, basis: Array) -> float:
+    """Return R² of values (patch, channel) by the reflectances' `components`, mean over channels."""
+    centred = patches - patches.mean(axis=0)
+    left = patches - basis @ (basis.T @ patches)
+    return float(np.mean(1.0 - (left**2).sum(axis=0) / np.maximum((centred**2).sum(axis=0), 1e-12)))

@@ -1,0 +1,277 @@
+"""The constant arrays of a table's C source, and the structs that name those of later layers."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.layers import PlaneLayer
+from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.tree_rule import TreeRule
+from l3cli.classes import contrast, direction, level, saturation
+from l3cli.classes.features import further_features
+from l3cli.classes.later import first_label_words
+from l3cli.classes.plane_kernel import rule_constants, rule_macros
+from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
+from l3cli.classes.windows import neighbourhoods
+from l3cli.export.short_words import ShortWords
+from l3cli.rendering.opencl.layout import (
+    PLANES,
+    WholeWeights,
+    by_column,
+    first_plane_weights,
+    first_weights,
+    later_plane_weights,
+    later_weights,
+)
+
+TAP_GROUP = 16  # taps are filled up to a multiple by weights of zero, so that loops over them have no rest
+TYPES = {
+    "int8": "int8_t",
+    "uint8": "uint8_t",
+    "int16": "int16_t",
+    "uint16": "uint16_t",
+    "int32": "int32_t",
+    "uint32": "uint32_t",
+    "float32": "float",
+}
+PER_LINE = 20  # numbers
+PER_STRING = 4000  # bytes; C99 promises strings of 4095
+# Bytes as they stand in a string: octal but for plain characters; without ?, of which two begin a trigraph.
+CHARACTERS = tuple(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in range(256))
+SHORT_TOP = 2**15 - 1
+
+
+@dataclass(frozen=True)
+class Array:
+    """A constant array of l3_table.c. One that is `packed`, of an entry for each class, has one axis in C and is written as
+    strings of its bytes, which compilers read fifty times sooner than numbers."""
+
+    name: str
+    values: NDArray
+    axes: str
+    packed: bool = False
+
+    @property
+    def local(self) -> bool:
+        """Return whether only l3_table.c names the array."""
+        return not self.name.startswith("l3_")
+
+    @property
+    def declaration(self) -> str:
+        """Return the declaration in the header; for a packed array without the name that it is used by."""
+        kind = TYPES[self.values.dtype.name]
+        if not self.packed:
+            return f"const {kind} {self.name}{''.join(f'[{length}]' for length in self.values.shape)}"
+        lines = -(-self.values.nbytes // PER_STRING)
+        members = f"unsigned char bytes[{lines}][{PER_STRING}]; {kind} value[{self.values.size}];"
+        return f"const union {self.name}_data {{ {members} }} {self.name}_data"
+
+    @property
+    def alias(self) -> list[str]:
+        """The line that names the values of a packed array."""
+        return [f"#define {self.name} {self.name}_data.value"] if self.packed else []
+
+    def public(self) -> list[str]:
+        """Return the lines of the header."""
+        return [f"extern {self.declaration};", *self.alias]
+
+    def lines(self) -> Iterator[str]:
+        yield f"/* {self.axes} */"
+        declared = f"const union {self.name}_data {self.name}_data" if self.packed and not self.local else self.declaration
+        yield f"{'static ' if self.local else ''}{declared} = {{{'{' if self.packed else ''}"
+        yield from _strings(self.values) if self.packed else _rows(self.values)
+        yield "}};" if self.packed else "};"
+        if self.local:
+            yield from self.alias
+
+
+def filled(taps: int) -> int:
+    """Return a number of taps with those of weight zero that fill it up."""
+    return -(-taps // TAP_GROUP) * TAP_GROUP
+
+
+def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[Array], list[str]]:
+    """Return the arrays of l3_table.c, those of the last layer floats unless `short`, and the lines that follow them."""
+    rule, near = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+    arrays = [
+        Array("l3_cfa", table.cfa, "channel of each site (CFA row, CFA column)"),
+        Array("l3_count", near.count.astype(np.uint8), "taps of each channel in the patch of a site (site, channel)"),
+        Array("l3_mean_reciprocal", near.mean_reciprocal.astype(np.uint32), "round(65536 / count) (site, channel)"),
+        Array("l3_variance_reciprocal", near.variance_reciprocal.astype(np.uint32), "round(512 / count) (site, channel)"),
+        Array("l3_level_tops", _some(level.kernel_array(rule)), "highest level sum below each level edge (edge)"),
+        Array("l3_contrast_edges", _some(contrast.kernel_array(rule)), "contrast edges, times 512 (edge, level)"),
+        Array(
+            "l3_case_of_code", saturation.kernel_array(rule), "saturation case of each pattern of saturated channels (code)"
+        ),
+        Array("l3_chroma_weights", rule.chroma_weights, "(chroma, channel)"),
+    ]
+    lines = []
+    for _, axis in further_features(rule):
+        edges = axis.constants[direction.HEAD :].reshape(-1, rule.levels)
+        arrays.append(Array("l3_direction_edges", edges, "strength edges (edge, level)"))
+        windows = sorted(axis.windows, key=lambda window: (window.top, window.rows, window.sum))
+        lines += ["/* sum, top, left, rows, columns, sign */", "const L3Window l3_windows[L3_WINDOWS] = {"]
+        lines += [*(f"{{{', '.join(map(str, window))}}}," for window in windows), "};"]
+    arrays += _last_words(table, short) if short else _last_floats(table)
+    if table.later:
+        more, layers = _layers(table)
+        return [*arrays, *more], [*lines, *layers, ""]
+    return arrays, [*lines, ""]
+
+
+def _last_floats(table: TransformTable) -> list[Array]:
+    weights = later_weights(table.later[-1]) if table.later else first_weights(table, table.first)
+    windows = weights.taps.shape[-1] - weights.ratio_taps
+    return [
+        Array("l3_last_weights", _fill(weights.taps[..., :windows]), "(class, output, tap)", packed=True),
+        Array("l3_last_intercept", weights.intercept, "(class, output)", packed=True),
+        *_behind(weights.taps[..., windows:]),
+    ]
+
+
+def _behind(taps: NDArray) -> list[Array]:
+    """Return the weights of the taps behind windows, if there are any."""
+    return [Array("l3_ratio_weights", taps, "(class, output, tap)", packed=True)] if taps.size else []
+
+
+def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
+    windows = table.later[-1].window_taps if table.later else words.whole.shape[-1]
+    taps = _fill(by_column(words.whole[..., :windows], PLANES if table.later else 1))
+    short = np.clip(taps, -SHORT_TOP, SHORT_TOP).astype(np.int16)
+    rest = taps - short
+    return [
+        Array("l3_last_weights", short, "times 2^(shift + L3_SPLIT) (class, output, tap)", packed=True),
+        Array("l3_last_intercept", words.intercept, "times 2^shift (class, output)", packed=True),
+        Array("l3_last_shift", words.fraction, "from sums to outputs (class, output)", packed=True),
+        Array(
+            "l3_last_rest",
+            rest.sum(axis=-1, dtype=np.int32),
+            "what one weight has beyond 16 bits (class, output)",
+            packed=True,
+        ),
+        Array("l3_last_tap", np.abs(rest).argmax(axis=-1).astype(np.uint16), "which (class, output)", packed=True),
+        *_behind(words.whole[..., windows:].astype(np.int16)),
+    ]
+
+
+def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
+    """Arrays and structs of a table of several layers."""
+    basis = opponent_basis(table.white_point)
+    arrays = _fixed("l3_", first_plane_weights(fixed_point(table), table.bits))
+    structs, entries = [], []
+    for number, layer in enumerate(table.later, 2):
+        prefix = f"layer{number}_"
+        rule, last = layer.rule, number == len(table.layers)
+        if not last:
+            arrays += _fixed(prefix, later_plane_weights(later_fixed_point(layer, basis)))
+        more, struct = _structure(prefix, rule) if isinstance(rule, StructureRule) else _tree(prefix, rule)
+        label_words = first_label_words(rule, table.first.rule)
+        arrays += [
+            Array(f"{prefix}gradient", (label_words & 0xFFFFFFFF).astype(np.uint32), "(class of the first layer)"),
+            Array(f"{prefix}first_class", (label_words >> 32).astype(np.uint32), "(class of the first layer)"),
+            *more,
+        ]
+        structs.append(struct)
+        entries.append(_entry(layer, prefix, last))
+    return arrays, [*structs, "", "const L3PlaneLayer l3_layers[L3_LAYERS - 1] = {", *entries, "};"]
+
+
+def _entry(layer: PlaneLayer, prefix: str, last: bool) -> str:
+    structured = isinstance(layer.rule, StructureRule)
+    fields: dict[str, int | str] = {
+        "side": layer.side,
+        "taps": filled(3 * layer.side**2),
+        "gradient": f"{prefix}gradient",
+        "first_class": f"{prefix}first_class",
+        "structure" if structured else "tree": f"&{prefix}rule",
+    }
+    if not last:
+        fields |= {
+            "fixed_weights": f"{prefix}weights",
+            "fixed_intercept": f"{prefix}intercept",
+            "fraction": f"{prefix}fraction",
+        }
+    return "    {" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "},"
+
+
+def _structure(prefix: str, rule: StructureRule) -> tuple[list[Array], str]:
+    arrays = [
+        Array(f"{prefix}edges", _some(rule.strength_edges), "strength edges (edge)"),
+    ]
+    values = f"{rule.strengths}, {rule.coherence}, {prefix}edges"
+    return arrays, f"static const L3Structure {prefix}rule = {{{values}}};"
+
+
+def _tree(prefix: str, rule: TreeRule) -> tuple[list[Array], str]:
+    """Return the words of opencl/cpu/trees.cl, each kind in an array of its own."""
+    parts = int(rule_macros(rule)["PARTS"])
+    (words,) = rule_constants(rule, "processor")
+    groups = -(-parts // 32) + parts
+    start, first, tests = (
+        words[: groups + 1],
+        words[groups + 1 : groups + 1 + parts],
+        words[groups + 1 + parts :].reshape(-1, 3),
+    )
+    arrays = [
+        Array(f"{prefix}start", (start - start[0]) // 3, "first test of each group, and behind the last (group + 1)"),
+        Array(f"{prefix}first_leaf", first, "(part)"),
+        Array(f"{prefix}threshold", tests[:, 0].copy().view(np.float32), "(test)"),
+        Array(f"{prefix}numerator", tests[:, 1].astype(np.uint8), "(test)"),
+        Array(f"{prefix}denominator", (tests[:, 1] >> 8).astype(np.uint8), "(test)"),
+        Array(f"{prefix}ruled_out", tests[:, 2], "(test)"),
+    ]
+    values = ", ".join([str(parts), *(array.name for array in arrays)])
+    return arrays, f"static const L3Tree {prefix}rule = {{{values}}};"
+
+
+def _fixed(prefix: str, whole: WholeWeights) -> list[Array]:
+    taps = _fill(whole.taps)
+    return [
+        Array(f"{prefix}weights", taps, "(class, plane, tap)", packed=True),
+        Array(f"{prefix}intercept", whole.intercept, "(class, plane)", packed=True),
+        Array(f"{prefix}fraction", whole.fraction.astype(np.uint8), "binary point (class)"),
+    ]
+
+
+def _fill(taps: NDArray) -> NDArray:
+    return np.pad(taps, ((0, 0), (0, 0), (0, filled(taps.shape[-1]) - taps.shape[-1])))
+
+
+def _some(edges: NDArray) -> NDArray:
+    """Edges, or one that nobody reads where there are none: C has no empty arrays."""
+    return edges if edges.size else np.zeros((1, *edges.shape[1:]), edges.dtype)
+
+
+def _strings(values: NDArray) -> Iterator[str]:
+    """Yield the lines of the little-endian bytes of an array, as string literals of a length that C99 promises."""
+    data = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
+    for start in range(0, len(data), PER_STRING):
+        yield f'"{"".join(map(CHARACTERS.__getitem__, data[start : start + PER_STRING]))}",'
+
+
+def _rows(values: NDArray) -> Iterator[str]:
+    """Yield the lines of the numbers of an array, the axes before the last in braces."""
+    if values.ndim > 1:
+        for each in values:
+            rows = list(_rows(each))
+            rows[0] = "{" + rows[0]
+            rows[-1] = rows[-1].rstrip(",") + "},"
+            yield from rows
+        return
+    write: Callable[[NDArray], list[str]] = _as_floats if values.dtype.kind == "f" else _as_integers
+    numbers = write(values)
+    for start in range(0, len(numbers), PER_LINE):
+        yield ", ".join(numbers[start : start + PER_LINE]) + ","
+
+
+def _as_integers(values: NDArray) -> list[str]:
+    suffix = "u" if values.dtype == np.uint32 else ""
+    return [f"{value}{suffix}" for value in values.tolist()]
+
+
+def _as_floats(values: NDArray) -> list[str]:
+    """Nine digits, which are read as the same float32. numpy would follow print options, which libraries set."""
+    return [f"{value:.8e}f" if value else "0.0f" for value in values.astype(np.float32).tolist()]

@@ -1,0 +1,226 @@
+"""A table as plain arrays: little-endian files, and table.json that says what each holds."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli import __version__
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, rule_fields
+from l3cli.artifacts.schema import Spec, declared
+from l3cli.artifacts.structure_rule import GRADIENT
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, later_fixed_point, opponent_basis
+from l3cli.classes.ratios import DARKEST as RATIO_DARKEST
+from l3cli.classes.structure import NOISE_TRACE
+from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP, turned_tests
+from l3cli.classes.windows import neighbourhoods
+from l3cli.export.vector import make_vector
+from l3cli.export.wordlengths import ENOUGH, SEED, SHAPE, Cost, Words, chosen_words, word_costs
+from l3cli.rendering.display import require_known_layers
+from l3cli.rendering.smoothing import DARKEST
+from l3cli.system.text import printable
+
+FORMAT, VERSION = "l3 table as arrays", 1
+HEAD = ("bits", "black_level", "white_level", "outputs", "output_unit", "white_point", "channels", "cfa")
+LEFT_OUT = ("samples", "condition")  # of layers: how they were learned
+
+FORMULAS = {
+    "class": "(((site * levels + level) * contrasts + contrast) * further + further_value) * kinds + kind",
+    "site": "CFA row * CFA columns + CFA column",
+    "statistics": "v = DN >> shift over the patch about a pixel; n, S, Q: number, sum, sum of squares of v of a channel",
+    "level": "number of level_edges <= sum over channels of (S * mean_reciprocal >> 8)",
+    "contrast": "M = S * mean_reciprocal >> 16; V = min((Q - M * (2 S - n M)) * variance_reciprocal, "
+    "(2^32 - 1) // channels); number of contrast_edges (of the level) < sum over channels of V",
+    "saturation": "code: bit c is set where a pixel of channel c within saturation_radius is >= saturation; "
+    "case_of_code[code]",
+    "chroma": "first k of least sum over channels of clamp((S * mean_reciprocal >> 12) - chroma_black_level, 0, 65535) * "
+    "chroma_weights[k]",
+    "kind": "chroma where the case is 0, else chromas - 1 + case",
+    "borders": "the sample of equal CFA phase nearest the mirror image; planes: mirrored about the outermost pixels",
+}
+QUIET = "quiet/"  # before the names of its arrays
+QUIET_DOC = (
+    "a second set of transforms, for pixels of which a filter in time has left no more of the noise variance than limit, a "
+    "share of a frame's; learned for noise_left of it. Its arrays are those of the same name behind quiet/; where there is "
+    "none, those of the usual set. Formulas and constants are the same; test_labels and test_outputs are by this set alone"
+)
+ONE_LAYER = {"output": "sum of weights * (DN - black_level) / (white_level - black_level) + intercept"}
+LAYERS = {
+    "plane": "clamp(sum of fixed_weights * value + fixed_intercept + 2^(F - 1) >> F, -plane_top, plane_top); "
+    "F = fraction[class]; value: DN in the first layer; in others clamp(plane + 2^(coarse - 1) >> coarse, "
+    "-coarse_top, coarse_top)",
+    "output": "sum of the last layer's weights * plane * plane_step + intercept; taps plane by plane, each row by row, "
+    "behind them those of the colour ratios if it has two taps more",
+    "colour ratios": "mean * clamp((Y - mean Y) / max(mean Y, ratio_darkest), -1, 1) of the first and of the third plane; "
+    "means over the window",
+    "later class": "(site * levels + level // level_step) * kinds + kind; level and case of the first layer; kind: "
+    "structure or leaf where case - spared_cases is at most 0, else structures - 1 + that; of a tree levels = 1",
+}
+
+
+SPECTRA_DOC = (
+    "what is done to the outputs at last, also to test_outputs: Y is the mean of the outputs, p a pixel, q those of the "
+    "window about it, mirrored at the borders; w = max(0, 1 - ((Y_q - Y_p) / (reach * Y_p))^2)^2; output_p <- mean of "
+    "output_q * Y_p / mean of Y_q, means weighed by w, where Y_p > spectra_darkest"
+)
+
+
+def folder_files(table: TransformTable) -> dict[str, bytes]:
+    """Name → content of every file."""
+    require_known_layers(table)
+    arrays = _Arrays()
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "made_by": f"l3cli {__version__}",
+        "camera": printable(table.camera_name),
+        "table": arrays.add_fields("", table, HEAD),
+        **_set(arrays, table),
+        "formulas": FORMULAS | (LAYERS if table.later else ONE_LAYER),
+        "constants": _constants(table),
+    }
+    if table.spectra:
+        content["spectra"] = {"doc": SPECTRA_DOC, **arrays.add_fields("spectra/", table.spectra)}
+        content["constants"]["spectra_darkest"] = DARKEST
+    if table.quiet:
+        quiet = replace(table, first=table.quiet.first, later=table.quiet.later, quiet=None)
+        arrays.prefix = QUIET
+        values = {"noise_left": table.quiet.noise_left, "limit": table.quiet.limit}
+        content["quiet"] = {"doc": QUIET_DOC, **values, **_set(arrays, quiet)}
+    content["arrays"] = arrays.entries
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return {"table.json": text.encode(), **arrays.files}
+
+
+def _set(arrays: "_Arrays", table: TransformTable) -> dict[str, Any]:
+    """Add the arrays of a set of transforms; its layers' single values, and what short words of it cost."""
+    costs = word_costs(table)
+    words = chosen_words(table, costs)
+    layers = [_layer(arrays, number, layer) for number, layer in enumerate(table.layers)]
+    _derived(arrays, table)
+    _words(arrays, words, len(table.layers) - 1)
+    for name, values in _vector(table).items():
+        arrays.add(name, *values)
+    return {"layers": layers, "word_lengths": _study(words, costs)}
+
+
+class _Arrays:
+    """Files of arrays, and what table.json says of each."""
+
+    def __init__(self) -> None:
+        self.files: dict[str, bytes] = {}
+        self.entries: list[dict[str, Any]] = []
+        self.prefix = ""  # of the names of a further set, whose arrays are left out where the usual set has the same
+
+    def add(self, name: str, values: NDArray, axes: tuple[str, ...], unit: str, doc: str) -> None:
+        little = values.astype(values.dtype.newbyteorder("<"))
+        if self.prefix and self.files.get(_file(name)) == little.tobytes():
+            return
+        name = self.prefix + name
+        file = _file(name)
+        self.files[file] = little.tobytes()
+        self.entries.append(
+            {"name": name, "file": file, "dtype": values.dtype.name, "byte_order": "little", "shape": list(values.shape),
+             "axes": list(axes), "unit": unit, "doc": doc}
+        )  # fmt: skip
+
+    def add_fields(self, prefix: str, instance: Any, names: tuple[str, ...] | None = None) -> dict[str, Any]:
+        """Add the arrays that a dataclass declares; its single values and names, each with unit and meaning."""
+        values = {}
+        for name, spec, _ in declared(type(instance)):
+            if not isinstance(spec, Spec) or name in LEFT_OUT or (names is not None and name not in names):
+                continue
+            value = getattr(instance, name)
+            if isinstance(value, np.ndarray):
+                self.add(prefix + name, value, spec.axes, spec.unit, spec.doc)
+            else:
+                values[name] = {"value": value, "unit": spec.unit, "doc": spec.doc}
+        return values
+
+
+def _file(name: str) -> str:
+    return f"{name.replace('/', '_')}.bin"
+
+
+def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
+    """Return a layer's arrays and single values, those of its rule among them."""
+    prefix, rule = f"layer{number}/", layer.rule
+    kind = next(iter(rule_fields(rule))) if number else "mosaic"
+    entry: dict[str, Any] = {"reads": "planes" if number else "mosaic", "rule": kind}
+    entry |= arrays.add_fields(prefix, layer) | arrays.add_fields(prefix, rule)
+    names = ("levels", "kinds", "structures") if number else ("levels", "contrasts", "further", "chromas", "cases", "kinds")
+    entry["sizes"] = {name: getattr(rule, name) for name in names} | {"classes": len(layer.weights)}
+    if not number and rule.features:
+        entry["features"] = arrays.add_fields(f"{prefix}features/", rule.features)
+    if kind == "tree":
+        arrays.add(f"{prefix}leaf", rule.leaf.astype(np.int32), ("node",), "1", "number of the leaf")
+    return entry
+
+
+def _derived(arrays: _Arrays, table: TransformTable) -> None:
+    """Add the arrays that l3 computes from a table before it renders."""
+    near = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+    for name, values, doc in (
+        ("count", near.count, "taps of each channel in the patch of a site"),
+        ("mean_reciprocal", near.mean_reciprocal, "round(65536 / count)"),
+        ("variance_reciprocal", near.variance_reciprocal, "round(512 / count)"),
+    ):
+        arrays.add(f"layer0/{name}", values.astype(np.int32), ("site", "channel"), "1", doc)
+    if not table.later:
+        return
+    basis = opponent_basis(table.white_point)
+    for number, fixed in enumerate((fixed_point(table), *(later_fixed_point(layer, basis) for layer in table.later[:-1]))):
+        _fixed(arrays, f"layer{number}/", fixed, "per DN" if number == 0 else "per coarse step of a plane")
+    tests = [turned_tests(turn) for turn in range(8)]
+    if any(layer.tree for layer in table.later):
+        axes = ("orientation", "test")
+        arrays.add("turned_test", np.array([test for test, _ in tests], np.uint8), axes, "1", "numerator that a test reads")
+        arrays.add("turned_sign", np.array([sign for _, sign in tests]).astype(np.int8), axes, "1", "and its sign")
+
+
+def _fixed(arrays: _Arrays, prefix: str, fixed: FixedPoint, unit: str) -> None:
+    taps = ("class", "plane", "tap")
+    arrays.add(f"{prefix}fixed_weights", fixed.weights, taps, unit, "taps plane by plane, each row by row; times 2^fraction")
+    arrays.add(f"{prefix}fixed_intercept", fixed.intercept, taps[:2], "1", "times 2^fraction")
+    arrays.add(f"{prefix}fraction", fixed.fraction, taps[:1], "bit", "binary point F")
+
+
+def _words(arrays: _Arrays, words: Words, last: int) -> None:
+    axes, prefix = ("class", "output", "tap"), f"layer{last}/"
+    doc = f"the layer's weights times 2^word_fraction, in {words.bits} bits with sign"
+    arrays.add(f"{prefix}word_weights", words.whole, axes, "1", doc)
+    arrays.add(f"{prefix}word_fraction", words.fraction, axes[:1], "bit", "binary point of a class")
+
+
+def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
+    return {
+        "doc": "weights of the last layer in words of so many bits, with a binary point for each class or for the table; "
+        "psnr_db: outputs against those of float weights, of a full output 1, on a drawn mosaic",
+        "mosaic": {"rows": SHAPE[0], "columns": SHAPE[1], "seed": SEED},
+        "costs": [{"bits": cost.bits, "binary_point_of": cost.scale, "psnr_db": round(cost.psnr, 1)} for cost in costs],
+        "chosen": {"bits": words.bits, "binary_point_of": words.scale, "least_psnr_db": ENOUGH},
+    }
+
+
+def _constants(table: TransformTable) -> dict[str, Any]:
+    values: dict[str, Any] = {"level_fraction_bits": 8, "variance_fraction_bits": 9, "chroma_fraction_bits": 4}
+    if table.later:
+        values |= {"plane_step": PLANE_STEP, "plane_top": PLANE_TOP, "coarse": COARSE, "coarse_top": COARSE_TOP,
+                   "ratio_darkest": RATIO_DARKEST,
+                   "gradient_top": GRADIENT, "tree_gradient_top": TOP, "tree_chroma_gradient_top": CHROMA_TOP,
+                   "tree_noise_trace": NOISE_TRACE, "tree_dark": DARK, "tree_tests": [test.name for test in EVERY],
+                   "tree_denominators": [test.denominator for test in EVERY]}  # fmt: skip
+    return values
+
+
+def _vector(table: TransformTable) -> dict[str, tuple[NDArray, tuple[str, ...], str, str]]:
+    vector = make_vector(table)
+    start = f"first pixel at CFA row {vector.phase[0]}, column {vector.phase[1]}"
+    return {
+        "test_raw": (vector.raw, ("row", "column"), "DN", f"a drawn mosaic; {start}"),
+        "test_labels": (vector.labels.astype(np.uint32), ("layer", "row", "column"), "1", "its classes"),
+        "test_outputs": (vector.outputs, ("output", "row", "column"), "output_unit", "its outputs, of float weights"),
+    }

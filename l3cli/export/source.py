@@ -1,0 +1,301 @@
+"""A table as C99 source: fixed code, joined of the pieces in c/, and the table's numbers as macros and constant arrays."""
+
+import math
+import re
+import string
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.layers import PLANE_TOP
+from l3cli.artifacts.structure_rule import GRADIENT, StructureRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.tree_rule import TreeRule
+from l3cli.classes import direction, saturation
+from l3cli.classes.features import further_features
+from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, raw_middle
+from l3cli.classes.ratios import DARKEST as RATIO_DARKEST
+from l3cli.classes.structure import NOISE_TRACE
+from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP
+from l3cli.errors import InputFileError, RecipeError, shortened
+from l3cli.export.c_arrays import TAP_GROUP, TYPES, Array, filled, table_arrays
+from l3cli.export.short_words import OUTPUT_FRACTION, OUTPUT_TOP, ShortWords, offset_of, short_words, split_of
+from l3cli.export.vector import Vector, make_vector
+from l3cli.export.wordlengths import short_cost
+from l3cli.physics.display import XYZ
+from l3cli.physics.spaces import SRGB, Curve
+from l3cli.rendering.display import linear_matrix, require_known_layers
+from l3cli.rendering.smoothing import DARKEST
+from l3cli.rendering.white.balance import WhiteBalance
+from l3cli.rendering.white.source import usual_balance
+from l3cli.system.text import printable
+
+PIECES = Path(__file__).parent / "c"
+Words = Literal["float32", "int16"]  # of outputs, and of what the last layer multiplies
+PREFIX = "l3"  # of symbols, unless another is asked for
+LEAST_BLOCK = 128  # pixels that loops take at a time
+CODES = 256  # of a picture
+BINS = 4096  # of linear values: sRGB is nowhere so steep that one holds two thresholds
+DATA = (
+    "/* The numbers of a transform table; l3_table.h says how many. Long arrays are strings of their bytes. */",
+    '#include "l3_table.h"',
+    "",
+    "#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__",
+    '#error "the bytes of numbers are in the order of little-endian processors"',
+    "#endif",
+    "",
+)
+GUARD = ("#ifndef L3_TABLE_H", "#define L3_TABLE_H", "", "#include <stdint.h>", "")
+
+
+def c_files(
+    table: TransformTable, words: Words = "float32", balance: WhiteBalance | None = None, prefix: str = PREFIX
+) -> dict[str, bytes]:
+    """Return the content of each file by its name. Outputs are in `words`; pictures, of a table of X, Y, Z, show the white
+    of `balance` (None: the table's) neutral; symbols and files begin with `prefix`. InputFileError if the table is beyond
+    what the C computes, RecipeError if symbols cannot begin so."""
+    require_known_layers(table)
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", prefix):
+        raise RecipeError(
+            f'prefix "{shortened(prefix)}" cannot begin a symbol: give at most 31 of a-z, 0-9 and _, a letter first'
+        )
+    if prefix == "test":
+        raise RecipeError('prefix "test" is taken by the test program; give another')
+    for feature, axis in further_features(table.first.rule):
+        if feature is not direction:
+            raise InputFileError(f'C source has no class feature "{axis.name}"; export the table as a folder')
+    if table.spectra and words == "int16":
+        raise InputFileError("the table smooths spectra, in floats; leave out ‹words› or export it as a folder")
+    short = short_words(table) if words == "int16" else None
+    arrays, layers = table_arrays(table, short)
+    vector, shows = make_vector(table), table.outputs == XYZ
+    sources = ["l3.c", "l3_table.c", *(["l3_picture.c"] if shows else [])]
+    headers = ["l3.h", "l3_table.h", *(["l3_picture.h"] if shows else [])]
+    built = {
+        "sources": " ".join(sources),
+        "objects": " ".join(name.replace(".c", ".o") for name in sources),
+        "headers": " ".join(headers),
+    }
+    texts = {
+        "l3.c": "".join(_piece(name) for name in _pieces(table, words)),
+        "l3.h": _piece("l3.h"),
+        "l3_table.h": _header(table, vector, arrays, words),
+        "l3_table.c": "\n".join([*DATA, *(line for array in arrays for line in (*array.lines(), "")), *layers]),
+        "test.c": _piece("test.c"),
+        "Makefile": string.Template(_piece("Makefile")).substitute(built),
+        "CMakeLists.txt": string.Template(_piece("CMakeLists.txt")).substitute(built),
+        "README.md": _readme(table, vector, arrays, short),
+    }  # fmt: skip
+    if shows:
+        texts |= {"l3_picture.h": _piece("picture.h"), "l3_picture.c": _picture_source(table, balance, _piece("picture.c"))}
+    return {_named(name, prefix): _named(text, prefix).encode() for name, text in texts.items()} | vector.files()
+
+
+def _named(text: str, prefix: str) -> str:
+    """Return a text whose symbols, macros, types and names of files begin with a prefix instead of l3."""
+    if prefix == PREFIX:
+        return text
+    return "\n".join(line if line.startswith('"') else _renamed(line, prefix) for line in text.split("\n"))
+
+
+def _renamed(text: str, prefix: str) -> str:
+    """Do so in a line that is no string of an array's bytes, which may spell anything."""
+    text = re.sub(r"\bl3(?=_|\.[cho]\b)", prefix, text)
+    return re.sub(r"\bL3(?=[A-Z])", prefix.title().replace("_", ""), re.sub(r"\bL3(?=_)", prefix.upper(), text))
+
+
+def _piece(name: str) -> str:
+    return (PIECES / name).read_text(encoding="utf-8")
+
+
+def _pieces(table: TransformTable, words: Words) -> tuple[str, ...]:
+    further = "direction.c" if table.first.rule.axes else "no_direction.c"
+    behind = ("planes.c", "structure.c", "tree.c", "several_layers.c") if table.later else ("one_layer.c",)
+    spectra = "spectra.c" if table.spectra else "no_spectra.c"
+    return ("head.c", further, "classes.c", f"{words}.c", *behind, spectra, "render.c")
+
+
+# ---------------------------------------------------------------------------------------------------------------- macros
+
+
+def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
+    """Return the macros that the sizes of loops and arrays, and the formulas, depend on."""
+    rule, columns = table.first.rule, table.cfa.shape[1]
+    group = math.lcm(columns, TAP_GROUP)
+    values: dict[str, int | str] = {
+        "LAYERS": len(table.layers),
+        "OUTPUTS": len(table.outputs),
+        "CHANNELS": len(table.channels),
+        "CFA_ROWS": table.cfa.shape[0],
+        "CFA_COLUMNS": columns,
+        "BLACK_LEVEL": _float(table.black_level),
+        "WHITE_LEVEL": _float(table.white_level),
+        "MOST_DN": 2**table.bits - 1,
+        "PATCH": rule.patch,
+        "RADIUS": rule.radius,
+        "BLOCK": -(-LEAST_BLOCK // group) * group,
+        "SHIFT": rule.shift,
+        "LEVELS": rule.levels,
+        "CONTRASTS": rule.contrasts,
+        "VARIANCE_CAP": f"UINT32_C({(2**32 - 1) // len(table.channels)})",
+        **saturation.macros(rule),
+        "CHROMAS": rule.chromas,
+        "CHROMA_BLACK_LEVEL": rule.chroma_black_level,
+        "FURTHER": rule.further,
+        "KINDS": rule.kinds,
+        "CLASSES": len(table.first.weights),
+    }
+    for feature, axis in further_features(rule):
+        values |= feature.macros(axis, rule) | {"WINDOWS": len(axis.windows)}
+    if table.spectra:
+        reach, darkest = _float(table.spectra.reach), _float(DARKEST)
+        values |= {"SPECTRAL_WINDOW": table.spectra.window, "SPECTRAL_REACH": reach, "DARKEST": darkest}
+    values |= _float_macros(table) if words == "float32" else _word_macros(table)
+    return values | (_plane_macros(table) if table.later else {"LAST_TAPS": filled(rule.patch**2)})
+
+
+def _float_macros(table: TransformTable) -> dict[str, int | str]:
+    return {"OUTPUT_FRACTION": 0, "VALUE_OFFSET": "0.0f" if table.later else _float(table.black_level)}
+
+
+def _word_macros(table: TransformTable) -> dict[str, int | str]:
+    return {
+        "OUTPUT_FRACTION": OUTPUT_FRACTION,
+        "OUTPUT_TOP": OUTPUT_TOP,
+        "VALUE_OFFSET": offset_of(table),
+        "SPLIT": split_of(table),
+    }
+
+
+def _plane_macros(table: TransformTable) -> dict[str, int | str]:
+    most = max(layer.side for layer in table.later)
+    return {
+        "TAPS": filled(table.first.rule.patch**2),
+        "RAW_MIDDLE": raw_middle(table.bits),
+        "PLANE_TOP": PLANE_TOP,
+        "LUMINANCE": LUMINANCE,
+        "COARSE": COARSE,
+        "COARSE_TOP": COARSE_TOP,
+        "GRADIENT_TOP": GRADIENT,
+        "NOISE_TRACE": NOISE_TRACE,
+        "TREE_TOP": TOP,
+        "TREE_CHROMA_TOP": CHROMA_TOP,
+        "DARK": DARK,
+        "TESTS": len(EVERY),
+        "LAST_TAPS": filled(3 * table.later[-1].side ** 2),
+        "RATIO_TAPS": table.later[-1].ratio_taps,
+        "RATIO_DARKEST": RATIO_DARKEST,
+        "MOST_SIDE": max(most, table.first.rule.patch),
+        "MOST_COLUMN": max(3 * most, table.first.rule.patch),
+        "MOST_TAPS": max(filled(3 * most**2), filled(table.first.rule.patch**2)),
+    }
+
+
+def _float(value: float) -> str:
+    return f"{float(np.float32(value))!r}f"
+
+
+def _header(table: TransformTable, vector: Vector, arrays: list[Array], words: Words) -> str:
+    rows, columns = vector.raw.shape
+    test = {
+        "TEST_ROWS": rows,
+        "TEST_COLUMNS": columns,
+        "TEST_PHASE_ROW": vector.phase[0],
+        "TEST_PHASE_COLUMN": vector.phase[1],
+    }
+    lines = [f"#define L3_{name} {value}" for name, value in (macros(table, words) | test).items()]
+    public = [line for array in arrays if not array.local for line in array.public()]
+    types = (_piece("types.h") if table.later else "") + (_piece("window.h") if table.first.rule.axes else "")
+    extra = ["extern const L3PlaneLayer l3_layers[L3_LAYERS - 1];"] if table.later else []
+    extra += ["extern const L3Window l3_windows[L3_WINDOWS];"] if table.first.rule.axes else []
+    start = "/* A transform table: its constants; its arrays stand in l3_table.c. README.md explains both. */"
+    lines += ["", f"typedef {TYPES[words]} L3Output;"]
+    return "\n".join([start, *GUARD, *lines, "", types + "\n".join(public), *extra, "", "#endif", ""])
+
+
+# ---------------------------------------------------------------------------------------------------------------- README
+
+
+def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: ShortWords | None) -> str:
+    rule = table.first.rule
+    known: dict[str, object] = {
+        "camera": printable(table.camera_name),
+        "bits": table.bits,
+        "black": f"{table.black_level:g}",
+        "white": f"{table.white_level:g}",
+        "outputs": ", ".join(map(printable, table.outputs)),
+        "unit": f"{table.output_unit:g}",
+        "layers": len(table.layers),
+        "array": f"{table.cfa.shape[0]} × {table.cfa.shape[1]}",
+        "channels": ", ".join(map(printable, table.channels)),
+        "patch": rule.patch,
+        "shift": rule.shift,
+        "levels": rule.levels,
+        "contrasts": rule.contrasts,
+        "saturation": rule.saturation,
+        "radius": rule.saturation_radius,
+        "chromas": rule.chromas,
+        "further": rule.further,
+        "kinds": rule.kinds,
+        "classes": len(table.first.weights),
+        "cap": (2**32 - 1) // len(table.channels),
+        "chroma_black": rule.chroma_black_level,
+        "kilobytes": f"{sum(array.values.nbytes for array in arrays) / 1000:.0f}",
+        "rows": vector.raw.shape[0],
+        "columns": vector.raw.shape[1],
+        "phase": "{}, {}".format(*vector.phase),
+    }
+    known["ratio_darkest"] = RATIO_DARKEST
+    known |= _words_known(table, short) if short else {"words": "float"}
+    parts = ["readme.md", "readme_int16.md" if short else "readme_float32.md"]
+    parts += ["readme_direction.md"] if rule.axes else []
+    parts += ["readme_planes.md"] if table.later else ["readme_one_layer.md"]
+    parts += ["readme_ratios.md"] if table.later and table.later[-1].ratio_taps else []
+    if table.spectra:
+        parts += ["readme_spectra.md"]
+        known |= {"spectral_window": table.spectra.window, "spectral_reach": f"{table.spectra.reach:g}"}
+    parts += ["readme_structure.md"] if any(isinstance(layer.rule, StructureRule) for layer in table.later) else []
+    parts += ["readme_picture.md"] if table.outputs == XYZ else []
+    parts += ["readme_tree.md"] if any(isinstance(layer.rule, TreeRule) for layer in table.later) else []
+    return "\n".join(string.Template(_piece(part)).substitute(known) for part in parts)
+
+
+def _words_known(table: TransformTable, short: ShortWords) -> dict[str, str | int]:
+    psnr, worst = short_cost(table, short)
+    trees = any(isinstance(layer.rule, TreeRule) for layer in table.later)
+    floats = "l3.c computes floats where trees decide, and nowhere else." if trees else "l3.c computes no float."
+    return {
+        "words": "int16_t", "top": OUTPUT_TOP, "split": short.split, "floats": floats, "psnr": f"{psnr:.1f}",
+        "worst": f"{worst:.2g}",
+    }  # fmt: skip
+
+
+def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: str) -> str:
+    """Return the text of picture.c with the constants of a table of X, Y, Z and a white, None: the table's own."""
+    balance = balance or usual_balance(table)
+    matrix = linear_matrix(balance.adaptation, 1.0, SRGB)
+    assert SRGB.curve is not None
+    least = _thresholds(SRGB.curve).astype(np.float32)
+    codes = np.searchsorted(least, np.arange(BINS) / BINS, side="right")
+    return string.Template(text).substitute(
+        bins=BINS,
+        thresholds="\n".join(f"    {_floats(row)}," for row in np.array_split(np.append(least, 2.0), 32)),
+        codes="\n".join(f"    {', '.join(map(str, row.tolist()))}," for row in np.array_split(codes, BINS // 32)),
+        gains=", ".join(f"{gain!r}" for gain in balance.gains.tolist()),
+        luminance=_floats(np.array([balance.luminance])),
+        matrix=", ".join(f"{{{_floats(row)}}}" for row in matrix),
+        top=float(math.ceil(table.white_level)),
+    )
+
+
+def _thresholds(curve: Curve) -> NDArray[np.float64]:
+    """Return the least linear value that is shown by each code of 8 bits but 0, (code − 1)."""
+    encoded = (np.arange(1, CODES) - 0.5) / (CODES - 1)
+    power = ((encoded + curve.offset) / curve.gain) ** (1 / curve.exponent)
+    return np.where(encoded <= curve.slope * curve.knee, encoded / curve.slope, power)
+
+
+def _floats(values: NDArray) -> str:
+    return ", ".join(f"{value:.8e}f" for value in values.tolist())

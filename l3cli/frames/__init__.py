@@ -1,0 +1,1 @@
+"""Raw frames and scenes, and what corrects them."""

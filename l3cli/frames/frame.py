@@ -1,0 +1,180 @@
+"""A raw frame: one mosaic of digital numbers as a camera gives it, brought to the levels of a table."""
+
+import functools
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.frames.shading import Shading, evened
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Settings of a shot, as its file states them; empty or 0 where it does not."""
+
+    make: str = ""
+    model: str = ""
+    lens: str = ""
+    date: str = ""  # of the exposure, "YYYY:MM:DD HH:MM:SS"
+    f_number: float = 0.0
+    focal_length: float = 0.0  # mm
+    iso: float = 0.0
+
+
+@dataclass(frozen=True)
+class NoiseLeft:
+    """Share of a frame's noise over time that a filter in time has left."""
+
+    shares: NDArray[np.uint16]  # (cell row, cell col) of the camera's noise variance, in 1/whole
+    whole: int  # share that stands for all of it
+    cell: tuple[int, int]  # rows and columns of a cell
+
+    def quiet(self, limit: float, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        """1 where no more than the share `limit` is left, else 0, (row, col) of a frame of this shape."""
+        cells = (self.shares <= int(limit * self.whole)).view(np.uint8)
+        return cells.repeat(self.cell[1], 1)[:, : shape[1]].repeat(self.cell[0], 0)[: shape[0]]
+
+
+@dataclass(frozen=True)
+class RawFrame:
+    """A mosaic with its black and white level and the site of the super-pixel that its first pixel has."""
+
+    name: str
+    values: NDArray[np.uint16]  # (row, col) DN
+    black_level: float  # DN
+    white_level: float  # DN at which a pixel saturates
+    phase: tuple[int, int] = (0, 0)  # CFA row and column of pixel (0, 0)
+    orientation: int = 0  # how the camera was held: LibRaw's flip code (see `upright`)
+    exposure: float | None = None  # s; None: unknown
+    dark: float = 0.0  # DN above black, the mean signal of dark current
+    dark_measured: bool = False  # `dark` is of a dark frame, not of the exposure time
+    neutral: tuple[float, ...] | None = None  # (channel) of a grey, as the camera took it, of any scale; None: not stated
+    taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, where the file has them
+    shot: Shot = Shot()
+    shading: Shading | None = None  # what the lens takes, which is still in the values
+    noise_share: float = 1.0  # of its camera's noise variance: less where a filter in time has taken some out
+    noise_left: NoiseLeft | None = None  # the same cell by cell; None: nowhere
+    notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does
+    exchangeable: bool = False  # whether its file does not say how many rows and columns it has, and both fit exchanged, too
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
+            raise ValueError(f"{self.name}: a raw frame is rows × columns of 16-bit values")
+        if not self.black_level < self.white_level:
+            raise ValueError(f"{self.name}: black level {self.black_level:g} is not below white level {self.white_level:g}")
+        if not self.black_level + self.dark < self.white_level:
+            raise ValueError(
+                f"{self.name}: dark current of {self.dark:g} DN leaves no room below white level {self.white_level:g}"
+            )
+
+    @property
+    def light_share(self) -> float:
+        """Share of full scale that dark current leaves to light."""
+        return 1.0 - self.dark / (self.white_level - self.black_level)
+
+    def at_levels(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
+        """Return the light alone on another scale: DN mapped linearly so that black level and dark current become
+        `black_level`, the white level becomes `white_level`, within `bits`. Full scale then stands for `light_share` of what
+        it stood for.
+
+        Values are shifted by whole DN, so that no level is lost; what is left of the dark current, below half a DN, is in
+        the black level of the frame that is returned.
+        """
+        levelled = self.rescaled(black_level, white_level, bits)
+        if levelled.values is self.values and self.values.max() >= 2**bits:
+            return replace(levelled, values=np.minimum(self.values, np.uint16(2**bits - 1)))
+        return levelled
+
+    def rescaled(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
+        """Return the same for who reads no value but within `bits`: where both scales are the same, values are not looked
+        at."""
+        if (self.black_level, self.white_level, self.dark) == (black_level, white_level, 0):
+            return self
+        whole = round(self.dark)
+        scale = (white_level - black_level) / (self.white_level - self.black_level - self.dark)
+        values = self.values
+        table = _level_table(self.black_level + whole, black_level, scale, 2**bits - 1)
+        if table is not None:
+            values = table.take(values)
+        black_level += (self.dark - whole) * scale
+        return replace(self, values=values, black_level=black_level, white_level=white_level, dark=0.0)
+
+    def evened(self) -> "RawFrame":
+        """Return the frame with what channels differ by in their shading taken off (`shading.evened`)."""
+        if self.shading is None or self.shading.tint is None:
+            return self
+        values = evened(self.values, self.shading.tint, self.black_level, self.white_level)
+        return replace(self, values=values, shading=replace(self.shading, tint=None))
+
+
+@functools.lru_cache(maxsize=8)
+def _level_table(black_level: float, new_black_level: float, scale: float, top: int) -> NDArray[np.uint16] | None:
+    """Return the value that each of all 16-bit values becomes, at most `top`; None if all up to `top` stay as they are."""
+    every = np.arange(1 << 16)
+    table = np.clip(np.rint((every - black_level) * scale + new_black_level), 0, top).astype(np.uint16)
+    return None if np.array_equal(table[: top + 1], every[: top + 1]) else table
+
+
+def with_one_black_level(
+    values: NDArray[np.uint16], black_level: NDArray[np.floating], white_level: NDArray[np.floating]
+) -> tuple[NDArray[np.uint16], float, float]:
+    """values (row, col) of pixels whose black and white levels differ, shifted to one black level, and both levels then.
+
+    `black_level` and `white_level` broadcast against the values, in DN. The common black level is the rounded mean, and the
+    white level what the pixel that saturates first above its black level can reach: no saturated pixel is then taken for a
+    bright one.
+    """
+    room = float((white_level - black_level).min())
+    if np.ptp(black_level) == 0:
+        common = float(black_level.flat[0])
+        return values, common, common + room
+    common = float(np.rint(black_level.mean()))
+    shift = np.broadcast_to(np.rint(common - black_level).astype(np.int32), values.shape)
+    return np.clip(values + shift, 0, np.iinfo(np.uint16).max).astype(np.uint16), common, common + room
+
+
+def upright(pixels: NDArray, orientation: int) -> NDArray:
+    """pixels (row, col, …) turned as LibRaw's flip code says: 1 mirrors columns, 2 mirrors rows, 4 then transposes;
+    so 3 is a half turn, 5 a quarter turn to the left, 6 one to the right."""
+    if orientation & 1:
+        pixels = pixels[:, ::-1]
+    if orientation & 2:
+        pixels = pixels[::-1]
+    return pixels.swapaxes(0, 1) if orientation & 4 else pixels
+
+
+def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]:
+    """Source index of each of `length` + 2·`margin` padded samples: inside itself; outside the sample of equal CFA phase
+    nearest the mirror image, so that padding keeps the mosaic (docs/method.md#rendering). Where a mosaic is shorter than the
+    period and no sample of that phase exists, the nearest sample is taken."""
+    wanted = np.arange(-margin, length + margin)
+    if length < period:
+        return np.clip(wanted, 0, length - 1).astype(np.int32)
+    mirror = np.where(wanted < 0, -wanted, np.where(wanted >= length, 2 * (length - 1) - wanted, wanted))
+    mirror = np.clip(mirror, 0, length - 1)
+    offset = (wanted - mirror) % period
+    below, above = mirror + offset - period, mirror + offset
+    prefer_below = (above >= length) | ((below >= 0) & (mirror - below <= above - mirror) & (offset > 0))
+    return np.where(prefer_below, below, above).astype(np.int32)
+
+
+def pad_mosaic(values: NDArray, margin: int, cfa_shape: tuple[int, int]) -> NDArray:
+    """values (row, col) with `margin` more samples on every side, by `mirrored_indices`."""
+    rows = mirrored_indices(values.shape[0], margin, cfa_shape[0])
+    cols = mirrored_indices(values.shape[1], margin, cfa_shape[1])
+    return values[np.ix_(rows, cols)]
+
+
+def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return the super-pixel as seen from a frame whose pixel (0, 0) has site `phase`."""
+    return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))
+
+
+def as_taken(pixels: NDArray, orientation: int) -> NDArray:
+    """pixels (row, col, …) turned back from `upright`."""
+    if orientation & 4:
+        pixels = pixels.swapaxes(0, 1)
+    if orientation & 2:
+        pixels = pixels[::-1]
+    return pixels[:, ::-1] if orientation & 1 else pixels

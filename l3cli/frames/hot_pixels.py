@@ -1,0 +1,106 @@
+"""Hot pixels that no map lists, found in a frame by their neighbours and the noise model (docs/method.md#corrections)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.frames.bad_pixels import plan_correction
+from l3cli.frames.frame import RawFrame
+
+LEAST = 8.0  # standard deviations by which a hot pixel is above the brightest of its neighbours
+RANGE = 2.0  # times the range of its neighbours by which it is above the brightest
+NEXT_SIGMAS, NEXT_SHARE = 2.0, 0.1  # how much brighter the pixels next to it may be: noise, share of its excess
+AROUND = [(row, col) for row in (-1, 0, 1) for col in (-1, 0, 1) if (row, col) != (0, 0)]
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HotTest:
+    """The noise of a camera: variance = constant + (linear + quadratic · signal) · signal, in DN above black."""
+
+    constant: float  # DN²
+    linear: float  # DN
+    quadratic: float
+    span: float  # DN from black to white level
+    period: tuple[int, int]  # rows, columns of the array
+
+    @classmethod
+    def of(cls, camera: CameraModel) -> "HotTest":
+        """By the noise model of a camera."""
+        rows, cols = camera.cfa.shape
+        constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
+        noisiest = float(np.max(constant)), float(np.max(linear))  # of channels that are amplified apart
+        return cls(*noisiest, quadratic, camera.white_level - camera.black_level, (rows, cols))
+
+    def without_hot(self, frame: RawFrame, cfa: NDArray[np.uint8]) -> RawFrame:
+        """Return the frame with its hot pixels corrected; `cfa` is the array from its first pixel on.
+
+        A hot pixel is far above the eight next of its CFA site, whichever way one looks, and the pixels beside it, of
+        whatever channel, are not: a star, or another detail that a lens has drawn, brightens those, too.
+        """
+        if min(frame.values.shape) <= 2 * max(self.period):
+            return frame  # too few neighbours
+        row, col = self._suspects(frame)
+        if row.size:
+            row, col = self._isolated(frame, row, col)
+        if not row.size:
+            return frame
+        hot = np.zeros(frame.values.shape, bool)
+        hot[row, col] = True
+        return replace(frame, values=plan_correction(hot, cfa).corrected(frame.values))
+
+    def _suspects(self, frame: RawFrame) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the rows and columns of pixels above all their neighbours by more than the least noise allows."""
+        values, (down, across) = frame.values, self.period
+        beside = np.zeros_like(values)  # the brightest to the left and right
+        np.maximum(beside[:, across:], values[:, :-across], out=beside[:, across:])
+        np.maximum(beside[:, :-across], values[:, across:], out=beside[:, :-across])
+        line = np.maximum(beside, values)
+        np.maximum(beside[down:], line[:-down], out=beside[down:])
+        np.maximum(beside[:-down], line[down:], out=beside[:-down])
+        least = int(LEAST * np.sqrt(self._variance(frame, np.zeros(1))[0]))
+        np.minimum(beside, np.uint16(65535 - least), out=beside)
+        beside += np.uint16(least)
+        row, col = np.divmod(np.flatnonzero(values > beside), values.shape[1])
+        return row, col
+
+    def _isolated(
+        self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return those of the suspects that are hot."""
+        near = self._neighbours(frame, row, col)
+        brightest, darkest = near.max(axis=0), near.min(axis=0)
+        excess = frame.values[row, col] - brightest
+        keep = excess > np.maximum(LEAST * np.sqrt(self._variance(frame, brightest)), RANGE * (brightest - darkest))
+        row, col, excess = row[keep], col[keep], excess[keep]
+        rows, cols = frame.values.shape
+        brighter, variance = np.zeros(row.size), np.zeros(row.size)
+        for down, across in AROUND:
+            beside = np.clip(row + down, 0, rows - 1), np.clip(col + across, 0, cols - 1)
+            usual = np.median(self._neighbours(frame, *beside), axis=0)
+            inside = (beside[0] != row) | (beside[1] != col)
+            brighter += np.where(inside, frame.values[beside] - usual, 0.0)
+            variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)  # 0.2: of a median of eight
+        hot = brighter < np.maximum(NEXT_SIGMAS * np.sqrt(variance), NEXT_SHARE * excess)
+        return row[hot], col[hot]
+
+    def _neighbours(self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]) -> Array:
+        """Return the DN (neighbour, pixel) of the eight next of each pixel's CFA site; past an edge those on the other
+        side."""
+        rows, cols = frame.values.shape
+        down, across = self.period
+        values = []
+        for by_row, by_col in AROUND:
+            below, beside = row + by_row * down, col + by_col * across
+            below = np.where((below < 0) | (below >= rows), row - 2 * by_row * down, below)
+            beside = np.where((beside < 0) | (beside >= cols), col - 2 * by_col * across, beside)
+            values.append(frame.values[below, beside].astype(np.float64))
+        return np.array(values)
+
+    def _variance(self, frame: RawFrame, level: Array) -> Array:
+        """DN² of pixels at `level` DN."""
+        scale = self.span / (frame.white_level - frame.black_level)
+        signal = np.maximum((level - frame.black_level) * scale, 0.0)
+        return np.asarray((self.constant + (self.linear + self.quadratic * signal) * signal) / scale**2)

@@ -1,0 +1,97 @@
+"""JSON schema (2020-12) of recipes, made of the declared types, for editors that check TOML with it."""
+
+import ast
+import inspect
+import io
+import textwrap
+import tokenize
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from l3cli.recipes.toml import Recipe
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+PLACE = "#/$defs/{name}"
+
+
+def schema_of(
+    recipes: Sequence[type[Recipe]], title: str, described_by: Mapping[str, Sequence[type[Recipe]]]
+) -> dict[str, Any]:
+    """Return the schema of a file that is one of `recipes`. What a key means is the comment beside its declaration; for a
+    structure that is put together of others, `described_by` names those, by its name."""
+    roots, tables = msgspec.json.schema_components(recipes, ref_template=PLACE)
+    classes = _structures(recipes)
+    for name, table in tables.items():
+        if "description" in table:
+            table["description"] = " ".join(table["description"].split())
+        meanings: dict[str, str] = {}
+        for each in (*described_by.get(name, ()), *reversed(classes[name].__mro__)):
+            meanings |= _comments(each) if isinstance(each, type) and issubclass(each, Recipe) and each is not Recipe else {}
+        for key, value in table.get("properties", {}).items():
+            table["properties"][key] = _plain(value) | ({"description": meanings[key]} if key in meanings else {})
+    whole: dict[str, Any] = {"$schema": DIALECT, "title": title}
+    whole |= roots[0] if len(roots) == 1 else {"anyOf": list(roots)}
+    return whole | {"$defs": tables}
+
+
+def _plain(value: Any) -> Any:
+    """Return a property without what TOML has not, null, and in words that older dialects understand alike."""
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if not isinstance(value, dict):
+        return value
+    value = {key: _plain(each) for key, each in value.items() if not (key == "default" and each is None)}
+    if {"type": "null"} in value.get("anyOf", []):
+        kinds = [each for each in value.pop("anyOf") if each != {"type": "null"}]
+        value = (kinds[0] if len(kinds) == 1 else {"anyOf": kinds}) | value
+    first, *others = value.get("prefixItems", [None])
+    if first is not None and all(each == first for each in others):  # so many of one type
+        del value["prefixItems"]
+        value["items"] = first
+    return value
+
+
+def _structures(recipes: Sequence[type[Recipe]]) -> dict[str, type[Recipe]]:
+    """Return the structures that recipes are made of, by name."""
+    found: dict[str, type[Recipe]] = {}
+    left: list[Any] = list(recipes)
+    while left:
+        kind = left.pop()
+        if isinstance(kind, type) and issubclass(kind, Recipe):
+            if kind.__name__ not in found:
+                found[kind.__name__] = kind
+                left += [field.type for field in msgspec.structs.fields(kind)]
+        else:
+            left += getattr(kind, "__args__", ())
+    return found
+
+
+def _comments(kind: type) -> dict[str, str]:
+    """Return the comment of each key of a structure: above its declaration, or at the ends of the declaration's lines."""
+    try:
+        source = textwrap.dedent(inspect.getsource(kind))
+    except (OSError, TypeError):
+        return {}
+    lines, own = _comment_lines(source), {}
+    (tree,) = ast.parse(source).body
+    for node in getattr(tree, "body", []):
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            above = node.lineno
+            while lines.get(above - 1, (False, ""))[0]:
+                above -= 1
+            texts = [lines[line][1] for line in range(above, (node.end_lineno or node.lineno) + 1) if line in lines]
+            if texts:
+                own[node.target.id] = " ".join(texts)
+    return own
+
+
+def _comment_lines(source: str) -> dict[int, tuple[bool, str]]:
+    """Return, for every line with a comment, whether it holds nothing else, and the comment."""
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    return {
+        token.start[0]: (token.line.strip().startswith("#"), token.string.lstrip("# "))
+        for token in tokens
+        if token.type == tokenize.COMMENT and not token.string.startswith("# fmt")
+    }

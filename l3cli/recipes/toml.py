@@ -1,0 +1,220 @@
+"""TOML recipes → typed structures: every key is declared, units stand in the keys' names, unknown keys are refused."""
+
+import json
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin
+
+import msgspec
+
+from l3cli.errors import InputFileError, RecipeError, shortened, suggestion
+from l3cli.recipes.toml_lines import STRING, KeyPath, key_lines, line_of
+from l3cli.system.limits import read_bounded
+from l3cli.system.numbers import LARGEST_WHOLE
+
+LARGEST = 1e24  # of any number in a recipe: beyond lies what no lamp gives and floats run over at
+DEEPEST = 100  # tables and lists in one another
+TOKEN = re.compile(rf"{STRING.pattern}|#[^\n]*|[^\"'#.\[\]{{}}=\n]+|.|\n", re.DOTALL)  # of TOML, as far as depth goes
+PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # of a place as msgspec writes it, `$.scene[1].size`: a key or a number
+MOST = 1_000_000  # of anything that can be counted
+Count = Annotated[int, msgspec.Meta(ge=1, le=MOST)]
+CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MOST)]
+Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+BOUNDS = {">=": "the least is", "<=": "the most is", ">": "give more than", "<": "give less than"}
+
+
+class Recipe(msgspec.Struct, forbid_unknown_fields=True):
+    """Base of all recipe structures; a field without a default is a required key."""
+
+    title: ClassVar[str] = "a recipe"  # of a whole file, and what is asked for where another kind is given
+
+
+TELLING = {  # keys at the top of a file by which its kind is known: no other kind has them
+    "a measurement file": ("common", "sweep", "curves", "band", "photo", "prior", "datasheet", "uncertainty"),
+    "a camera recipe": ("responsivity", "noise"),
+    "a lab recipe": ("defects", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
+    "a scene recipe": (
+        "scene", "pair", "illuminants", "luminances_cd_m2", "exposure_share", "exposure_saturated", "exposure_mean",
+        "exposure_s", "lens", "target",
+    ),
+    "a class recipe": ("classes", "learning", "layer"),
+}  # fmt: skip
+
+
+R = TypeVar("R", bound=Recipe)
+
+
+def read_text(path: Path, title: str = Recipe.title) -> str:
+    """Return the text of a recipe file, without what some editors add: a mark at the beginning, a character more at the end
+    of each line. InputFileError, which asks for `title`, if it cannot be read as UTF-8."""
+    try:
+        return read_bounded(path, f"give {title} (TOML)").decode("utf-8-sig").replace("\r\n", "\n")
+    except OSError as error:
+        raise InputFileError(f"{path} cannot be read: {error.strerror}; give {title} (TOML)") from error
+    except UnicodeDecodeError as error:
+        raise InputFileError(f"{path} is not a text file; give {title} (TOML, UTF-8)") from error
+
+
+def load_recipe(path: Path, recipe: type[R]) -> R:
+    """Read a TOML file as `recipe`; RecipeError names the file, the key and what is wrong with it."""
+    return parse_recipe(read_text(path, recipe.title), recipe, str(path))
+
+
+def parse_recipe(text: str, recipe: type[R], name: str) -> R:
+    """Return `text` as `recipe`; `name` stands in the error messages."""
+    content = parse_toml(text, name)
+    given = {kind for kind, keys in TELLING.items() if any(key in content for key in keys)}
+    if given and recipe.title in TELLING and recipe.title not in given:
+        raise RecipeError(f"{name} is {' and '.join(sorted(given))}; give {recipe.title}")
+    for key, message in refusals(content):
+        raise RecipeError(f"{name}:{line_of(key, key_lines(text))}: {message}")
+    try:
+        return msgspec.convert(content, recipe)
+    except msgspec.ValidationError as error:
+        line = line_of(place(str(error)), key_lines(text))
+        raise RecipeError(f"{name}:{line}: {plain(str(error), recipe, content)}") from error
+
+
+def parse_toml(text: str, name: str) -> dict[str, Any]:
+    """Return the keys and tables of `text`; RecipeError, which calls it `name`, if it is not TOML."""
+    if any(line.count(".") > DEEPEST for line in text.splitlines()):
+        _refuse_deep_keys(text, name)
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:  # of msgspec's kind, or of a number too long to be one
+        raise RecipeError(f"{name} is not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise RecipeError(f"{name} is not valid TOML: its lists or tables are too deep") from error
+
+
+def _refuse_deep_keys(text: str, name: str) -> None:
+    """Raise RecipeError for a key of more than DEEPEST parts, before it is parsed: that takes the square of their number."""
+    parts = 0
+    for token in TOKEN.finditer(text):
+        found = token.group()
+        if found == ".":
+            parts += 1
+        elif found in ("=", "\n", "[", "]", "{", "}"):
+            parts = 0
+        if parts > DEEPEST:
+            line, column = text.count("\n", 0, token.start()) + 1, token.start() - text.rfind("\n", 0, token.start())
+            message = f"a key has more than {DEEPEST} parts (at line {line}, column {column}); recipes are not that deep"
+            raise RecipeError(f"{name}: {message}")
+
+
+def toml_value(value: Any) -> str:
+    """Return a number, a text, or a list or table of them as TOML, which writes what is plain as JSON does. Names of files
+    may hold what no text can: a byte that is none of UTF-8 becomes "?"."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{toml_key(name)} = {toml_value(each)}" for name, each in value.items()) + "}"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return re.sub("[\ud800-\udfff]", "?", json.dumps(value, ensure_ascii=False)).replace("\x7f", "\\u007f")
+
+
+def toml_key(name: str) -> str:
+    """Return a key as TOML writes it, in quotation marks unless it is of plain letters."""
+    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else toml_value(name)
+
+
+def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
+    """Yield the numbers that are not finite and texts with the character that no file name can hold: their keys, what is
+    wrong."""
+    if len(key) > DEEPEST:
+        yield key, f"tables and lists are more than {DEEPEST} deep; recipes are not"
+    elif isinstance(value, dict):
+        for inner, item in value.items():
+            yield from refusals(item, (*key, inner))
+    elif isinstance(value, list):
+        for number, item in enumerate(value):
+            yield from refusals(item, (*key, number))
+    elif isinstance(value, int) and not -LARGEST_WHOLE <= value <= LARGEST_WHOLE:
+        yield key, f"{_named(key)} is {shortened(str(value))}; a whole number has at most 64 bits"
+    elif isinstance(value, float) and not abs(value) <= LARGEST:
+        yield key, f"{_named(key)} is {value:g}; give a number within ±{LARGEST:g}"
+    elif isinstance(value, str) and "\0" in value:
+        yield key, f"{_named(key)} holds a null character; leave it out"
+
+
+def _named(key: KeyPath) -> str:
+    return ".".join(part for part in key if isinstance(part, str))
+
+
+def plain(message: str, recipe: type[Recipe], content: Any) -> str:
+    """Return msgspec's message in the words of a recipe: keys and tables instead of fields and objects, and what was
+    meant."""
+    what, _, where = message.partition(" - at ")
+    if bound := re.fullmatch(r"Expected `(?:int|float)` (<=|>=|<|>) (\S+)", what):
+        return f"{_written(where)} is {_value_at(content, where)}; {BOUNDS[bound[1]]} {bound[2]}"
+    table = _written(where)
+    what = what.replace("Object missing required field", "missing key").replace(
+        "Object contains unknown field", "unknown key"
+    )
+    place = f"[{table}]" if table else "the top level"
+    line = f"{what} {'in' if table else 'at'} {place}"
+    wrong = re.fullmatch(r"unknown key `(.*)`|Invalid(?: enum)? value '(.*)'", what)
+    known = (_keys(recipe, table) if wrong[2] is None else _values(recipe, table)) if wrong else ()
+    return f"{line}; {suggestion(wrong[1] or wrong[2] or '', known)}" if wrong and known else line
+
+
+def place(message: str) -> KeyPath:
+    """Return the place that msgspec's message names: of an unknown key there, of a missing one the table without it."""
+    what, _, where = message.partition(" - at ")
+    unknown = re.findall("unknown field `(.*)`", what)
+    return (*(int(number) if number else key for key, number in re.findall(PART, where)), *unknown)
+
+
+def _written(where: str) -> str:
+    """Return a place of msgspec's, entries counted from 1."""
+    inner = re.sub(r"^`\$\.?|`$", "", where)
+    return re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", inner)
+
+
+def _value_at(content: Any, where: str) -> Any:
+    """Return the value at the place that msgspec names."""
+    for key, number in re.findall(PART, where):
+        content = content[int(number)] if number else content[key]
+    return content
+
+
+def _keys(recipe: type[Recipe], table: str) -> tuple[str, ...]:
+    """Return the keys that a table of a recipe, such as "scene[2].lens", may have."""
+    tables = _tables(recipe, table)
+    tags = [each.__struct_config__.tag_field for each in tables if each.__struct_config__.tag_field]
+    return tuple(dict.fromkeys(tags + [field.encode_name for each in tables for field in msgspec.structs.fields(each)]))
+
+
+def _values(recipe: type[Recipe], key: str) -> tuple[str, ...]:
+    """Return the words that a key of a recipe, such as "scene[2].source", may have."""
+    table, _, name = key.rpartition(".")
+    tables = _tables(recipe, table)
+    words = [str(each.__struct_config__.tag) for each in tables if each.__struct_config__.tag_field == name]
+    for each in tables:
+        for field in msgspec.structs.fields(each):
+            if field.encode_name == name:
+                words += [
+                    str(word) for kind in _member_types(field.type) if get_origin(kind) is Literal for word in get_args(kind)
+                ]
+    return tuple(dict.fromkeys(words))
+
+
+def _tables(recipe: type[Recipe], where: str) -> list[type[Recipe]]:
+    """Return the structures that a table of a recipe may be: several where a tag chooses among them."""
+    tables = [recipe]
+    for name in filter(None, re.sub(r"\[[^]]*\]", "", where).split(".")):
+        fields = [field for each in tables for field in msgspec.structs.fields(each) if field.encode_name == name]
+        kinds = [kind for field in fields for kind in _member_types(field.type)]
+        tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Recipe)]
+    return tables
+
+
+def _member_types(kind: Any) -> Iterator[Any]:
+    """Yield a type and, of lists, unions and the like, the types that it is made of."""
+    yield kind
+    if get_origin(kind) is not Literal:
+        for part in get_args(kind):
+            yield from _member_types(part)

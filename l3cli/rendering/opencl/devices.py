@@ -1,0 +1,125 @@
+"""Finding OpenCL devices, and saying why there are none."""
+
+import contextlib
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from typing import Any
+
+from l3cli.errors import DeviceError, shortened
+from l3cli.rendering.opencl import kernel_cache
+from l3cli.rendering.opencl.processor import compiled_for
+
+INSTALL = 'install one, on any processor with: pip install "pyopencl[pocl]"'
+LINKER = "ld"  # by which PoCL finishes each kernel, with a C compiler's libraries; without them it ends the whole process
+REFUSES_PROCESSOR = "unknown target CPU"  # words of PoCL's compiler
+DAMAGED = "INVALID_KERNEL_NAME"  # of PoCL, for each kernel of a program that it read from a damaged file
+FORKED = (
+    "this process was forked from one that uses OpenCL, which would hang here; start processes by "
+    '"spawn", multiprocessing.get_context("spawn"), and make renderers within them'
+)
+LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # that of the wheels, which is 3.0, among them
+
+
+_owner: int | None = None  # number of the process that has begun to use OpenCL
+
+
+def pyopencl() -> Any:
+    """pyopencl, imported when first needed; DeviceError if there is no OpenCL at all, or if this process was forked from one
+    that uses it: drivers have threads, which a fork does not copy, and the first call would wait for them for ever."""
+    global _owner
+    if _owner not in (None, os.getpid()):
+        raise DeviceError(FORKED)
+    kernel_cache.prepare()
+    _owner = os.getpid()
+    try:
+        import pyopencl
+    except ImportError as error:
+        raise DeviceError(f"OpenCL cannot be loaded ({error}); {INSTALL}") from error
+    return pyopencl
+
+
+def devices() -> list[Any]:
+    """Every OpenCL device there is, in the order that --device and L3_DEVICE count."""
+    return [device for _, shown, _ in _platforms() for device in shown]
+
+
+def survey() -> list[str]:
+    """One line for each device, with its number; and one for each platform without any, and for none at all, with what is
+    missing and how to mend it."""
+    lines, number = [], 0
+    platforms = _platforms()
+    for name, shown, why in platforms:
+        for device in shown:
+            kind = next(
+                (kind for kind in ("GPU", "CPU") if device.type & getattr(pyopencl().device_type, kind)), "accelerator"
+            )
+            taken = compiled_for(device)
+            as_another = f"; kernels for {taken}, since this PoCL is older than the processor" if taken else ""
+            lines.append(f"{number}: {device.name.strip()} ({kind}, {device.max_compute_units} units; {name}{as_another})")
+            number += 1
+        if not shown:
+            lines.append(f"{name} shows no device: {why}")
+    return lines or [f"no OpenCL driver (ICD) is installed; {INSTALL}"]
+
+
+def _platforms() -> list[tuple[str, list[Any], str]]:
+    """Name, devices and, where there are none, the reason, of every platform."""
+    cl = pyopencl()
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:  # the loader finds no driver
+        return []
+    described = []
+    for platform in platforms:
+        try:
+            shown, why = platform.get_devices(), "it has none"
+        except cl.Error as error:
+            shown, why = [], " ".join(str(error).split())[:200]
+        if LINKS_BY_PROGRAM.match(platform.version) and not shutil.which(LINKER, path=os.environ.get("PATH", "")):
+            shown, why = [], f'it needs the linker "{LINKER}", which is not in PATH; install the system\'s package gcc'
+        described.append((platform.name.strip(), shown, why))
+    return described
+
+
+def choose_device(wanted: str) -> Any:
+    """The device that `wanted` names by index or part of its name; else the first GPU, else the first of any kind.
+
+    DeviceError if there is none.
+    """
+    available = devices()
+    if not available:
+        raise DeviceError(f"there is no OpenCL device: {'; '.join(survey())}")
+    if not wanted:
+        gpu = pyopencl().device_type.GPU
+        return next((device for device in available if device.type & gpu), available[0])
+    if wanted in (numbers := list(map(str, range(len(available))))):
+        return available[numbers.index(wanted)]
+    named = [device for device in available if wanted.lower() in device.name.lower()]
+    if not named or wanted.isdecimal():
+        names = ", ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(available))
+        raise DeviceError(f'no OpenCL device is called "{shortened(wanted)}"; ‹device› or L3_DEVICE must be one of {names}')
+    return named[0]
+
+
+@contextlib.contextmanager
+def refusals(device: Any) -> Iterator[None]:
+    """Raise a DeviceError of one line for what OpenCL refuses on a device."""
+    cl = pyopencl()
+    try:
+        yield
+    except cl.MemoryError as error:
+        raise DeviceError(f"{device.name.strip()} has too little memory for this table and frame") from error
+    except cl.Error as error:
+        if REFUSES_PROCESSOR in str(error):
+            raise DeviceError(
+                f"{device.name.strip()}: the compiler of this PoCL is older than the processor and does not know it; "
+                "install a newer one (Debian, Ubuntu: pocl-opencl-icd; conda: pocl) and choose it with ‹device›"
+            ) from error
+        if DAMAGED in str(error):
+            raise DeviceError(
+                f"{os.environ['POCL_CACHE_DIR']} holds damaged kernels; remove that folder, and they are compiled again"
+            ) from error
+        reason = " ".join(str(error).split())[:300]
+        raise DeviceError(f"{device.name.strip()} failed: {reason}; choose another with ‹device›") from error

@@ -1,0 +1,306 @@
+"""A table as the kernels see it: macros for shapes, arrays for values, sources in their order (opencl/*.cl)."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, PlaneRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.kernel import joined, kernel_arrays, kernel_macros, snippets
+from l3cli.classes.later import first_label_words
+from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippets
+from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, raw_middle
+from l3cli.classes.ratios import DARKEST
+from l3cli.classes.windows import Integers, neighbourhoods
+from l3cli.rendering.display import Display
+from l3cli.rendering.opencl.curves import curve_macros, curve_pieces
+
+Macros = dict[str, int | str]
+
+PLANES = 3  # that a layer after the first reads
+PERIODS = 31  # columns by which a row of the CFA is repeated, so that two vectors of 16 can be read from any phase on
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Division of a band: each work-group renders a tile of `tile` columns and `band` rows."""
+
+    tile: int  # columns
+    band: int  # rows
+    group: tuple[int, int]  # work-items
+    lanes: int  # pixels, or taps, that a work-item takes side by side; 0: the device's compiler says (lanes.cl)
+
+    @property
+    def macros(self) -> Macros:
+        return {"TILE": self.tile, "BAND": self.band, **({"LANES": self.lanes} if self.lanes else {})}
+
+
+def source_folder() -> Path:
+    """Return the folder of the .cl files: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).parents[2]
+    inside = package / "opencl"
+    return inside if inside.is_dir() else package.parent / "opencl"
+
+
+def first_source(variant: str, rule: ClassRule) -> str:
+    """The .cl files of a variant for the layer that reads the mosaic, with the features of its rule, joined; #line keeps
+    file and line in the compiler's messages."""
+    features = [joined_files("common/vectors.cl", *snippets(rule)), f'#line 1 "joined features"\n{joined(rule)}']
+    return "\n".join([*features, joined_files(*VARIANTS[variant].sources)])
+
+
+def later_source(variant: str, rule: PlaneRule) -> str:
+    """The .cl files of a variant for a layer that reads planes, with the formula of its rule."""
+    formula, kernels = rule_snippets(rule)
+    files = (
+        "common/vectors.cl",
+        "common/encoding.cl",
+        "common/gradient.cl",
+        formula,
+        *VARIANTS[variant].later_sources,
+        kernels[variant],
+    )
+    return joined_files(*files)
+
+
+def joined_files(*names: str) -> str:
+    """Files of opencl/, joined."""
+    folder = source_folder()
+    return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
+
+
+def table_macros(table: TransformTable, sets: int = 1) -> Macros:
+    """Everything about a table that a kernel's loops and formulas depend on; `sets`: of transforms, 1 or 2."""
+    rule = table.first.rule
+    further = sum(len(axis.constants) for axis in rule.axes)
+    return {
+        **({"QUIET_SITES": table.cfa.size, "FURTHER_CONSTANTS": further} if sets > 1 else {}),
+        "PATCH": rule.patch,
+        "RADIUS": rule.radius,
+        "SOURCES": 1,
+        "CHANNELS": len(table.channels),
+        "OUTPUTS": len(table.outputs),
+        "CFA_ROWS": table.cfa.shape[0],
+        "CFA_COLUMNS": table.cfa.shape[1],
+        "PERIOD": table.cfa.shape[1] + PERIODS,
+        "SHIFT": rule.shift,
+        "MAX_RAW": 2**table.bits - 1,
+        "RAW_MIDDLE": raw_middle(table.bits),
+        **kernel_macros(rule),
+    }
+
+
+# What a layer writes for the next to read.
+TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "COARSE": COARSE, "COARSE_TOP": COARSE_TOP, "CODE": "int"}
+
+
+def later_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
+    """Everything about a layer after the first that a kernel's loops and formulas depend on."""
+    return {
+        "PATCH": layer.side,
+        "RADIUS": layer.radius,
+        "SOURCES": PLANES,
+        "LUMINANCE": LUMINANCE,
+        "OUTPUTS": len(table.outputs),
+        "CFA_COLUMNS": table.cfa.shape[1],
+        "MAX_RAW": 0,
+        **({"RATIO_TAPS": layer.ratio_taps, "DARKEST": DARKEST} if layer.ratio_taps else {}),
+        **rule_macros(layer.rule),
+    }
+
+
+OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}
+NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: one number a pixel is written
+
+
+def display_macros(display: Display) -> Macros:
+    """Return the macros of the codes that the last stage writes."""
+    macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top}
+    # Within 8e-5, which moves one value of 8 bits in 200 by one; within 1.2e-6, which is what float32 gives.
+    if display.bits == 8:
+        return macros | curve_macros(display.curve, 2, 5) | curve_pieces(display.curve, display.top)
+    return macros | curve_macros(display.curve, 3, 8)
+
+
+def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArray, ...]:
+    """The constants of the kernel `classes`, in the order of its arguments, for a table and `others`, further sets of it."""
+    rule, channels = table.first.rule, len(table.channels)
+    near = neighbourhoods(table.cfa, rule.patch, channels)
+    period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
+    cfa = table.cfa[:, period].astype(np.uint16)
+    member = np.where(cfa == np.arange(channels, dtype=np.uint16)[:, None, None], np.uint16(0xFFFF), np.uint16(0))
+
+    def by_channel(site_values: Integers) -> NDArray[np.uint32]:
+        return site_values.reshape(*table.cfa.shape, channels).transpose(2, 0, 1)[:, :, period].astype(np.uint32)
+
+    return (
+        member,
+        np.uint16(1) << cfa,
+        by_channel(near.count),
+        by_channel(near.mean_reciprocal),
+        by_channel(near.variance_reciprocal),
+        period.astype(np.uint32),
+        *kernel_arrays(rule, *(other.first.rule for other in others)),
+    )
+
+
+@dataclass(frozen=True)
+class Weights:
+    """A layer's transforms as kernels read them."""
+
+    taps: NDArray[Any]  # (class, output, tap), taps column by column, in each row by row, plane by plane
+    intercept: NDArray[Any]  # (class, output)
+    ratio_taps: int = 0  # the last of the taps, which are of no window
+
+
+@dataclass(frozen=True)
+class WholeWeights:
+    """The same of a layer in fixed point, to three planes."""
+
+    taps: NDArray[np.int16]  # (class, plane, tap) in the same order
+    intercept: NDArray[np.int32]  # (class, plane)
+    fraction: NDArray[np.int32]  # (class)
+
+
+def first_weights(table: TransformTable, first: MosaicLayer) -> Weights:
+    """Return the weights of the only layer, `first`, per DN above black of a table."""
+    taps = by_column(first.weights, 1) / (table.white_level - table.black_level)
+    return Weights(taps.astype(np.float32), first.intercept)
+
+
+def first_plane_weights(fixed: FixedPoint, bits: int) -> WholeWeights:
+    """Return the weights of the first layer if another follows it; raw values lose `raw_middle`."""
+    intercept = fixed.intercept + raw_middle(bits) * fixed.weights.sum(axis=-1, dtype=np.int64)
+    return WholeWeights(by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
+
+
+def later_plane_weights(fixed: FixedPoint) -> WholeWeights:
+    """Return the weights of a layer that reads planes if another follows it."""
+    return WholeWeights(by_column(fixed.weights, PLANES), fixed.intercept.astype(np.int32), fixed.fraction)
+
+
+def later_weights(layer: PlaneLayer) -> Weights:
+    """Return the weights of the last layer, if it reads planes, per step of a plane."""
+    windows = by_column(layer.weights[..., : layer.window_taps], PLANES)
+    taps = np.concatenate([windows, layer.weights[..., layer.window_taps :]], axis=-1)
+    return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, layer.ratio_taps)
+
+
+def rule_arrays(table: TransformTable, variant: str, rule: PlaneRule, *others: PlaneRule) -> tuple[NDArray, ...]:
+    """The constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl); `others`: rules of further sets."""
+    return (first_label_words(rule, table.first.rule, *others), *rule_constants(rule, variant))
+
+
+def by_column(weights: NDArray, planes: int) -> NDArray:
+    """(class, output, tap) from taps plane by plane, row by row, to taps column by column, row by row, plane by plane."""
+    classes, outputs, taps = weights.shape
+    side = math.isqrt(taps // planes)
+    square = weights.reshape(classes, outputs, planes, side, side)
+    return square.transpose(0, 1, 4, 3, 2).reshape(classes, outputs, taps)
+
+
+SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # of floats that are arranged so; at most so many taps (folding.cl)
+
+
+def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
+    """(class, …) for side_by_side.cl; or, for floating_point.cl, (class, group, …): vectors (vector, output, lane) of all
+    taps of a window but the last, the last taps of four outputs, their four intercepts, the taps behind the window one by
+    one, and zeros up to a multiple of 16."""
+    classes, outputs, taps = layer.taps.shape
+    taps, behind = taps - layer.ratio_taps, layer.ratio_taps
+    if outputs in SIDE_BY_SIDE_OUTPUTS and taps <= SIDE_BY_SIDE_TAPS and not behind:
+        return _side_by_side(layer.taps, layer.intercept, 4)
+    groups = -(-outputs // 4)
+    group = -(-outputs // groups)
+    vectors = -(-(taps - 1) // lanes)
+    last = vectors * group * lanes
+    packed = np.zeros((classes, groups, -(-(last + 8 + 4 * behind) // 16) * 16), layer.taps.dtype)
+    for g in range(groups):
+        chosen = slice(g * group, min((g + 1) * group, outputs))
+        count = chosen.stop - chosen.start
+        in_lanes = np.zeros((classes, group, vectors * lanes), layer.taps.dtype)
+        in_lanes[:, :count, : taps - 1] = layer.taps[:, chosen, : taps - 1]
+        ordered = in_lanes.reshape(classes, group, vectors, lanes).transpose(0, 2, 1, 3)
+        packed[:, g, :last] = ordered.reshape(classes, last)
+        packed[:, g, last : last + count] = layer.taps[:, chosen, taps - 1]
+        packed[:, g, last + 4 : last + 4 + count] = layer.intercept[:, chosen]
+        for tap in range(behind):
+            start = last + 8 + 4 * tap
+            packed[:, g, start : start + count] = layer.taps[:, chosen, taps + tap]
+    return packed
+
+
+def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
+    """(class, …) for side_by_side.cl, the fraction being the intercept of a fourth plane."""
+    intercept = np.column_stack([layer.intercept, layer.fraction])
+    return _side_by_side(layer.taps, intercept, 8)
+
+
+def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
+    """(class, …) of taps (class, output, tap) and intercepts (class, output): four of these, each before three zeros; then,
+    `once` taps at a time, those of four outputs; zeros where there is none."""
+    classes, outputs, count = taps.shape
+    first = np.zeros((classes, 4, 4), intercept.dtype)
+    first[:, : intercept.shape[1], 0] = intercept
+    filled = np.zeros((classes, 4, -(-count // once) * once), taps.dtype)
+    filled[:, :outputs, :count] = taps
+    beside = filled.reshape(classes, 4, -1, once).transpose(0, 2, 1, 3)
+    return np.concatenate([first.reshape(classes, 16).view(taps.dtype), beside.reshape(classes, -1)], axis=1)
+
+
+def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
+    """(class, 1 + tap, output) for graphics.cl: the intercept, then the taps, outputs filled up to a multiple of four."""
+    classes, outputs, taps = layer.taps.shape
+    packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), layer.taps.dtype)
+    packed[:, 0, :outputs] = layer.intercept
+    packed[:, 1:, :outputs] = layer.taps.transpose(0, 2, 1)
+    return packed
+
+
+def pack_whole_in_fours(layer: WholeWeights, lanes: int) -> NDArray[np.int32]:
+    """(class, 1 + tap, 4) for graphics.cl: three intercepts and the fraction, then the taps."""
+    classes, planes, taps = layer.taps.shape
+    packed = np.zeros((classes, 1 + taps, 4), np.int32)
+    packed[:, 0] = np.column_stack([layer.intercept, layer.fraction])
+    packed[:, 1:, :planes] = layer.taps.transpose(0, 2, 1)
+    return packed
+
+
+def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
+    tile = 64 // table.cfa.shape[1] * table.cfa.shape[1]
+    return Cut(tile, 4, (tile, 4), 1)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The same computation, arranged for one kind of device."""
+
+    sources: tuple[
+        str, ...
+    ]  # files of opencl/ for the layer that reads the mosaic, joined in this order behind the features'
+    later_sources: tuple[str, ...]  # and for one that reads planes
+    cut: Callable[[TransformTable, int], Cut]  # for a number of lanes that suits the device
+    pack: Callable[[Weights, int], NDArray]  # weights as its kernels read them, for Cut.lanes
+    pack_whole: Callable[[WholeWeights, int], NDArray]
+
+
+SHARED = ("common/rule.cl", "common/encoding.cl")
+TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu/side_by_side.cl", "cpu/transform.cl")
+VARIANTS = {
+    # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
+    "processor": Variant(
+        (*SHARED, "cpu/ingest.cl", "cpu/statistics.cl", "cpu/classes.cl", "cpu/rows.cl", *TRANSFORM, "cpu/together.cl"),
+        ("cpu/ingest.cl", "cpu/rows.cl", *TRANSFORM, "cpu/plane_rows.cl"),
+        lambda table, lanes: Cut(256, 48, (1, 1), lanes),
+        pack_in_vectors,
+        pack_whole_in_vectors,
+    ),
+    # A work-item a pixel; the device lays them side by side itself.
+    "graphics": Variant((*SHARED, "gpu/frame.cl"), ("gpu/frame.cl",), _cut_for_graphics, pack_in_fours, pack_whole_in_fours),
+}

@@ -1,0 +1,180 @@
+"""The programs of a table on an OpenCL device, each built when a frame first needs it."""
+
+import functools
+import os
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import RecipeError
+from l3cli.rendering.display import Display
+from l3cli.rendering.opencl import layout
+from l3cli.rendering.opencl.devices import choose_device, pyopencl, refusals
+from l3cli.rendering.opencl.processor import compiled_for
+
+BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
+TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # without the kernel of the classes, which another program has
+# Of the variant that joins them, programs of one kernel each: what a frame does not run need not be compiled.
+CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}
+TOGETHER: layout.Macros = {"TOGETHER": 1}  # classes and transforms of the first layer
+JOINS = ("processor",)  # variants that join them
+Key = tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """Program that makes pictures of outputs."""
+
+    files: tuple[str, ...]
+    cut: layout.Cut  # of as many lanes as the device's compiler has registers for if 0
+
+    def program(self, ending: layout.Macros) -> tuple[str, layout.Macros]:
+        """Source and macros."""
+        return layout.joined_files("common/lanes.cl", "common/vectors.cl", "common/encoding.cl", *self.files), {
+            **ending,
+            **self.cut.macros,
+        }
+
+
+ENCODERS = {
+    "processor": Encoder(("cpu/rows.cl", "cpu/encode.cl"), layout.Cut(256, 48, (1, 1), 0)),
+    "graphics": Encoder(("gpu/encode.cl",), layout.Cut(64, 4, (64, 4), 1)),
+}
+
+
+class Compiler:
+    """Builds programs for a device, or takes those that it has built in this process."""
+
+    def __init__(self, context: Any, device: Any) -> None:
+        self.context, self._device = context, device
+        self._built: dict[tuple[str, ...], Any] = {}  # by source and options
+
+    def build(self, source: str, macros: layout.Macros) -> Any:
+        """A program."""
+        options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
+        if name := compiled_for(
+            self._device
+        ):  # by its own name for the device, PoCL would take kernels of another processor
+            options.append(f"-DCOMPILED_FOR={name}")
+        key = (source, *options)
+        if key not in self._built:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # pyopencl warns of every word a compiler says
+                self._built[key] = pyopencl().Program(self.context, source).build(options)
+        return self._built[key]
+
+
+@functools.cache
+def compiler_of(device: Any) -> Compiler:
+    """The one of a device in this process: what a renderer has built is there for the next."""
+    return Compiler(pyopencl().Context([device]), device)
+
+
+def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
+    """Device and variant of a renderer that is asked for them (OpenCLRenderer). DeviceError, RecipeError if none is."""
+    found = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
+    name = variant or ("graphics" if found.type & pyopencl().device_type.GPU else "processor")
+    if name not in layout.VARIANTS:
+        raise RecipeError(f'variant "{name}" is unknown; use one of {", ".join(layout.VARIANTS)}')
+    return found, name
+
+
+def make_ready(device: str | None = None, variant: str | None = None) -> None:
+    """Build what a renderer needs for any table. Errors as of `chosen`."""
+    found, name = chosen(device, variant)
+    with refusals(found):
+        usual_encoder(compiler_of(found), ENCODERS[name])
+
+
+def usual_encoder(compiler: Compiler, encoder: Encoder) -> int:
+    """Build what makes usual pictures of outputs, which is soon needed: the number of lanes that its kernel's name tells. It
+    runs once on a pixel, so that PoCL compiles it."""
+    cl, context = pyopencl(), compiler.context
+    program = compiler.build(*encoder.program(layout.display_macros(Display(np.eye(3), 8))))
+    (name,) = program.kernel_names.split(";")
+    queue, group = cl.CommandQueue(context), encoder.cut.group
+    buffers = [cl.Buffer(context, cl.mem_flags.READ_WRITE, 64) for _ in range(3)]
+    cl.Kernel(program, name)(queue, group, group, *buffers, np.int32(1), np.int32(1)).wait()
+    return int(name.rpartition("_")[2])
+
+
+class Programs:
+    """The kernels of a table's layers, counted from 0, and what makes pictures of outputs.
+
+    `ending`: what the transforms write (layout.py). `lanes`: length of the processor variant's vectors; None: what the
+    device's compiler has registers for. `sets`: of transforms that pixels choose from.
+    """
+
+    def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None, sets: int = 1) -> None:
+        self._compiler, self._table, self._variant, self._sets = compiler, table, variant, sets
+        self._programs: dict[Key, Any] = {}  # by layer, -1: an encoder, or "together"; and ending
+        self._kernels: dict[Key, Any] = {}  # by program and name
+        self._last = len(table.later)
+        usual = ENCODERS[variant]
+        self._encoder = replace(usual, cut=replace(usual.cut, lanes=lanes)) if lanes else usual
+        self.cut = layout.VARIANTS[variant].cut(table, lanes or usual_encoder(compiler, usual))
+
+    @property
+    def encoder_cut(self) -> layout.Cut:
+        """Cut of the encoder."""
+        return self._encoder.cut
+
+    @property
+    def joins(self) -> bool:
+        """Return whether classes and transforms of the first layer may be one kernel."""
+        return self._variant in JOINS
+
+    def transforms(self, ending: layout.Macros, together: bool = False) -> Any:
+        """The kernel of the last layer's transforms, which if it is the only one may find its classes, too."""
+        return self._transforms(self._last, ending, together)
+
+    def planes(self, layer: int, together: bool = False) -> Any:
+        """The kernel that makes what layer `layer` + 1 reads, which for the first may find its classes, too."""
+        return self._transforms(layer, layout.TO_PLANES, together)
+
+    def _transforms(self, layer: int, ending: layout.Macros, together: bool) -> Any:
+        if together:
+            return self._kernel(self._built(layer, {**ending, **TOGETHER}), "classes_and_transform")
+        return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
+
+    def classes(self, layer: int) -> Any:
+        """The kernel that finds a layer's classes, out of whichever program of it there is."""
+        usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
+        if self.joins and not layer:
+            return self._kernel(self._built(layer, {**usual, **CLASSES_ONLY}), "classes")
+        key = next((key for key in self._programs if key[0] == layer), None) or self._built(layer, usual)
+        return self._kernel(key, "structures" if layer else "classes")
+
+    def encoder(self, ending: layout.Macros) -> Any:
+        """The kernel that makes pictures of outputs."""
+        key = self._built(-1, ending)
+        return self._kernel(key, self._programs[key].kernel_names)
+
+    def _kernel(self, key: Key, name: str) -> Any:
+        if (*key, name) not in self._kernels:
+            self._kernels[*key, name] = pyopencl().Kernel(self._programs[key], name)
+        return self._kernels[*key, name]
+
+    def _built(self, layer: int, ending: layout.Macros) -> Key:
+        """The key of a program, which is built now if it has not been before."""
+        key = (layer, *ending.items())
+        if key not in self._programs:
+            self._programs[key] = self._compiler.build(*self._program(layer, ending))
+        return key
+
+    def _program(self, layer: int, ending: layout.Macros) -> tuple[str, layout.Macros]:
+        """Source and macros."""
+        if layer < 0:
+            return self._encoder.program(ending)
+        if layer == 0:
+            source = layout.first_source(self._variant, self._table.first.rule)
+            macros = layout.table_macros(self._table, self._sets)
+        else:
+            later = self._table.later[layer - 1]
+            source, macros = layout.later_source(self._variant, later.rule), layout.later_macros(self._table, later)
+        if any(other[0] == layer for other in self._programs) and not (self.joins and layer == 0):
+            macros = {**macros, **TRANSFORM_ONLY}
+        return source, {**macros, **ending, **self.cut.macros}

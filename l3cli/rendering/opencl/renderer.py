@@ -1,0 +1,289 @@
+"""Rendering on an OpenCL device: upload, one or two kernels a layer (opencl/*.cl), download (docs/method.md#rendering).
+
+A frame is taken in horizontal bands, so that the device's memory is bounded whatever the frame's size; a usual frame is one
+band. Two tracks, each a queue with its buffers, take the bands in turn, of this frame and the next: while one
+computes, the other may upload and download.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.frames.frame import RawFrame
+from l3cli.rendering.display import Display, require_known_layers, require_xyz
+from l3cli.rendering.noise_sets import sets_of
+from l3cli.rendering.opencl import layout
+from l3cli.rendering.opencl.bands import bands
+from l3cli.rendering.opencl.devices import pyopencl, refusals
+from l3cli.rendering.opencl.planes import table_buffers
+from l3cli.rendering.opencl.programs import Programs, chosen, compiler_of
+from l3cli.rendering.opencl.quiet import bring
+from l3cli.rendering.opencl.shading import DeviceShading
+from l3cli.rendering.opencl.spectra import DeviceSpectra
+from l3cli.rendering.opencl.work import SPECTRA, Band, Held, Track, Work, constant, scratch, shares_memory, stages_of
+
+TRACKS = 2
+
+
+class OpenCLRenderer:
+    """Renderer on the OpenCL device that `device`, or else the environment variable L3_DEVICE, names by a part of its name
+    or its number; without either on the first GPU or the first of any kind.
+
+    `variant` is a key of layout.VARIANTS, by default the one made for the device's type; `lanes` the length of the processor
+    variant's vectors, by default what the device's compiler has registers for; `by_noise`: as make_renderer has it. Device,
+    program, kernels and the table's buffers are made once, a band's buffers once for each frame size. One thread may use a
+    renderer at a time; others run on while it waits. DeviceError if there is no device or it refuses.
+    """
+
+    def __init__(
+        self, table: TransformTable, device: str | None = None, variant: str | None = None, lanes: int | None = None,
+        by_noise: bool = False,
+    ) -> None:  # fmt: skip
+        require_known_layers(table)
+        self.table, self.stages, self._sets = table, stages_of(table), sets_of(table, by_noise)
+        self.device, self.variant = chosen(device, variant)
+        with refusals(self.device):
+            self._compiler = compiler_of(self.device)
+            self._context = self._compiler.context
+            self._constant, self._scratch = partial(constant, self._context), partial(scratch, self._context)
+            self._programs = Programs(self._compiler, table, self.variant, lanes, len(self._sets))
+            self._cut = self._programs.cut
+            self._class_buffers, self._weights, self._later = table_buffers(
+                self._sets, self.variant, self._cut.lanes, self._constant
+            )
+            self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
+            self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
+            self._held: Held | None = None
+            self._in_place = shares_memory(self.device)
+            self._together = self._programs.joins  # whether classes and transforms of the first layer are one kernel
+            self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
+            self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
+
+    def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
+        """Class (row, col) of every pixel in a layer of the table."""
+        labels = np.empty(frame.values.shape, np.uint32)
+        self._wait(self._start(frame, [labels], None, layer=layer))
+        return labels
+
+    def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
+        """Outputs of the table, (output, row, col)."""
+        planes, work = self._start_outputs(frame)
+        if len(self._bands(frame.values.shape)) == 1:
+            self._held = Held(frame, frame.values.copy(), self._tracks[-1], self._tracks[-1].result)
+        self._wait(work)
+        if frame.light_share != 1:
+            planes *= np.float32(frame.light_share)
+        return planes
+
+    def picture(self, frame: RawFrame, display: Display) -> NDArray:
+        """The frame as the display shows it (row, col, 3), encoded on the device; RecipeError unless the table's outputs are
+        X, Y, Z."""
+        picture, work = self._start_picture(frame, display)
+        self._wait(work)
+        return picture
+
+    def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
+        """The picture of each frame, in order. While the caller uses one the next is computed."""
+        started: deque[tuple[NDArray, Work]] = deque()
+        for frame, display in frames:
+            started.append(self._start_picture(frame, display, borrow=False))
+            if len(started) == TRACKS:
+                picture, work = started.popleft()
+                self._wait(work)
+                yield picture
+        for picture, work in started:
+            self._wait(work)
+            yield picture
+
+    def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
+        """Milliseconds that the device spent in each of `stages` for one picture, or without a display for the outputs.
+
+        Classes and transforms of the first layer, which may be one kernel, are timed as two. "transforms" is the time of
+        their kernel built without the encoding, which writes one number a pixel instead; "encode" what the whole kernel
+        takes beyond that. Call it twice: the first run warms up.
+        """
+        self._held = None
+        together, self._together = self._together, False
+        try:
+            _, work = self._start_outputs(frame) if display is None else self._start_picture(frame, display)
+            times = self._wait(work).milliseconds()
+            if display is not None:
+                numbers = np.empty(frame.values.shape, np.float32)
+                bare = self._wait(self._start(frame, [numbers], layout.NOT_ENCODED)).milliseconds()["transforms"]
+                times["encode"] = max(0.0, times["transforms"] - bare)
+                times["transforms"] = bare
+        finally:
+            self._together = together
+        return times
+
+    def _start_outputs(self, frame: RawFrame) -> tuple[NDArray[np.float32], Work]:
+        planes = np.empty((len(self.table.outputs), *frame.values.shape), np.float32)
+        return planes, self._start(frame, list(planes), layout.OUTPUTS_AS_THEY_ARE)
+
+    def _start_picture(self, frame: RawFrame, display: Display, borrow: bool = True) -> tuple[NDArray, Work]:
+        require_xyz(self.table.outputs)
+        picture = np.empty((*frame.values.shape, 3), display.dtype)
+        if self._held is not None and self._held.are_of(frame):
+            return picture, self._start_encoding(self._held, display, picture)
+        matrix = display.matrix * frame.light_share
+        return picture, self._start(frame, [picture], layout.display_macros(display), matrix, borrow=borrow)
+
+    def _start(
+        self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None,
+        layer: int = 0, borrow: bool = True,
+    ) -> Work:  # fmt: skip
+        """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
+        kernel `transform` with this ending writes, or without one with the labels of `layer`. `borrow`: the frame's values
+        may be read until all is done; not where the caller may fill them anew meanwhile."""
+        levelled = frame.rescaled(self.table.black_level, self.table.white_level, self.table.bits)
+        work, values = Work(self.stages), np.ascontiguousarray(levelled.values)
+        if not borrow and np.may_share_memory(values, frame.values):
+            values = values.copy()
+        self._held = None
+        with refusals(self.device):
+            shaded = self._shading.macros(frame.shading)
+            together = self._together and not self._later
+            kernel = None if ending is None else self._programs.transforms({**ending, **shaded}, together)
+            encoding = None
+            for band in self._bands(values.shape):
+                track = self._tracks[0]
+                self._tracks.rotate()
+                self._bring(values, levelled, track, band, work)
+                if not self._together or (kernel is None and not layer):
+                    self._classify(track, band, levelled, work)
+                if encoding is None:  # not before the device is busy
+                    encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
+                for number in range(layer if kernel is None else len(self._later)):
+                    self._classify_later(number, track, band, levelled, work)
+                parts = [result[band.rows] for result in results]
+                if kernel is not None:
+                    target, offset = self._target(track, parts, work), 0
+                    self._transform(kernel, encoding, track, band, target, levelled, work)
+                else:
+                    target = track.later_labels[layer - 1] if layer else track.labels
+                    offset = 4 * (band.rows.start - band.reads[layer].start) * band.columns
+                self._fetch(track, parts, target, offset, work)
+        return work
+
+    def _start_encoding(self, held: Held, display: Display, picture: NDArray) -> Work:
+        """Start to fill a picture with outputs that the device still holds."""
+        work, track = Work(self.stages), held.track
+        with refusals(self.device):
+            kernel = self._programs.encoder(layout.display_macros(display))
+            matrix = self._constant(display.matrix * held.frame.light_share, np.float32)
+            target = (
+                work.in_place(track.queue, picture, written=True) if self._in_place else self._scratch(None, picture.nbytes)
+            )
+            shape, cut = (picture.shape[0], picture.shape[1]), self._programs.encoder_cut
+            work.add("encode", self._run(kernel, track, shape, held.result, matrix, target, cut=cut))
+            self._fetch(track, [picture], target, 0, work)
+        return work
+
+    def _wait(self, work: Work) -> Work:
+        """The work, once it is done. Other threads run on meanwhile."""
+        with refusals(self.device):
+            work.end()
+        return work
+
+    def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
+        """Upload of a band, with the rows beside it that a later layer reads."""
+        source, (rows, columns) = values[band.raw_rows], band.shape(0)
+        track.labels = self._scratch(track.labels, 4 * rows * columns)
+        if self._in_place and not self._shading.evens(frame):
+            track.raw = work.in_place(track.queue, source)
+        else:
+            work.arrays.append(source)
+            track.raw = track.uploaded = self._scratch(track.uploaded, source.nbytes)
+            work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
+        if len(self._sets) > 1:
+            track.chosen = bring(frame, self.table, track, band, self._in_place, work)
+        if self._shading.evens(frame):
+            work.add("classes", self._shading.even(frame, track, band))
+
+    def _classify(self, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
+        """Classes of a band in the first layer."""
+        arguments = (*self._decides(track, band), *self._site(band, frame))
+        work.add("classes", self._run(self._programs.classes(0), track, band.shape(0), *arguments))
+
+    def _decides(self, track: Track, band: Band) -> tuple[Any, ...]:
+        """Return the buffers from which the first layer's classes are decided, and where they are written."""
+        return track.raw, *band.mosaic_source, *self._class_buffers, *track.chosen, track.labels
+
+    def _site(self, band: Band, frame: RawFrame) -> tuple[np.int32, np.int32]:
+        """Row and column of the CFA where a band begins."""
+        return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
+
+    def _classify_later(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
+        """Queue the planes that later layer `number` reads of a band, and the classes that they give."""
+        step, (rows, columns), made = self._later[number], band.shape(number), band.shape(number + 1)
+        track.planes[number] = self._scratch(track.planes[number], 4 * layout.PLANES * rows * columns)
+        kernel = self._programs.planes(number, self._together and not number)
+        reads, ends = self._reads(number, track, band, frame)
+        buffers = (*reads, step.weights, step.nothing, track.planes[number], np.float32(0), *ends)
+        work.add("planes", self._run(kernel, track, (rows, columns), *buffers))
+        track.later_labels[number] = self._scratch(track.later_labels[number], 4 * made[0] * columns)
+        buffers = (track.planes[number], track.labels, *band.later[number].classes, *step.rule, track.later_labels[number])
+        work.add("structures", self._run(self._programs.classes(number + 1), track, made, *buffers, np.int32(rows)))
+
+    def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
+        """Return the buffers that the transforms of a layer read, 0 being the first: source, the places of its padded
+        rows and columns, classes or the buffers from which they are decided; and their numbers."""
+        if self._together and not number:
+            return self._decides(track, band), self._site(band, frame)
+        if not number:
+            return (track.raw, *band.mosaic_source, track.labels), (np.int32(0),)
+        read = (track.planes[number - 1], *band.later[number - 1].transforms, track.later_labels[number - 1])
+        return read, (np.int32(band.shape(number - 1)[0]),)
+
+    def _transform(
+        self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work
+    ) -> None:
+        """Transforms of the last layer, and its classes if it is alone, and encoding or smoothing of a band into the buffer
+        `result`."""
+        number = len(self._later)
+        into = self._spectra.room(track, band) if self._spectra else result
+        made = (into, *self._shading.gain(frame.shading, band.made))
+        reads, ends = self._reads(number, track, band, frame)
+        arguments = (*reads, self._weights, encoding, *made, np.float32(frame.black_level), *ends)
+        work.add("transforms", self._run(kernel, track, band.shape(number), *arguments))
+        if self._spectra:
+            work.add(SPECTRA, self._spectra.smooth(track, band, result, len(frame.values)))
+
+    def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
+        """The buffer whose content becomes arrays one after the other: the array itself, if there is one and the device
+        shares the host's memory, else the track's."""
+        if self._in_place and len(parts) == 1:
+            return work.in_place(track.queue, parts[0], written=True)
+        track.result = self._scratch(track.result, sum(part.nbytes for part in parts))
+        return track.result
+
+    def _fetch(self, track: Track, parts: list[NDArray], target: Any, offset: int, work: Work) -> None:
+        """Start to bring a buffer, from byte `offset` on, into arrays one after the other."""
+        if work.is_in_place(target):
+            work.hand_back(track.queue, target, parts[0])
+            return
+        for part in parts:
+            work.add("download", track.download(target, part, offset))
+            offset += part.nbytes
+
+    def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any, cut: layout.Cut | None = None) -> Any:
+        """Enqueue a kernel over rows and columns, which are the last arguments of each."""
+        rows, columns = shape
+        cut = cut or self._cut
+        grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
+        return track.run(kernel, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
+
+    def _kernel(self, source: str, macros: layout.Macros, name: str) -> Any:
+        """A kernel of a program of its own."""
+        return pyopencl().Kernel(self._compiler.build(source, {**macros, **self._cut.macros}), name)
+
+    def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
+        """The bands of frames of a shape (row, col), kept until a frame of another shape comes."""
+        if self._frame_bands is None or self._frame_bands[0] != shape:
+            self._frame_bands = shape, tuple(bands(self.table, shape, self._constant))
+        return self._frame_bands[1]

@@ -1,0 +1,181 @@
+"""Work queued on an OpenCL device: queues with their buffers, events, bands of frames."""
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.frames.frame import RawFrame
+from l3cli.rendering.opencl.devices import pyopencl
+
+Source = Any  # a buffer of indices
+STAGES = ("upload", "classes", "transforms", "encode", "download")
+LATER_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
+SPECTRA = "spectra"  # between transforms and encoding, where spectra are smoothed
+
+
+def stages_of(table: TransformTable) -> tuple[str, ...]:
+    """Return the stages by which the time of a frame is counted."""
+    stages = LATER_STAGES if table.later else STAGES
+    return (*stages[:-2], SPECTRA, *stages[-2:]) if table.spectra else stages
+
+
+def constant(context: Any, array: NDArray, dtype: Any = None) -> Any:
+    """A buffer that holds an array."""
+    flags = pyopencl().mem_flags
+    array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype), dtype)  # no buffer may be empty
+    return pyopencl().Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=array)
+
+
+def scratch(context: Any, buffer: Any, size: int) -> Any:
+    """The buffer if it has room for `size` bytes, else one that has."""
+    if buffer is None or buffer.size < size:
+        buffer = pyopencl().Buffer(context, pyopencl().mem_flags.READ_WRITE, size)
+    return buffer
+
+
+class Track:
+    """A queue and the buffers of one band; buffers grow to what is asked of them."""
+
+    def __init__(self, context: Any, layers: int) -> None:
+        """For a table of so many later layers."""
+        cl = pyopencl()
+        self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
+        self.raw: Any = None  # what is read …
+        self.uploaded: Any = None  # … which is this, unless it is the host's array
+        self.labels: Any = None
+        self.quiet: Any = None  # which pixels the quiet set renders …
+        self.chosen: tuple[Any, ...] = ()  # … or the host's array that says so; nothing where there is one set
+        self.planes: list[Any] = [None] * layers  # that each later layer reads
+        self.later_labels: list[Any] = [None] * layers
+        self.made: Any = None  # outputs whose spectra are still to be smoothed
+        self.result: Any = None
+        self._typed: set[Any] = set()  # kernels
+
+    def run(self, kernel: Any, grid: tuple[int, ...], group: tuple[int, ...], *arguments: Any) -> Any:
+        """Enqueue a kernel. Its types are stated once: pyopencl would find them out anew each time, which takes longer than
+        all else before a frame's first kernel."""
+        if kernel not in self._typed:
+            kernel.set_scalar_arg_dtypes([type(each) if isinstance(each, np.generic) else None for each in arguments])
+            self._typed.add(kernel)
+        return kernel(self.queue, grid, group, *arguments)
+
+    def download(self, buffer: Any, destination: NDArray, offset: int) -> Any:
+        """Copy `buffer` from byte `offset` on to the contiguous array `destination`, without waiting."""
+        copy = pyopencl().enqueue_copy(self.queue, destination, buffer, src_offset=offset, is_blocking=False)
+        self.queue.flush()
+        return copy
+
+
+def shares_memory(device: Any) -> bool:
+    """Return whether a device computes in the host's memory, so that nothing need be copied."""
+    return bool(device.type & pyopencl().device_type.CPU)
+
+
+class Work:
+    """Work started for one frame: its events by stage, and the arrays that the device may still use, which are held until
+    it is done, also where an interrupt leaves the work."""
+
+    def __init__(self, stages: tuple[str, ...]) -> None:
+        self.events: dict[str, list[Any]] = {stage: [] for stage in stages}
+        self.arrays: list[NDArray] = []
+        self._queues: list[Any] = []
+        self._in_place: list[Any] = []  # buffers that are arrays
+        self._mapped: list[tuple[Any, Any]] = []  # queue, what is mapped
+        self._owner = os.getpid()
+
+    def __del__(self) -> None:
+        if self._owner == os.getpid():  # in a forked child nothing would ever end
+            for queue in self._queues:
+                queue.finish()
+
+    def in_place(self, queue: Any, array: NDArray, written: bool = False) -> Any:
+        """A buffer that is a contiguous array, to be read or `written` by a device that shares the host's memory."""
+        flags = pyopencl().mem_flags
+        self.arrays.append(array)
+        self._queues.append(queue)
+        access = flags.WRITE_ONLY if written else flags.READ_ONLY
+        self._in_place.append(pyopencl().Buffer(queue.context, flags.USE_HOST_PTR | access, hostbuf=array))
+        return self._in_place[-1]
+
+    def is_in_place(self, buffer: Any) -> bool:
+        return any(each is buffer for each in self._in_place)
+
+    def hand_back(self, queue: Any, buffer: Any, array: NDArray) -> None:
+        """Have the host see what is written into an array that is a buffer."""
+        cl = pyopencl()
+        mapped, event = cl.enqueue_map_buffer(
+            queue, buffer, cl.map_flags.READ, 0, array.shape, array.dtype, is_blocking=False
+        )
+        queue.flush()
+        self._mapped.append((queue, mapped.base))
+        self.add("download", event)
+
+    def end(self) -> None:
+        """Wait for the last of the work."""
+        for event in self.events["download"]:
+            event.wait()
+        while self._mapped:
+            queue, mapping = self._mapped.pop()
+            mapping.release(queue).wait()  # the array is the caller's from now on
+        self._queues.clear()
+
+    def add(self, stage: str, event: Any) -> None:
+        self.events[stage].append(event)
+
+    def milliseconds(self) -> dict[str, float]:
+        """Return the milliseconds that the device spent in each stage, once all is done."""
+        return {
+            stage: sum((event.profile.end - event.profile.start) * 1e-6 for event in events)
+            for stage, events in self.events.items()
+        }
+
+
+@dataclass(frozen=True)
+class Held:
+    """Outputs of a frame that are still on the device, as a track's result."""
+
+    frame: RawFrame
+    values: NDArray[np.uint16]  # a copy: a frame's own may be written to
+    track: Track
+    result: Any  # the buffer
+
+    def are_of(self, frame: RawFrame) -> bool:
+        """Return whether the buffers are those of a frame."""
+        return self.frame is frame and np.array_equal(self.values, frame.values)
+
+
+@dataclass(frozen=True)
+class PlaneSource:
+    """For a layer that reads planes, which of their rows and columns each padded one repeats."""
+
+    classes: tuple[Source, Source, Source]  # (padded row) of the planes and of the first layer's classes, (padded col)
+    transforms: tuple[Source, Source]  # (padded row), (padded col)
+
+
+@dataclass(frozen=True)
+class Band:
+    """Rows of a frame, and what every layer reads for them."""
+
+    # rows of planes that each later layer reads, of outputs whose spectra are smoothed, if so, and at the end the band's own
+    reads: tuple[slice, ...]
+    raw_rows: slice  # that the patches of the first of them touch
+    columns: int
+    mosaic_source: tuple[Source, Source]  # (padded row) of the raw rows, (padded col)
+    later: tuple[PlaneSource, ...]
+
+    @property
+    def rows(self) -> slice:
+        return self.reads[-1]
+
+    @property
+    def made(self) -> slice:
+        """Rows that the last layer makes."""
+        return self.reads[len(self.later)]
+
+    def shape(self, number: int) -> tuple[int, int]:
+        """Rows and columns of `reads`."""
+        return self.reads[number].stop - self.reads[number].start, self.columns

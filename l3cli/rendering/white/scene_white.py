@@ -1,0 +1,176 @@
+"""The white of a scene, and how frames are balanced for it (docs/method.md#scene-white)."""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import InputFileError
+from l3cli.frames.frame import RawFrame
+from l3cli.physics import spectra
+from l3cli.physics.display import display_white
+from l3cli.physics.matrices import fit_through
+from l3cli.physics.near_lights import NearLight, light_of, light_of_neutral, light_of_white, temperature, uv
+from l3cli.rendering.white.balance import WhiteBalance, adaptation, balanced, plain_balance
+from l3cli.rendering.white.grey import Grey, GreyRenderer
+
+Array = NDArray[np.floating]
+GREY_LEVEL = 0.4  # of full scale, in the brightest channel: where tables have learned most
+LARGEST_GAIN = 8.0  # of a channel: beyond, it is noise
+SURFACES = 64  # measured reflectances that a table's colours under a light are corrected by
+DARKEST = 0.05  # of white: below, errors of surfaces count no more than there
+MOST_GREEN = 0.03  # distance from the black bodies in CIE 1960 uv that no lamp for people has
+SAME_WHITE = 5e-4  # distance in CIE 1960 uv of whites that are the same, as written with four digits
+MOST_MISFIT = 0.12  # of the logarithms of channels; fluorescent and LED lamps reach half of it
+COOLEST, WARMEST = 24_000.0, 1_700.0  # K: what a search ends with lies beyond them
+
+
+@dataclass(frozen=True)
+class SceneWhite:
+    """A white, how frames are balanced for it, and the light that has it, as far as can be told."""
+
+    balance: WhiteBalance
+    light: NearLight
+    modelled: bool  # whether the responsivities of the table's camera took part
+
+    @property
+    def plausible(self) -> bool:
+        """Return whether lamps, daylight or shade may give this white."""
+        return _is_plausible(self.light)
+
+    def __str__(self) -> str:
+        light = self.light
+        x, y = light.xyz[:2] / light.xyz.sum()
+        side = "green" if light.duv >= 0 else "pink"
+        return f"x,y = {x:.4f},{y:.4f}, {light.kelvin:.0f} K, {abs(light.duv):.3f} in uv to the {side}"
+
+
+class Whites:
+    """Whites of scenes, by what a table makes of a grey under their light.
+
+    Where the table knows its camera and the light it was trained under, the channels of a frame are first brought to the
+    ratios that they have under that light: only then are the edges of grey things grey, and highlights that clip white.
+    What the colours of surfaces still differ by is corrected by a matrix.
+    """
+
+    def __init__(self, table: TransformTable) -> None:
+        self.table = table
+
+    @functools.cached_property
+    def grey(self) -> GreyRenderer:
+        return GreyRenderer(self.table)
+
+    @functools.cached_property
+    def _trained(self) -> NDArray[np.float64] | None:
+        """Signals (channel) of a grey under the light of training; None of a table that does not say."""
+        camera, light = self.table.camera, self.table.light
+        if camera is None or light is None:
+            return None
+        return camera.signal_weights @ spectra.resample(light.radiance, light.wavelength, camera.wavelength)
+
+    def of_neutral(self, neutral: Array) -> SceneWhite:
+        """The white of which the channels have the signals `neutral` (channel), of any scale; InputFileError if the table
+        makes no white of them."""
+        if not (np.isfinite(neutral).all() and neutral.max() > 0):
+            raise InputFileError("a white without light is none; give another ‹white›")
+        camera = self.table.camera
+        if camera is None:
+            return self.of_xyz(self._shown(neutral))
+        light = light_of_neutral(camera.signal_weights, camera.wavelength, neutral)
+        return SceneWhite(self._balance(neutral, light), light, True)
+
+    def of_light(self, name: str) -> SceneWhite:
+        """The white of a named illuminant; RecipeError if it is unknown."""
+        white, camera = spectra.white_point(name), self.table.camera
+        if camera is None:
+            return self.of_xyz(white)
+        radiance = spectra.illuminant(name, camera.wavelength)
+        light = NearLight(white, *temperature(white), 0.0, radiance)
+        return SceneWhite(self._balance(camera.signal_weights @ radiance, light), light, True)
+
+    def of_chromaticity(self, white: Array) -> SceneWhite:
+        """The white of a scene of which no more is known than its XYZ (3): of the light of training if that has it, else of
+        the black body or daylight, more or less green, that has it; where none has, pictures are adapted from it alone."""
+        camera = self.table.camera
+        if camera is None or np.linalg.norm(uv(white) - uv(self.table.white_point[:3])) < SAME_WHITE:
+            return self.of_xyz(white)
+        light = light_of_white(white, camera.wavelength)
+        if not _is_plausible(light):
+            return self.of_xyz(white)
+        assert light.radiance is not None
+        return SceneWhite(self._balance(camera.signal_weights @ light.radiance, light), light, True)
+
+    def of_xyz(self, white: Array) -> SceneWhite:
+        """The white of XYZ (3) as the table shows it."""
+        return SceneWhite(plain_balance(white, len(self.table.channels)), light_of(white), False)
+
+    def of_greys(self, frame: RawFrame, greys: Sequence[Grey]) -> SceneWhite:
+        """The white of greys in a frame: that by which they have the least chroma, in squares of C*ab, all in all.
+        InputFileError if one of them is clipped, too dark or not plain."""
+        signals = np.array([self.grey.signals(frame, grey) for grey in greys])
+        share = signals.mean(axis=1) / signals.mean(axis=1).max()
+        weights = share ** (2 / 3) / share  # of what each says of the ratios: C*ab grows with the cube root of light
+        made = self.of_neutral(weights @ signals)
+        even = balanced(frame, self.table, made.balance.gains)
+        whole = [number for number, grey in enumerate(greys) if self.grey.usable(even, grey)]  # gains may clip bright ones
+        if not whole:
+            return made
+        shown = weights[whole] @ np.array([self.grey.of_part(even, greys[number].where) for number in whole])
+        left = made.balance.adaptation @ _white(shown)  # of the white: what the table makes of these greys and of others
+        return replace(made, balance=replace(made.balance, adaptation=adaptation(left) @ made.balance.adaptation))
+
+    def _balance(self, neutral: Array, light: NearLight) -> WhiteBalance:
+        gains = self._gains(neutral)
+        before, after = self._shown(neutral)[1], self._shown(neutral * gains)[1]
+        raised = (neutral * gains).max() / neutral.max()
+        matrix = adaptation(self._shown(neutral * gains))
+        if light.radiance is not None and _is_plausible(light):
+            matrix = self._correction(light.radiance, gains) @ matrix
+        return WhiteBalance(gains, matrix, float(before / after / raised))
+
+    def _gains(self, neutral: Array) -> NDArray[np.float64]:
+        """Factors (channel), none below 1, that bring a neutral to that of training as far as they may."""
+        if self._trained is None:
+            return np.ones(len(neutral))
+        seen = (neutral > 0) & (self._trained > 0)  # a channel of infrared may see nothing of a lamp
+        ratio = np.where(seen, self._trained / np.where(seen, neutral, 1.0), 0.0)
+        return np.clip(ratio / ratio.min(where=seen, initial=np.inf), 1.0, LARGEST_GAIN)
+
+    def _shown(self, neutral: Array) -> NDArray[np.float64]:
+        """Return the output (3) of the table for a grey."""
+        return _white(self.grey.outputs_of(GREY_LEVEL * neutral[None] / neutral.max())[0])
+
+    def _correction(self, radiance: Array, gains: Array) -> NDArray[np.float64]:
+        """M (3, 3): XYZ under D65 from what the table, balanced and adapted, makes of measured surfaces under a light whose
+        radiance (wavelength) is given on the camera's grid, by least squares in which white stays what it is."""
+        camera = self.table.camera
+        assert camera is not None
+        surfaces = _surfaces(tuple(camera.wavelength))
+        with_white = np.vstack([surfaces, np.ones(camera.wavelength.size)]) * radiance
+        signals = with_white @ camera.signal_weights.T * gains
+        shown = self.grey.outputs_of(signals * (GREY_LEVEL / signals[-1].max()))
+        true = with_white @ spectra.xyz_weights(camera.wavelength).T
+        ours, ideal = (of[:-1] / of[-1, 1] @ adaptation(_white(of[-1])).T for of in (shown, true))
+        weights = 1.0 / np.maximum(ideal[:, 1:2], DARKEST)  # errors are seen relative to lightness
+        return np.asarray(fit_through(ours * weights, ideal * weights, display_white(), display_white()), np.float64)
+
+
+def _is_plausible(light: NearLight) -> bool:
+    return abs(light.duv) <= MOST_GREEN and light.misfit <= MOST_MISFIT and WARMEST < light.kelvin < COOLEST
+
+
+@functools.lru_cache(1)
+def _surfaces(wavelength: tuple[float, ...]) -> Array:
+    """Measured reflectances (surface, wavelength), evenly taken from the library."""
+    library = spectra.reflectance_library(np.array(wavelength))
+    return np.asarray(library[np.linspace(0, len(library) - 1, SURFACES).round().astype(int)])
+
+
+def _white(outputs: Array) -> NDArray[np.float64]:
+    """Outputs (3) that can be those of a white; InputFileError unless all are above zero."""
+    if not (np.isfinite(outputs).all() and outputs.min() > 0):
+        raise InputFileError("the table makes no white of this grey; is it the table of this camera?")
+    return np.asarray(outputs, np.float64)

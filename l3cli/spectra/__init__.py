@@ -1,0 +1,1 @@
+"""Tables of numbers over wavelength with their units, as instruments write them."""

@@ -1,0 +1,1 @@
+"""Files, locks, signals, limits: what any program on this system needs, nothing of cameras."""

@@ -1,0 +1,299 @@
+"""Files as every command treats them: outputs appear whole or not at all, and inputs are known by their SHA-256.
+
+Whoever writes a temporary file holds a lock (flock) on it that the kernel lets go of however the process ends, be it
+SIGKILL: a temporary file that nobody holds is what a killed run left. Locks on outputs: locks.py.
+"""
+
+import contextlib
+import errno
+import fcntl
+import functools
+import hashlib
+import io
+import os
+import re
+import stat
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.system.ledger import fingerprint, note_output
+from l3cli.system.signals import uninterrupted
+
+TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
+LOCK = ".l3lock"
+UNFINISHED = ".l3-unfinished"  # names, in a folder of pictures, the run that has not written all of them yet
+STDIN = Path("-")
+LONGEST = 255  # bytes of a file's name
+LONGEST_SUFFIX = 16  # bytes of one by which writers choose their format
+NAMES = {stat.S_IFDIR: "folder", stat.S_IFIFO: "pipe", stat.S_IFSOCK: "socket"}  # of what is no file
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+# -------------------------------------------------------------------------------------------------------- outputs
+
+
+def refuse_existing(path: Path, force: bool) -> None:
+    """Raise L3Error before any work if `path` exists and may not be replaced."""
+    if path.is_dir():
+        raise L3Error(f"{path} is a folder; name a file as the output")
+    if path.exists() and not path.is_file():
+        raise L3Error(f"{path} is a device or pipe, which cannot be replaced by a whole file; name a file as the output")
+    if path.exists() and not force:
+        raise L3Error(f"{path} exists; add ‹force› to replace it or name another output")
+
+
+def refuse_filled_folder(path: Path, force: bool) -> None:
+    """Raise L3Error before any work if `path` is a file, or a folder that holds something and may not be written into."""
+    if path.exists() and not path.is_dir():
+        raise L3Error(f"{path} is a file; name a folder")
+    if path.is_dir() and not force and any(not is_ours(each.name) for each in path.iterdir()):
+        raise L3Error(f"{path} is not empty; add ‹force› to write into it or name another folder")
+
+
+@contextlib.contextmanager
+def atomic_output(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` to write to; flushed to disk and renamed into place on success, removed on failure.
+
+    The temporary file keeps the suffix of `path`, since writers choose their format by it; it must be written in place, not
+    replaced. No two processes ever write to the same one. L3Error if `path` cannot be written, or the disk is full;
+    RecipeError if it is a file that is spared.
+    """
+    refuse_protected(path)
+    temporary, held = None, None
+    try:
+        with blamed_on(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary, held = _new_temporary(path)
+        with blamed_on(path, FULL):  # of what goes wrong inside: inputs may be read there
+            yield temporary
+        with blamed_on(path):
+            _put_in_place(temporary, path)
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        if held is not None:
+            os.close(held)
+
+
+def write_whole(path: Path, content: bytes | memoryview | str) -> None:
+    """Write `content` (text as UTF-8) to `path` whole or not at all."""
+    with atomic_output(path) as temporary:
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+@uninterrupted
+def _new_temporary(path: Path) -> tuple[Path, int]:
+    """A new, empty, locked temporary file beside `path`, and the descriptor that holds the lock."""
+    stem, suffix = _hidden_name(path)
+    while True:
+        temporary = path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
+        held = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(path))
+        with contextlib.suppress(OSError):  # storage without locks: nobody can take it for a dead run's
+            fcntl.flock(held, fcntl.LOCK_EX)
+        if os.fstat(held).st_nlink:
+            return temporary, held
+        os.close(held)  # swept between the two calls
+
+
+def _hidden_name(path: Path) -> tuple[str, str]:
+    """Stem and suffix of temporary files of `path`."""
+    stem, suffix = (path.stem, path.suffix) if len(os.fsencode(path.suffix)) <= LONGEST_SUFFIX else (path.name, "")
+    return shortened(stem, len(f"..01234567.l3tmp{suffix}")), suffix
+
+
+def shortened(name: str, more: int) -> str:
+    """`name`, or where it is too long for `more` bytes beside it, its beginning and a digest of it."""
+    coded, room = os.fsencode(name), LONGEST - more
+    if len(coded) <= room:
+        return name
+    digest = hashlib.sha256(coded).hexdigest()[:16]
+    return coded[: room - len(digest)].decode(errors="ignore") + digest
+
+
+def initial_mode(output: Path) -> int:
+    """Mode, before the umask, of what is created for an output: whoever may not read the one that is replaced may not
+    read these."""
+    try:
+        return 0o666 & (output.stat().st_mode | 0o600)
+    except OSError:
+        return 0o666
+
+
+def _put_in_place(temporary: Path, path: Path) -> None:
+    """Give a file its name, both on the disk."""
+    _flush(temporary)
+    os.replace(temporary, path)
+    note_output(path)
+    try:
+        _flush(path.parent)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.EACCES):  # storage that cannot, a folder that may not be read
+            raise
+
+
+def _flush(path: Path) -> None:
+    """Make sure that a file's content, or a folder's names, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
+    """Errors of the system (those `numbers`, if given) as L3Error that says that `path` cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        if numbers is not None and error.errno not in numbers:
+            raise
+        cure = "free some space and run again" if error.errno in FULL else "name another output or mend its folder"
+        raise L3Error(f"{path} cannot be written: {error.strerror}; {cure}") from error
+
+
+# ----------------------------------------------------------------------------------------------- temporary files
+
+
+def open_quietly(path: Path) -> int:
+    """A descriptor of a regular file, for its lock; OSError if it is another kind of file. To write is wanted for locks
+    over NFS alone: another user's file may be readable only."""
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except PermissionError:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+    return descriptor
+
+
+def sweep(folder: Path, output: Path | None = None) -> None:
+    """Remove the temporary files in `folder` (those of `output`, if given) whose writer is dead."""
+    wanted = None if output is None else _hidden_name(output)
+    for name in os.listdir(folder) if folder.is_dir() else ():
+        match = TEMPORARY.fullmatch(name)
+        if not match or wanted not in (None, (match[1], match[2] or "")):
+            continue
+        if identity(folder / name) in _spared:
+            continue
+        with contextlib.suppress(OSError):  # a living writer's, or gone already, or none of l3's
+            held = open_quietly(folder / name)
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                os.unlink(folder / name)
+            finally:
+                os.close(held)
+
+
+def is_ours(name: str) -> bool:
+    """Return whether a file of this name is a lock, a checkpoint or temporary."""
+    return name.endswith((LOCK, UNFINISHED)) or TEMPORARY.fullmatch(name) is not None
+
+
+# --------------------------------------------------------------------------------------------------------- inputs
+
+Identity = tuple[int, int]  # device and number on it: the same for every name, symbolic and hard link of a file
+_spared: dict[Identity, Path] = {}  # files that the command reads, each with a name it was given by
+
+
+@contextlib.contextmanager
+def protecting(paths: Iterable[Path]) -> Iterator[None]:
+    """While the block lasts, no output of this process takes the place of these files, under whatever name; "-": stdin."""
+    named = ((identity(0 if path == STDIN else path), path) for path in paths)
+    added = {key: path for key, path in named if key is not None and key not in _spared}
+    _spared.update(added)
+    try:
+        yield
+    finally:
+        for key in added:
+            del _spared[key]
+
+
+def refuse_protected(output: Path | int) -> None:
+    """RecipeError if an output, a path or a descriptor, is a file that is spared."""
+    key = identity(output) if _spared else None
+    if key is None or key not in _spared:
+        return
+    source = _spared[key]
+    name, other = "stdout" if isinstance(output, int) else str(output), "stdin" if source == STDIN else str(source)
+    raise RecipeError(f"{name} is an input{'' if name == other else f', {other}'}; name another output")
+
+
+def identity(file: Path | int) -> Identity | None:
+    """Return the identity of the file under a path or descriptor, symbolic links followed; None if it is no regular file."""
+    try:
+        state = os.stat(file)
+    except OSError:
+        return None
+    return (state.st_dev, state.st_ino) if stat.S_ISREG(state.st_mode) else None
+
+
+def require_regular(path: Path, cure: str = "give a file") -> None:
+    """InputFileError, with this cure, unless there is a regular file: a folder has no bytes, and whoever opens a pipe or
+    device may wait for ever. Looked up by name; nothing is opened."""
+    try:
+        _require_regular(path, path.stat().st_mode, cure)
+    except OSError as error:
+        missing = isinstance(error, FileNotFoundError | NotADirectoryError)
+        what = "does not exist" if missing else f"cannot be read: {error.strerror}"
+        raise InputFileError(f"{path} {what}; {cure}") from error
+
+
+def _require_regular(path: Path, mode: int, cure: str) -> None:
+    if not stat.S_ISREG(mode):
+        raise InputFileError(f"{path} is a {NAMES.get(stat.S_IFMT(mode), 'device')}; {cure}")
+
+
+def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
+    """A regular file open for reading; InputFileError, as by `require_regular`, if it is none, also if it has become none
+    since it was checked."""
+    require_regular(path, cure)
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    except OSError as error:
+        raise InputFileError(f"{path} cannot be read: {error.strerror}; {cure}") from error
+    try:
+        _require_regular(path, os.fstat(descriptor).st_mode, cure)
+        os.set_blocking(descriptor, True)
+        return open(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
+    try:
+        with open_regular(path) as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror}") from error
+
+
+def stamp(path: Path) -> tuple[int, ...]:
+    """Return what identifies a file among others of its name: number on the disk, size, time. Empty if it does not exist."""
+    try:
+        state = path.stat()
+    except OSError:
+        return ()
+    return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns
+
+
+def require_same(path: Path, digest: str) -> None:
+    """InputFileError unless the file has this SHA-256: on another machine, another file may have its name. It is read once
+    as long as it stays the same."""
+    try:
+        known = fingerprint(path)
+    except OSError as error:
+        raise InputFileError(
+            f"{path} cannot be read by a worker ({error.strerror}); put it on storage that all share"
+        ) from error
+    if _known_sha256(path, known) != digest:
+        raise InputFileError(f"{path} is another file for a worker than here; put it on storage that all share")
+
+
+@functools.lru_cache(10_000)
+def _known_sha256(path: Path, _: tuple[int, ...]) -> str:
+    return sha256(path)

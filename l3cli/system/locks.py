@@ -1,0 +1,202 @@
+"""One run at a time writes an output: whoever writes holds a lock (flock) that the kernel lets go of however the process
+ends, be it SIGKILL, on a hidden file beside the output for as long as the run lasts. Threads of a process have a lock, too.
+"""
+
+import contextlib
+import fcntl
+import os
+import threading
+from collections.abc import Iterator
+from contextvars import ContextVar
+from pathlib import Path
+
+from l3cli.errors import L3Error
+from l3cli.system.files import (
+    LOCK,
+    UNFINISHED,
+    blamed_on,
+    initial_mode,
+    is_ours,
+    open_quietly,
+    refuse_filled_folder,
+    refuse_protected,
+    shortened,
+    sweep,
+    write_whole,
+)
+from l3cli.system.signals import uninterrupted
+
+_WITHOUT_WRITING: ContextVar[bool] = ContextVar("without writing", default=False)
+
+
+class ThreadLock:
+    """A lock between the threads of a process. In a forked child it is free: a thread of the parent that held it there does
+    not exist, and would never let it go."""
+
+    def __init__(self) -> None:
+        self._of_process: dict[int, threading.Lock] = {}
+
+    def __enter__(self) -> None:
+        self._here().acquire()
+
+    def __exit__(self, *exception: object) -> None:
+        self._here().release()
+
+    def _here(self) -> threading.Lock:
+        return self._of_process.setdefault(os.getpid(), threading.Lock())
+
+
+@contextlib.contextmanager
+def without_writing() -> Iterator[None]:
+    """Within the block no lock is made and nothing swept: outputs are only refused that another run writes just now."""
+    token = _WITHOUT_WRITING.set(True)
+    try:
+        yield
+    finally:
+        _WITHOUT_WRITING.reset(token)
+
+
+@contextlib.contextmanager
+def sole_writer_of_file(path: Path) -> Iterator[bool]:
+    """Keep other runs off the file `path` while the block lasts, and remove what a killed run left half-written of it.
+
+    Yields whether the storage knows locks at all. L3Error if another run writes the file, or its folder cannot be written.
+    """
+    with _claim(path, path.with_name(_lock_name(path.name))) as locked:
+        if locked and not _WITHOUT_WRITING.get():
+            sweep(path.parent, path)
+        yield locked
+
+
+@contextlib.contextmanager
+def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] = ()) -> Iterator[bool]:
+    """`sole_writer_of_file` for the files of a folder and of those `inside` it; with `name` (of a pattern) for those files
+    alone that it stands for.
+
+    The folder is made; it is removed again if it is empty in the end. What worker processes left that were ended goes, too.
+    """
+    with _claim(folder / name, folder / (_lock_name(name) if name else LOCK)) as locked:
+        swept = [folder, *(folder / each for each in inside)] if locked and not _WITHOUT_WRITING.get() else []
+        for each in swept:
+            sweep(each)
+        try:
+            yield locked
+        finally:
+            for each in swept:
+                sweep(each)
+
+
+def _lock_name(name: str) -> str:
+    return f".{shortened(name, len(f'.{LOCK}'))}{LOCK}"
+
+
+@contextlib.contextmanager
+def finished_together(folder: Path, run: str, force: bool) -> Iterator[None]:
+    """Mark `folder` as of the run called `run` until the block ends without an error: if it is stopped, the same run may go
+    on there. L3Error if the folder holds something else, unless `force`."""
+    mark = folder / UNFINISHED
+    refuse_other_run(folder, run, force)
+    write_whole(mark, run)
+    try:
+        yield
+    except BaseException:
+        sweep(folder)
+        if all(is_ours(each.name) for each in folder.iterdir()):
+            mark.unlink(missing_ok=True)
+        raise
+    mark.unlink(missing_ok=True)
+
+
+def refuse_other_run(folder: Path, run: str, force: bool) -> None:
+    """L3Error if `folder` holds anything but what a stopped run called `run` has left, unless `force`."""
+    mark = folder / UNFINISHED
+    goes_on = mark.is_file() and mark.read_bytes() == run.encode()
+    refuse_filled_folder(folder, force or goes_on)
+
+
+@contextlib.contextmanager
+def _claim(output: Path, lock: Path) -> Iterator[bool]:
+    """Hold `lock` while the block lasts; folders that had to be made for it go again if they stay empty."""
+    refuse_protected(lock)  # it is removed in the end
+    if _WITHOUT_WRITING.get():
+        _refuse_held(lock, output)
+        yield True
+        return
+    made = [folder for folder in (lock.parent, *lock.parent.parents) if not folder.exists()]
+    try:
+        held = _take(lock, output)
+        try:
+            yield held is not None
+        finally:
+            if held is not None:
+                _let_go(lock, held)
+    finally:
+        for folder in made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+def _refuse_held(lock: Path, output: Path) -> None:
+    """L3Error if another run holds the lock; no file is made or removed."""
+    held = _existing(lock)
+    if held is None:
+        return
+    try:
+        fcntl.flock(held, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise _busy(output) from error
+    except OSError:
+        pass  # storage without locks
+    finally:
+        os.close(held)
+
+
+def _busy(output: Path) -> L3Error:
+    return L3Error(f"{output} is being written by another run; wait until it ends or name another output")
+
+
+@uninterrupted
+def _take(lock: Path, output: Path) -> int | None:
+    """The descriptor that holds the lock; None where the storage knows no locks."""
+    while True:
+        with blamed_on(output):
+            lock.parent.mkdir(parents=True, exist_ok=True)
+            held: int | None
+            try:
+                held = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(output))
+            except FileExistsError:
+                held = _existing(lock)
+        if held is None:
+            continue  # its holder has just removed it
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(held)
+            raise _busy(output) from error
+        except OSError:
+            _let_go(lock, held)
+            return None
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.lstat(lock), os.fstat(held)):
+                return held
+        os.close(held)  # its holder has ended and removed it between the two calls
+
+
+def _existing(lock: Path) -> int | None:
+    """A descriptor of the lock file that is there already; None if it is there no more. L3Error if it is none of l3's or
+    may not be opened. Nothing is followed, created or waited for: in a folder that others share, anything may lie here."""
+    try:
+        return open_quietly(lock)
+    except FileNotFoundError:
+        return None
+    except PermissionError as error:
+        raise L3Error(f"{lock} is another user's; remove it if no run of theirs goes on, or name another output") from error
+    except OSError as error:
+        raise L3Error(f"{lock} is no lock file of l3's; remove it or name another output") from error
+
+
+@uninterrupted
+def _let_go(lock: Path, held: int) -> None:
+    with contextlib.suppress(FileNotFoundError, PermissionError):  # another user's, where only they may remove it
+        lock.unlink()
+    os.close(held)

@@ -1,0 +1,57 @@
+"""Lines and tables of plain text, for terminals of any width and for pipes."""
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+GAP = "  "
+
+
+def printable(text: str) -> str:
+    """`text` as one line that a terminal can show, "?" in the place of what it cannot or would obey: control characters,
+    ends of lines, marks that turn the direction of writing, bytes of a file name that are no text."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
+def figure(value: float, form: str) -> str:
+    """A number as the format `form` says, a dash where there is none."""
+    return format(value, form) if math.isfinite(value) else "–"
+
+
+def short_names(paths: Iterable[Path]) -> list[str]:
+    """Return the shortest end of each path that no other path has, as tables call files."""
+    every = [path.absolute().parts for path in paths]
+
+    def told_apart(parts: tuple[str, ...]) -> str:
+        ends = (parts[-length:] for length in range(1, len(parts) + 1))
+        return "/".join(next(end for end in ends if all(parts == other or other[-len(end) :] != end for other in every)))
+
+    return [told_apart(parts) for parts in every]
+
+
+def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:
+    """Lines of a table: the first column to the left, the others to the right, below their headings of one or more lines.
+
+    A table wider than `width` characters is divided into several, one below the other, all with the first column. What is
+    not `printable` is replaced.
+    """
+    named = [[printable(line) for line in heading.split("\n")] for heading in headings]
+    high = max(map(len, named))
+    lines = [[([""] * (high - len(name)) + name)[line] for name in named] for line in range(high)] + [
+        [printable(cell) for cell in row] for row in rows
+    ]
+    wide = [max(len(line[index]) for line in lines) for index in range(len(headings))]
+    parts, used = [[0]], wide[0]
+    for index in range(1, len(headings)):
+        if width is not None and len(parts[-1]) > 1 and used + len(GAP) + wide[index] > width:
+            parts.append([0])
+            used = wide[0]
+        parts[-1].append(index)
+        used += len(GAP) + wide[index]
+    blocks = [[_line(line, part, wide) for line in lines] for part in parts]
+    return [line for number, part in enumerate(blocks) for line in ([""] if number else []) + part]
+
+
+def _line(cells: Sequence[str], part: Sequence[int], wide: Sequence[int]) -> str:
+    first, *others = part
+    return GAP.join([cells[first].ljust(wide[first]), *(cells[index].rjust(wide[index]) for index in others)]).rstrip()

@@ -1,0 +1,126 @@
+// Processor variant: raw frame → class of every pixel.
+//
+// One work-item labels a tile of TILE columns and BAND rows, row after row.
+
+// What classes are decided on; CLASSES_READ hands it on.
+#define CLASSES_PARAMETERS \
+    __global const ushort *restrict raw,                /* (row, col) DN */ \
+    __global const int *restrict row_source,            /* (padded row) */ \
+    __global const int *restrict column_source,         /* (padded col) */ \
+    __global const ushort *restrict member,             /* (channel, CFA row, period) all bits or none */ \
+    __global const ushort *restrict channel_bit,        /* (CFA row, period) 1 << channel */ \
+    __global const uint *restrict count,                /* (channel, CFA row, period) taps of the channel */ \
+    __global const uint *restrict mean_reciprocal,      /* (channel, CFA row, period) round(65536 / count) */ \
+    __global const uint *restrict variance_reciprocal,  /* (channel, CFA row, period) round(512 / count) */ \
+    __global const uint *restrict site_column,          /* (period) CFA column */ \
+    RULE_CONSTANTS QUIET_PARAMETER
+#define CLASSES_READ raw, row_source, column_source, member, channel_bit, count, mean_reciprocal, variance_reciprocal, site_column, \
+    RULE QUIET_READ
+
+// What a tile keeps of its latest rows: arrays apart from one another, which the compiler can then tell apart.
+typedef struct {
+    ushort (*ring)[SPAN];  // (PATCH + 1) rows, padded row k of the tile in slot k % (PATCH + 1)
+    Columns *near;
+    Runs *runs;
+#ifdef BOX_ROWS
+    box (*boxes)[SPAN];    // sums over boxes by their last row, in its slot
+#endif
+} Seen;
+
+#ifdef BOX_ROWS
+#define HAVE_SEEN(name) ushort seen_ring[PATCH + 1][SPAN]; Columns seen_near; Runs seen_runs; box seen_boxes[PATCH + 1][SPAN]; \
+    Seen name = {seen_ring, &seen_near, &seen_runs, seen_boxes};
+#else
+#define HAVE_SEEN(name) ushort seen_ring[PATCH + 1][SPAN]; Columns seen_near; Runs seen_runs; \
+    Seen name = {seen_ring, &seen_near, &seen_runs};
+#endif
+
+INLINE void see_nothing(Seen *seen) {
+    for (int k = 0; k < PATCH + 1; k++)
+        for (int p = 0; p < SPAN; p++) seen->ring[k][p] = 0;
+    for (int j = 0; j < SPREAD; j++)
+        for (int p = 0; p < SPAN; p++) seen->near->saturated[j][p] = 0;
+    for (int c = 0; c < CHANNELS; c++) {
+        for (int p = 0; p < SPAN; p++) seen->near->sum[c][p] = 0;
+        for (int p = 0; p < SPAN; p++) seen->near->square[c][p] = 0;
+        for (int p = 0; p < SPAN; p++) seen->runs->sum[c][p] = seen->runs->square[c][p] = 0;
+    }
+}
+
+// The columns that a tile reads, as whole vectors.
+INLINE int span_of(int width) { return WHOLE(WHOLE(width, LANES) + 2 * RADIUS, 2 * LANES); }
+
+// See padded row k of the tile at (y0, x0), of which `width` columns are in the frame.
+INLINE void see_row(Seen *seen, int k, int x0, int y0, int width, int phase_row, int phase_column, int columns, CLASSES_PARAMETERS) {
+    const int span = span_of(width), padded_phase = PADDED_PHASE(x0, phase_column, CFA_COLUMNS);
+    // The slot after the newest holds the row that leaves; while the first patch fills it holds zeros.
+    ushort *entering = seen->ring[k % (PATCH + 1)], *leaving = seen->ring[(k + 1) % (PATCH + 1)];
+    ingest(entering, raw + (size_t)row_source[y0 + k] * columns, column_source, x0, columns);
+    const int row_phase = PADDED_PHASE(y0 + k, phase_row, CFA_ROWS);
+    const int leaving_phase = PADDED_PHASE(y0 + k + (CFA_ROWS - 1) * PATCH, phase_row, CFA_ROWS);
+    slide(seen->near, entering, member + row_phase * PERIOD, leaving, member + leaving_phase * PERIOD, padded_phase, span);
+#ifdef BOX_ROWS
+    add_boxes(seen->boxes[k % (PATCH + 1)], seen->ring, k % (PATCH + 1), span);
+#endif
+    const int late = k - (RADIUS - SATURATION_RADIUS);  // saturation counts in fewer rows: the lowest came earlier
+    if (late >= 0)
+        saturated_row(seen->near->saturated[late % SPREAD], seen->ring[late % (PATCH + 1)],
+                      channel_bit + PADDED_PHASE(y0 + late, phase_row, CFA_ROWS) * PERIOD, padded_phase, span);
+}
+
+// Classes of LANES pixels of a row of the tile from x on, which is the frame's pixel `at`, whose patches end with padded row k and
+// whose CFA column is `phase`.
+INLINE uints classes_at(const Seen *seen, int k, int x, size_t at, int site_row, int phase, CLASSES_PARAMETERS) {
+    Evidence evidence;
+    no_evidence(&evidence, RULE);
+    #pragma unroll
+    for (int c = 0; c < CHANNELS; c++) {
+        const int here = (c * CFA_ROWS + site_row) * PERIOD + phase;
+        add_evidence(&evidence, c, LOAD_GLOBAL(uints, count + here), patch_sum(seen->runs, seen->near, c, x),
+                     patch_square(seen->runs, seen->near, c, x), LOAD_GLOBAL(uints, mean_reciprocal + here),
+                     LOAD_GLOBAL(uints, variance_reciprocal + here), RULE);
+    }
+#ifdef BOX_ROWS
+#define ADD_WINDOW(s, top, left, rows, columns, sign) \
+    evidence.window_sum[s] = evidence.window_sum[s] sign LOAD_BOX(seen->boxes[(k - 2 * RADIUS + top + rows - 1) % (PATCH + 1)] + x + left);
+    EACH_WINDOW(ADD_WINDOW)
+#elif defined(EACH_WINDOW)
+#define ADD_WINDOW(s, top, left, rows, columns, sign) \
+    evidence.window_sum[s] = evidence.window_sum[s] sign window_sum(seen->ring, k - 2 * RADIUS, top, left, rows, columns, x);
+    EACH_WINDOW(ADD_WINDOW)
+#endif
+    const uints site = LOAD_GLOBAL(uints, site_column + phase) + site_row * CFA_COLUMNS;
+    return class_of(&evidence, site, patch_saturated(seen->runs, x), QUIET_AT(at) RULE);
+}
+
+INLINE void write_classes(__global uint *to, uints label, int count) {
+    if (count >= LANES) STORE_GLOBAL(uints, to) = label;
+    else WRITE_FIRST(uint, uints, to, label, count);
+}
+
+#if !defined(TRANSFORM_ONLY) && !defined(TOGETHER)  // a program beside one that has this kernel already, or joins it with transforms
+COMPILED_ONCE classes_of_tile(int x0, int y0, CLASSES_PARAMETERS,
+                              __global uint *restrict labels,  // (row, col)
+                              int phase_row, int phase_column, int rows, int columns) {
+    const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
+    const int first_phase = (x0 + phase_column) % CFA_COLUMNS;
+    HAVE_SEEN(seen)
+    see_nothing(&seen);
+    for (int k = 0; k < y1 - y0 + 2 * RADIUS; k++) {
+        see_row(&seen, k, x0, y0, width, phase_row, phase_column, columns, CLASSES_READ);
+        if (k < 2 * RADIUS) continue;
+        const int y = y0 + k - 2 * RADIUS, site_row = (y + phase_row) % CFA_ROWS;
+        add_runs(seen.runs, seen.near, span_of(width));
+        const size_t at = (size_t)y * columns + x0;
+        __global const ushort *next = raw + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
+        for (int x = 0, phase = first_phase; x < width; x += LANES, phase = PHASE_AFTER(phase, LANES)) {
+            FETCH(next + x);
+            write_classes(labels + at + x, classes_at(&seen, k, x, at + x, site_row, phase, CLASSES_READ), width - x);
+        }
+    }
+}
+
+KERNEL_OF_ONE classes(CLASSES_PARAMETERS, __global uint *restrict labels, int phase_row, int phase_column, int rows, int columns) {
+    classes_of_tile(GROUP_COLUMN, GROUP_ROW, CLASSES_READ, labels, phase_row, phase_column, rows, columns);
+}
+#endif

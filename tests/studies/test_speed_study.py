@@ -1,0 +1,200 @@
+"""Rendering beside what it cannot beat and what others write; simulation and training on one core.
+
+python -m pytest -m slow -s tests/studies/test_speed_study.py      (two minutes; `make bench` runs it after `l3 bench`)
+
+Machines are shared and noisy: what is compared is timed in turn, and the figures are for reading.
+"""
+
+import contextlib
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.table import TransformTable
+from l3cli.evaluation.demosaic import menon
+from l3cli.frames.frame import RawFrame, mirrored_indices
+from l3cli.frames.scene import NO_ILLUMINANT, Scene
+from l3cli.physics import spectra
+from l3cli.rendering.benchmark import FULL, WARM_UP
+from l3cli.rendering.display import make_display
+from l3cli.rendering.opencl.devices import choose_device, pyopencl
+from l3cli.rendering.opencl.programs import BUILD_OPTIONS
+from l3cli.rendering.opencl.renderer import OpenCLRenderer
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.synthetic import CFAS, Case, synthetic_frame, synthetic_table
+from l3cli.simulation import light
+from l3cli.simulation.frame import simulate
+from l3cli.simulation.recipe import Lens
+from tests.helpers.cameras import BAYER
+from tests.helpers.tables import XYZ, frame_of_all_levels, random_table
+from tests.helpers.training_speed import measure
+
+FRAMES = 40  # timed frames of each case
+NAIVE_FRAMES = 7  # a naive kernel takes its time
+SIMULATED = 5  # frames, of which the fastest counts
+BANDS = np.arange(400.0, 701.0, 10.0)  # nm
+PEER = Case(1280, 720, 9, "five-band", "fast")
+HERE = Path(__file__).parent
+pytestmark = pytest.mark.slow
+
+
+@contextlib.contextmanager
+def multiply_adds(case: Case, folder: Path) -> Iterator[Callable[[], float]]:
+    """Give a function that runs the bare multiply-adds of a case once (limit.c), on all cores, and returns milliseconds."""
+    compiler = shutil.which(os.environ.get("CC", "cc"))
+    if compiler is None:
+        pytest.skip("no C compiler (CC or cc)")
+    program = folder / f"limit{case.patch}"
+    flags = ["-O3", "-march=native", "-fopenmp", f"-DPATCH={case.patch}"]
+    subprocess.run([compiler, *flags, HERE / "limit.c", "-o", program, "-lm"], check=True)
+    # passive: threads that spin between frames would take the processor from what is timed in turn with them
+    environment = {**os.environ, "OMP_WAIT_POLICY": "passive", "OMP_NUM_THREADS": str(len(os.sched_getaffinity(0)))}
+    arguments = [str(program), str(case.width), str(case.height)]
+    with subprocess.Popen(
+        arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, env=environment
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        ask, answer = process.stdin, process.stdout
+
+        def once() -> float:
+            ask.write("\n")
+            ask.flush()
+            return float(answer.readline())
+
+        yield once
+
+
+def milliseconds(render: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    render()
+    return (time.perf_counter() - start) * 1e3
+
+
+def test_frames_beside_bare_multiply_adds(tmp_path: Path) -> None:
+    fastest = {}
+    for case in (case for case in FULL if case.outputs == 3):
+        rng = np.random.default_rng(0)
+        renderer = OpenCLRenderer(synthetic_table(case, rng))
+        frame, display = synthetic_frame(case, rng), make_display(spectra.white_point("D65"), 1.0, 8)
+        with multiply_adds(case, tmp_path) as bare:
+            turns = [
+                (bare(), milliseconds(lambda: renderer.picture(frame, display)))  # noqa: B023
+                for _ in range(WARM_UP + FRAMES)
+            ][WARM_UP:]
+        limit, ours = (min(times) for times in zip(*turns, strict=True))
+        middle = np.median([each[1] for each in turns])
+        print(
+            f"{case.width}×{case.height} {case.cfa} {case.patch}×{case.patch} {case.classes}: "
+            f"median {middle:.1f} ms; fastest {ours:.2f} ms, {ours / limit:.2f} × the bare multiply-adds ({limit:.2f} ms)"
+        )
+        fastest[case] = ours
+        assert ours > limit / 2  # else one of them does not do its work
+    for case, ours in fastest.items():
+        if case.patch == 5 and (nine := fastest.get(replace(case, patch=9))):
+            print(f"{case.width}×{case.height} {case.cfa} {case.classes}: 5×5 {nine / ours:.2f} times as fast as 9×9")
+
+
+class NaiveTransforms:
+    """The first layer of a table by a plain kernel, a work-item a pixel (naive.cl)."""
+
+    def __init__(self, table: TransformTable, frame: RawFrame, labels: NDArray[np.integer]) -> None:
+        cl = pyopencl()
+        (rows, cols), rule, period = frame.values.shape, table.first.rule, table.cfa.shape
+        arrays = (
+            frame.values,
+            mirrored_indices(rows, rule.radius, period[0]),
+            mirrored_indices(cols, rule.radius, period[1]),
+            labels.astype(np.uint32),
+            table.first.weights / np.float32(table.white_level - table.black_level),
+            table.first.intercept,
+        )
+        context = cl.Context([choose_device("")])
+        self._queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
+        options = [*BUILD_OPTIONS, f"-DPATCH={rule.patch}", f"-DOUTPUTS={len(table.outputs)}"]
+        self._kernel = cl.Kernel(cl.Program(context, (HERE / "naive.cl").read_text()).build(options), "naive")
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        buffers = [cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(array)) for array in arrays]
+        self._outputs = np.empty((len(table.outputs), rows, cols), np.float32)
+        self._result = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, self._outputs.nbytes)
+        self._arguments = (*buffers, self._result, np.float32(frame.black_level), np.int32(rows), np.int32(cols))
+
+    def milliseconds(self) -> float:
+        """Run the kernel; return the milliseconds that the device spends in it."""
+        event = self._kernel(self._queue, self._outputs.shape[:0:-1], None, *self._arguments)
+        event.wait()
+        return float((event.profile.end - event.profile.start) * 1e-6)
+
+    def outputs(self) -> NDArray[np.float32]:
+        """Return what the kernel has made, (output, row, col)."""
+        pyopencl().enqueue_copy(self._queue, self._outputs, self._result)
+        return self._outputs
+
+
+@pytest.mark.parametrize(("phase", "outputs"), [((0, 0), XYZ), ((1, 0), ("a", "b"))])
+def test_the_naive_kernel_computes_the_same(phase: tuple[int, int], outputs: tuple[str, ...]) -> None:
+    table = random_table(BAYER, bits=12, black_level=64.0, outputs=outputs)
+    frame = frame_of_all_levels(table, np.random.default_rng(0), (37, 51), phase)
+    reference = ReferenceRenderer(table)
+    naive = NaiveTransforms(table, frame, reference.labels(frame))
+    assert naive.milliseconds() > 0
+    np.testing.assert_allclose(naive.outputs(), reference.outputs(frame), atol=1e-5)
+
+
+def test_transforms_beside_a_naive_kernel() -> None:
+    rng = np.random.default_rng(0)
+    table, frame = synthetic_table(PEER, rng), synthetic_frame(PEER, rng)
+    renderer = OpenCLRenderer(table)
+    naive = NaiveTransforms(table, frame, renderer.labels(frame))
+    renderer.stage_times(frame, None)
+    naive.milliseconds()
+    turns = [(naive.milliseconds(), renderer.stage_times(frame, None)["transforms"]) for _ in range(NAIVE_FRAMES)]
+    theirs, ours = (float(np.median(times)) for times in zip(*turns, strict=True))
+    print(f"naive kernel {theirs:.1f} ms, classes and transforms {ours:.2f} ms: {theirs / ours:.1f} times as long")
+    assert theirs > ours
+
+
+def test_a_frame_beside_menon() -> None:
+    pytest.importorskip("colour_demosaicing")
+    case, rng = Case(1280, 720, 9, "bayer", "fast"), np.random.default_rng(0)
+    renderer = OpenCLRenderer(synthetic_table(case, rng))
+    frame, display = synthetic_frame(case, rng), make_display(spectra.white_point("D65"), 1.0, 8)
+    renderer.picture(frame, display)
+    ours = min(milliseconds(lambda: renderer.picture(frame, display)) for _ in range(FRAMES))
+    mosaic = rng.random((case.height, case.width))
+    theirs = min(milliseconds(lambda: menon(mosaic, CFAS["bayer"])) for _ in range(2))
+    print(f"Menon (one thread) {theirs / 921.6:.2f} s/MP, ours {ours / 921.6:.4f}: {theirs / ours:.0f} times as long")
+    assert theirs > ours
+
+
+@pytest.mark.parametrize("diffraction", [True, False])
+def test_simulation(fiveband: CameraModel, diffraction: bool) -> None:
+    camera = replace(fiveband, rows=720, cols=1280)
+    cube = np.random.default_rng(0).random((camera.rows, camera.cols, BANDS.size), dtype=np.float32)
+    scene = Scene("synthetic", BANDS, cube, NO_ILLUMINANT)
+    falling = light.make_light("D65", {}, camera.wavelength).at(100.0)
+    exposure = light.automatic_exposure(camera, falling, 0.9)
+    lens, times = Lens(diffraction=diffraction), []
+    for index in range(SIMULATED):
+        start = time.process_time()
+        frame = simulate(camera, scene, falling, exposure, lens, (0, index))
+        times.append(time.process_time() - start)
+    size = camera.rows * camera.cols / 1e6
+    print(f"1280×720, 31 bands, diffraction {'on' if diffraction else 'off'}: {size / min(times):.2f} MP/s of a core")
+    assert frame.raw.shape == (camera.rows, camera.cols)
+
+
+def test_training(fiveband: CameraModel) -> None:
+    figures = measure(fiveband, 60_000)
+    stages = ", ".join(f"{name} {time:.0f}" for name, time in figures["stages_ns"].items())
+    print(f"{figures['rows']} rows in {figures['cpu_s']:.1f} CPU s: {figures['rows_per_s']:.0f} rows/s; ns a row: {stages}")
+    assert sum(figures["stages_ns"].values()) == pytest.approx(1e9 / figures["rows_per_s"])
