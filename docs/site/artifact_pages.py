@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from markup import code, page, plain, table
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.layer_sums import PartialLayerSums
-from l3cli.artifacts.partial_sums import PartialSums
+from l3cli.artifacts.partial_sums import PartialLayerSums, PartialSums
 from l3cli.artifacts.schema import Artifact, Spec, declared
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import GROUPS, TrainingSet

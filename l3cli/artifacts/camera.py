@@ -7,19 +7,97 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.corrections import DefectMap, FlatField
 from l3cli.artifacts.fit import Fit
-from l3cli.artifacts.readout import Readout
 from l3cli.artifacts.schema import MOST, Artifact, data, group
 from l3cli.errors import InputFileError
 from l3cli.physics import lens, spectra
 from l3cli.system.limits import most_pixels
 
+DEFECTS = ("hot", "dead", "row", "column")  # of a defective pixel; the last two: all of its line is defective
+MOST_SHADING = 16.0  # of a pixel that gets a sixteenth of the light in the middle
+MOST_COLOUR_SHADING = 0.5  # by which a channel's gain may differ from the mean of all, relative
+SHORTEST, MOST_GAIN = 1e-4, 1e3  # of a channel's exposure and gain, relative to the camera's
 MAX_CHANNELS = 16  # a saturation code is 16 bits wide
 MAX_CFA = 8
 MAX_BITS = 16
 ROUNDING = 1e-6  # of a quantum efficiency of 1
 MOST_WAVELENGTHS, LONGEST = 10_000, 20_000  # samples of a spectrum; nm
+
+
+@dataclass(frozen=True)
+class DefectMap:
+    """Pixels whose values say nothing of the light."""
+
+    position: NDArray[np.int64] = data("int64", "bad_pixel", "coordinate", unit="pixel", doc="row, col, each pixel once")
+    pixel_kind: tuple[str, ...] = data("str", "bad_pixel", doc="hot, dead, or of a line that is: row, column")
+
+    def __post_init__(self) -> None:
+        if self.position.ndim != 2 or self.position.shape[1] != 2 or self.position.min(initial=0) < 0:
+            raise ValueError("defects: position must be rows and columns from 0")
+        if len(np.unique(self.position, axis=0)) < len(self.position):
+            raise ValueError("defects: a pixel is listed twice")
+        if odd := sorted(set(self.pixel_kind) - set(DEFECTS)):
+            raise ValueError(f'defects: "{odd[0]}" is no kind of pixel; known are {", ".join(DEFECTS)}')
+
+
+@dataclass(frozen=True)
+class FlatField:
+    """Gain that makes an even white even, relative to the middle of the frame, channel by channel; linear between the
+    lines of a grid that covers the whole sensor."""
+
+    grid_row: NDArray[np.float64] = data("float64", "grid_row", unit="pixel", doc="row of each line", coordinate=True)
+    grid_col: NDArray[np.float64] = data("float64", "grid_col", unit="pixel", doc="column of each line", coordinate=True)
+    shading_gain: NDArray[np.float64] = data(
+        "float64", "channel", "grid_row", "grid_col", doc="gain over that in the middle of the frame"
+    )
+
+    def __post_init__(self) -> None:
+        for name, lines in (("grid_row", self.grid_row), ("grid_col", self.grid_col)):
+            if not (lines.size > 1 and (np.diff(lines) > 0).all()):
+                raise ValueError(f"flat field: {name} must be two lines or more that increase")
+        gain = self.shading_gain
+        if not (gain.size and gain.min() >= 1 / MOST_SHADING and gain.max() <= MOST_SHADING):
+            raise ValueError(f"flat field: gains must lie in {1 / MOST_SHADING:g}…{MOST_SHADING:g}; are the whites even?")
+        if np.abs(gain / gain.mean(axis=0) - 1.0).max() > MOST_COLOUR_SHADING:
+            raise ValueError(
+                f"flat field: a channel differs by more than {MOST_COLOUR_SHADING:.0%} from the others; are the whites even?"
+            )
+
+    def covers(self, rows: int, cols: int) -> bool:
+        """Return whether the grid goes from the first to the last pixel of a sensor."""
+        ends = (*self.grid_row[[0, -1]], *self.grid_col[[0, -1]])
+        return bool(np.allclose(ends, (0, rows - 1, 0, cols - 1), rtol=0, atol=0.5))
+
+
+@dataclass(frozen=True)
+class Readout:
+    """Readout of each channel: two channels behind one filter may differ in exposure time and gain."""
+
+    channel_exposure: NDArray[np.float64] = data(
+        "float64", "channel", doc="exposure time over that of the frame, the longest"
+    )
+    channel_gain: NDArray[np.float64] = data("float64", "channel", doc="conversion gain over that of the camera")
+    channel_read_noise: NDArray[np.float64] = data(
+        "float64", "channel", unit="e-", doc="standard deviation of one reading in the dark, at the channel's gain"
+    )
+    same_filter: NDArray[np.int64] = data("int64", "channel", doc="first channel with the same filter")
+
+    def __post_init__(self) -> None:
+        exposure, gain, first = self.channel_exposure, self.channel_gain, self.same_filter
+        if not (exposure.min() >= SHORTEST and exposure.max() == 1.0):
+            raise ValueError(f"exposures of channels must lie in {SHORTEST:g}…1, and the longest be 1")
+        if not (gain.min() >= 1.0 and gain.max() <= MOST_GAIN):
+            raise ValueError(f"gains of channels must lie in 1…{MOST_GAIN:g}")
+        if not (self.channel_read_noise.min() >= 0 and np.isfinite(self.channel_read_noise).all()):
+            raise ValueError("read noise of channels must not be negative")
+        if not ((first >= 0) & (first <= np.arange(first.size))).all() or not (first[first] == first).all():
+            raise ValueError("same_filter must name first channels of a filter")
+
+    @property
+    def sensitivity(self) -> NDArray[np.float64]:
+        """(channel) DN of light over those of the channel whose exposure times gain is largest."""
+        product = self.channel_exposure * self.channel_gain
+        return np.asarray(product / product.max())
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.plane_rules import StructureRule, TreeRule
 from l3cli.artifacts.schema import check, data, group
-from l3cli.artifacts.structure_rule import StructureRule
-from l3cli.artifacts.tree_rule import TreeRule
 
 PlaneRule = StructureRule | TreeRule
 PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far below the noise of any sensor

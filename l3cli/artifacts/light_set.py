@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
-from l3cli.artifacts.light import LightSpectrum
 from l3cli.artifacts.schema import check, data, group
+from l3cli.artifacts.training_set import LightSpectrum
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ docs/artifacts.md says what the files promise.
 
 import contextlib
 import dataclasses
+import functools
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -16,17 +17,20 @@ import msgspec
 import numpy as np
 
 from l3cli.artifacts import container
-from l3cli.artifacts.scales import name_axes
 from l3cli.artifacts.schema import Artifact, Group, Spec, Stage, check, declared, instances
 from l3cli.artifacts.stored import ENCODING, KNOWN_FILTERS, datasets, encoded, filters_of, is_scale, require_readable
 from l3cli.errors import InputFileError
 from l3cli.system.files import require_regular
 
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
-HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
 CHECKSUM = {"fletcher32": True}  # for pictures: noise hardly shrinks, and shrinking it takes longer than simulating it
 MOST_GROUPS = 64  # in a list of them
 SEALED = 2  # format version from which every file carries its digest
+LENGTH_ALONE = "This is a netCDF dimension but not a netCDF variable.%10d"  # NAME of such a scale in netCDF-4
+REFERENCES = np.dtype([("dataset", h5py.ref_dtype), ("dimension", "<i4")])
+
+
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
 A = TypeVar("A", bound=Artifact)
 
 
@@ -84,6 +88,92 @@ def save(artifact: Artifact, path: Path) -> None:
     with new_artifact(path, artifact.kind, artifact.version, artifact.history) as root:
         write_fields(root, artifact)
         name_axes(root, type(artifact), {}, artifact)
+
+
+# ------------------------------------------------------------------------------------------------------- scales
+#
+# Named axes as HDF5 dimension scales, by which xarray, netCDF tools and `dims` of h5py know them. Every axis of a group's
+# datasets has one dataset of its name in that group: the declared one that gives the values along it (wavelength); a copy
+# of one of another name that does (channels of the axis channel), or, as in netCDF, a length alone. What reads artifacts
+# needs no scale, and follows none of their references.
+
+
+Coordinates = Mapping[str, tuple[Any, Spec]]  # axis → what stands along it, and how that is declared
+
+
+def coordinates_of(content: Any) -> Coordinates:
+    """Return the coordinates along the axes of an instance of a dataclass, where its fields give them."""
+    kind: type = type(content)
+    fields = {name: spec for name, spec in _layout(kind)[0].items() if spec.coordinate}
+    return {spec.axes[0]: (getattr(content, name), spec) for name, spec in fields.items()}
+
+
+def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = None) -> None:
+    """Write the scales of what is stored of dataclass `kind` in `group` and in the groups below.
+
+    `above` are the coordinates that groups above give; `content`, the stored instance, gives those of its group and below.
+    """
+    known = above if content is None else {**above, **coordinates_of(content)}
+    _write_scales(group, kind, known)
+    for name, below in _layout(kind)[1].items():
+        held = (
+            {place: None for place in [name] if place in group}
+            if content is None
+            else instances(name, getattr(content, name))
+        )
+        for place, each in held.items():
+            name_axes(group[place], below.kind, known, each)
+
+
+@functools.cache
+def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
+    """Return the datasets with axes and the groups that a dataclass declares."""
+    members = [(name, member) for name, member, _ in declared(kind)]
+    return (
+        {name: member for name, member in members if isinstance(member, Spec) and member.axes},
+        {name: member for name, member in members if not isinstance(member, Spec)},
+    )
+
+
+def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
+    """Write one scale for each axis in a group, and the references between scales and datasets.
+
+    The lists of references are written whole, which attach_scale of h5py would write anew for every dataset.
+    """
+    fields = {name: (spec, group[name]) for name, spec in _layout(kind)[0].items() if name in group}
+    scales: dict[str, h5py.Dataset] = {}
+    attached: dict[str, list[tuple[h5py.Reference, int]]] = {}
+    for spec, dataset in fields.values():
+        for axis, length in zip(spec.axes, dataset.shape, strict=True):
+            if axis in fields and axis not in scales:
+                scales[axis] = fields[axis][1]
+                scales[axis].make_scale(axis)
+            elif axis not in scales:
+                scales[axis] = _new_scale(group, axis, length, known.get(axis))
+    for name, (spec, dataset) in fields.items():
+        if spec.axes != (name,):
+            for index, axis in enumerate(spec.axes):
+                attached.setdefault(axis, []).append((dataset.ref, index))
+            lists = np.empty(len(spec.axes), object)
+            lists[:] = [np.array([scales[axis].ref], h5py.ref_dtype) for axis in spec.axes]
+            dataset.attrs.create("DIMENSION_LIST", lists, dtype=h5py.vlen_dtype(h5py.ref_dtype))
+    for axis, references in attached.items():
+        scales[axis].attrs.create("REFERENCE_LIST", np.array(references, REFERENCES), dtype=REFERENCES)
+
+
+def _new_scale(group: h5py.Group, axis: str, length: int, known: tuple[Any, Spec] | None) -> h5py.Dataset:
+    """Return a scale that is no declared dataset: with values if they are known, else a length alone."""
+    if known is None or len(known[0]) != length or not length:
+        scale = group.create_dataset(axis, (length,), ">f4", track_times=False)
+        scale.make_scale(LENGTH_ALONE % length)
+        return scale
+    values, spec = known
+    is_text = spec.dtype == "str"
+    values = encoded(values) if is_text else np.asarray(values, spec.dtype)
+    scale = group.create_dataset(axis, data=values, track_times=False)
+    scale.make_scale(axis)
+    scale.attrs["_Encoding" if is_text else "units"] = ENCODING if is_text else spec.unit
+    return scale
 
 
 # ------------------------------------------------------------------------------------------------------ reading

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.corrections import DefectMap
+from l3cli.artifacts.camera import DefectMap
 
 OUTLIER = 6.0  # robust standard deviations: no Gaussian pixel in a hundred million lies beyond
 LEAST_LOSS = 0.1  # a response that differs less from its neighbours' is nonuniformity, not a defect

@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.corrections import FlatField
+from l3cli.artifacts.camera import FlatField
 from l3cli.calibration.statistics import by_site
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body

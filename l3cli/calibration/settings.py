@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import Readout
 from l3cli.artifacts.fit import NoiseFit
-from l3cli.artifacts.readout import Readout
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body
 

@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.further_features import Axis, Window
+from l3cli.artifacts.class_rule import Axis, ClassRule, Window
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import contrast, level
 from l3cli.classes.windows import Integers

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.further_features import Axis
+from l3cli.artifacts.class_rule import Axis, ClassRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, direction, level, saturation
 from l3cli.classes.windows import Integers

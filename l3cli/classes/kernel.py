@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.further_features import Axis
+from l3cli.artifacts.class_rule import Axis, ClassRule
 from l3cli.classes import contrast
 from l3cli.classes.features import BASIC, further_features
 

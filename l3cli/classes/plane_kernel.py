@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PlaneRule
-from l3cli.artifacts.structure_rule import DIRECTIONS, GRADIENT, StructureRule
-from l3cli.artifacts.tree_rule import TESTS, TreeRule
+from l3cli.artifacts.plane_rules import DIRECTIONS, GRADIENT, TESTS, StructureRule, TreeRule
 from l3cli.classes import tree
 from l3cli.classes.structure import NOISE_TRACE
 

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import CLASS_BITS, MAX_PATCH, ClassRule
-from l3cli.artifacts.further_features import FurtherFeatures
+from l3cli.artifacts.class_rule import CLASS_BITS, MAX_PATCH, ClassRule, FurtherFeatures
 from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.classes.features import FURTHER
 from l3cli.classes.recipe import ClassRecipe, switched_on

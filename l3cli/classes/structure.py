@@ -18,7 +18,7 @@ All in integers below 2³¹, and so equal wherever it is computed.
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.structure_rule import DIRECTIONS, GRADIENT, StructureRule
+from l3cli.artifacts.plane_rules import DIRECTIONS, GRADIENT, StructureRule
 from l3cli.classes.windows import Integers
 
 SIGMA = 16  # gradient units a standard deviation of noise

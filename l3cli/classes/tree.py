@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.tree_rule import TESTS, TreeRule
+from l3cli.artifacts.plane_rules import TESTS, TreeRule
 from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.structure import NOISE_TRACE
 from l3cli.classes.windows import Integers

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PlaneLayer
-from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.plane_rules import StructureRule, TreeRule
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.tree_rule import TreeRule
 from l3cli.classes import contrast, direction, level, saturation
 from l3cli.classes.features import further_features
 from l3cli.classes.later import first_label_words

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from l3cli import __version__
 from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, rule_fields
+from l3cli.artifacts.plane_rules import GRADIENT
 from l3cli.artifacts.schema import Spec, declared
-from l3cli.artifacts.structure_rule import GRADIENT
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, later_fixed_point, opponent_basis
 from l3cli.classes.ratios import DARKEST as RATIO_DARKEST

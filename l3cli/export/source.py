@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PLANE_TOP
-from l3cli.artifacts.structure_rule import GRADIENT, StructureRule
+from l3cli.artifacts.plane_rules import GRADIENT, StructureRule, TreeRule
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.tree_rule import TreeRule
 from l3cli.classes import direction, saturation
 from l3cli.classes.features import further_features
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, raw_middle

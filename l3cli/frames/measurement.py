@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel, Noise, Optics
-from l3cli.artifacts.readout import Readout
+from l3cli.artifacts.camera import CameraModel, Noise, Optics, Readout
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.lens import relative_illumination
 

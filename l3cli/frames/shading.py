@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # the process that decodes starts without it
-    from l3cli.artifacts.corrections import FlatField
+    from l3cli.artifacts.camera import FlatField
 
 CLIPPED = 0.985  # share of full scale from which a pixel is left as it is, since what the light added is not known
 STEP = 16  # columns from one node of the gain to the next

@@ -24,8 +24,7 @@ import msgspec
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import column_faults
-from l3cli.artifacts.camera_recipe import CfaRecipe, NoiseRecipe, OpticsRecipe
-from l3cli.artifacts.channel_recipe import ChannelRecipe, settings_of
+from l3cli.artifacts.camera_recipe import CfaRecipe, ChannelRecipe, NoiseRecipe, OpticsRecipe, settings_of
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, Recipe, toml_key, toml_value
 from l3cli.spectra.file import SUFFIXES

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.camera import Noise, Optics
-from l3cli.artifacts.camera_recipe import MOST_PRNU, check_lengths, check_share, parse_cfa
-from l3cli.artifacts.channel_recipe import settings_from
+from l3cli.artifacts.camera_recipe import MOST_PRNU, check_lengths, check_share, parse_cfa, settings_from
 from l3cli.artifacts.schema import Stage
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.measurement import (

@@ -14,7 +14,7 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.further_features import FurtherFeatures
+from l3cli.artifacts.class_rule import FurtherFeatures
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.features import further_features
 from l3cli.frames.frame import RawFrame

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.spectral_smoothing import SpectralSmoothing
+from l3cli.artifacts.table import SpectralSmoothing
 from l3cli.classes.later import mirrored
 
 DARKEST = 2.0**-20  # of the output unit: pixels of less brightness stay as they are, far below the noise of any sensor

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PlaneLayer, PlaneRule
 from l3cli.artifacts.light_set import LightSet
-from l3cli.artifacts.structure_rule import DIRECTIONS, StructureRule
+from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.features import further_features
 from l3cli.classes.names import class_name, kind_name

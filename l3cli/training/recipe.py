@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.spectral_smoothing import WINDOWS
-from l3cli.artifacts.tree_rule import MOST_LEAVES
+from l3cli.artifacts.plane_rules import MOST_LEAVES
+from l3cli.artifacts.table import WINDOWS
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.errors import RecipeError
 from l3cli.recipes.faults import Fault, fault, refuse_first

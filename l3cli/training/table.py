@@ -11,8 +11,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.schema import Stage
-from l3cli.artifacts.spectral_smoothing import SpectralSmoothing
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet
 from l3cli.classes.chroma import channel_shares, choose_chromas
 from l3cli.classes.decide import observe_patches

@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.artifacts.channel_recipe import ChannelRecipe
+from l3cli.artifacts.camera_recipe import ChannelRecipe, load_camera
 from l3cli.cli import run
 from l3cli.io.correction_recipe import CorrectionRecipe
 from l3cli.io.measurement_recipe import MeasurementRecipe

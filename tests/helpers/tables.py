@@ -9,12 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.layers import RATIO_TAPS, MosaicLayer, PlaneLayer
 from l3cli.artifacts.light_set import LightSet
+from l3cli.artifacts.plane_rules import TESTS, StructureRule, TreeRule
 from l3cli.artifacts.quiet_set import QuietSet
-from l3cli.artifacts.spectral_smoothing import SpectralSmoothing
-from l3cli.artifacts.structure_rule import StructureRule
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
-from l3cli.artifacts.tree_rule import TESTS, TreeRule
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.later import plane_evidence
 from l3cli.classes.planes import fixed_point

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from l3cli import api
-from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.corrections import DefectMap, FlatField
+from l3cli.artifacts.camera import CameraModel, DefectMap, FlatField
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set

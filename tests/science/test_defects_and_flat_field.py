@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.corrections import DefectMap, FlatField
+from l3cli.artifacts.camera import CameraModel, DefectMap, FlatField
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.calibration.defects import as_map, counts, join, outliers

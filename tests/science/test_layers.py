@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PLANE_STEP, RATIO_TAPS, PlaneLayer
+from l3cli.artifacts.partial_sums import LayerSums
+from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.store import load
-from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.classes.ratios import shaded_chroma

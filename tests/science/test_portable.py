@@ -16,9 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.plane_rules import StructureRule, TreeRule
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.tree_rule import TreeRule
 from l3cli.classes import direction
 from l3cli.errors import InputFileError
 from l3cli.export.short_words import OUTPUT_FRACTION, OUTPUT_TOP, short_words

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.corrections import FlatField
+from l3cli.artifacts.camera import FlatField
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import shading_of

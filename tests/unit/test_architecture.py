@@ -115,7 +115,7 @@ def test_class_indices_are_split_in_one_place() -> None:
     """No module but those of the stored rules divides, or takes the rest, by the number of kinds, contrasts or classes."""
     sizes = {"levels", "contrasts", "kinds", "classes_per_site"}
     for path in PACKAGE.rglob("*.py"):
-        if path.name in ("class_rule.py", "plane_classes.py"):
+        if path.name in ("class_rule.py", "plane_rules.py"):
             continue
         for node in nodes(path):
             divides = isinstance(node, ast.BinOp) and isinstance(node.op, ast.FloorDiv | ast.Mod)

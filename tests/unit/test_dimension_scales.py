@@ -17,8 +17,14 @@ import xarray
 from l3cli.artifacts import container
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.artifacts.layer_sums import LayerSums, PartialLayerSums
-from l3cli.artifacts.partial_sums import ClassSums, PartialSums, open_partial_sums, write_partial_sums
+from l3cli.artifacts.partial_sums import (
+    ClassSums,
+    LayerSums,
+    PartialLayerSums,
+    PartialSums,
+    open_partial_sums,
+    write_partial_sums,
+)
 from l3cli.artifacts.schema import Artifact, Spec, declared, equal, instances
 from l3cli.artifacts.store import describe, load, save
 from l3cli.artifacts.table import TransformTable

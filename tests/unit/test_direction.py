@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.further_features import Axis, FurtherFeatures
+from l3cli.artifacts.class_rule import Axis, ClassRule, FurtherFeatures
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import describe, load, save
 from l3cli.artifacts.table import TransformTable

@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.artifacts.channel_recipe import ChannelRecipe, channel_faults, readout_of, settings_of
+from l3cli.artifacts.camera import CameraModel, Readout
+from l3cli.artifacts.camera_recipe import ChannelRecipe, channel_faults, load_camera, readout_of, settings_of
 from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
-from l3cli.artifacts.readout import Readout
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.calibration import settings

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from l3cli.artifacts.spectral_smoothing import SpectralSmoothing
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.errors import RecipeError
 from l3cli.rendering.opencl import bands
 from l3cli.rendering.opencl.renderer import OpenCLRenderer

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from l3cli.artifacts.structure_rule import DIRECTIONS, StructureRule
+from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.classes import structure
 from l3cli.training.symmetry import orientations
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.layer_sums import LayerSums
-from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.partial_sums import ClassSums, LayerSums
 from l3cli.classes.planes import opponent_basis, room_between, room_for
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule

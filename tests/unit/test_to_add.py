@@ -89,7 +89,7 @@ PEAK = '''
 
 import numpy as np
 
-from l3cli.artifacts.further_features import Axis, Window
+from l3cli.artifacts.class_rule import Axis, Window
 from l3cli.recipes.toml import Count, Recipe
 
 SNIPPET = "peak.cl"

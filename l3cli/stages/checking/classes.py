@@ -7,7 +7,7 @@ import numpy as np
 
 from l3cli.artifacts.class_rule import MAX_PATCH
 from l3cli.artifacts.layers import RATIO_TAPS
-from l3cli.artifacts.structure_rule import DIRECTIONS
+from l3cli.artifacts.plane_rules import DIRECTIONS
 from l3cli.classes import contrast, level
 from l3cli.classes.rule import make_rule
 from l3cli.recipes.faults import Fault, fault

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PlaneRule
+from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import fixed_point, opponent_basis
 from l3cli.physics.display import XYZ

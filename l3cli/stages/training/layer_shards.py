@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from l3cli.artifacts.layer_sums import PartialLayerSums
 from l3cli.artifacts.layers import PlaneRule, rule_fields
-from l3cli.artifacts.partial_sums import QUIET, USUAL, PartialSumsReader, write_partial_sums
+from l3cli.artifacts.partial_sums import QUIET, USUAL, PartialLayerSums, PartialSumsReader, write_partial_sums
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
 from l3cli.stages.training.later_layers import layer_mosaics, layer_pass, layer_rule, parts_of, summed_layer

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from l3cli.artifacts.layer_sums import PartialLayerSums
 from l3cli.artifacts.partial_sums import (
     QUIET,
     USUAL,
     ClassSums,
     Head,
+    PartialLayerSums,
     PartialSums,
     PartialSumsReader,
     open_partial_sums,

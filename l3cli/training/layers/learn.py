@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import RATIO_TAPS, PlaneLayer, PlaneRule, rule_fields
+from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.later import label_planes
 from l3cli.classes.planes import FixedPoint

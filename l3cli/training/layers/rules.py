@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.structure_rule import FACTORS, MOST_SHIFT, StructureRule
+from l3cli.artifacts.plane_rules import FACTORS, MOST_SHIFT, StructureRule, TreeRule
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.artifacts.tree_rule import TreeRule
 from l3cli.classes import structure
 from l3cli.classes.later import plane_evidence
 from l3cli.classes.planes import LUMINANCE

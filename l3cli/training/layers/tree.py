@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.tree_rule import DEEPEST, SMALLEST, TESTS
+from l3cli.artifacts.plane_rules import DEEPEST, SMALLEST, TESTS
 from l3cli.classes.tree import EVERY, Evidence, turned_tests
 from l3cli.training.layers.first import Floats
 

@@ -1,0 +1,193 @@
+"""Class rules of layers that read planes, and the numbers of their classes: by structure (docs/method.md#structure), or by a
+tree of threshold tests (docs/method.md#trees). What the numbers mean is written out in l3cli/classes."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.schema import check, data
+
+GRADIENT = 4095  # largest gradient, in units of SIGMA per standard deviation of noise: sums of 81 squares stay below 2^31
+FACTORS, MOST_SHIFT = (64, 127), 24  # of gradients
+DIRECTIONS = 8  # of edges, half a turn in all
+MOST_LEAVES = 2048
+DEEPEST = 24  # tests from the root to a leaf: kernels take as many steps as the deepest leaf lies below the root
+TESTS = 21
+ORIENTATIONS = 8  # of a square
+SMALLEST, LARGEST = 1e-30, 2.0**31  # of thresholds but zero: what lies below float32's normal range is zero on some devices
+
+
+class PlanePlace(NamedTuple):
+    """Places of classes along the axes of their rule: integers, or integer arrays of equal shape."""
+
+    site: Any  # CFA row · CFA columns + CFA column
+    level: Any
+    kind: Any  # structure of an unsaturated pixel, or structures − 1 + saturation case of one near saturation
+
+
+class PlaneClasses:
+    """class = (site · levels + level) · kinds + kind. Level and saturation case are those of the first layer; structures are
+    what a rule tells apart where nothing is saturated."""
+
+    cases: int  # saturation cases of the first layer, the unsaturated one included
+
+    @property
+    def levels(self) -> int:
+        raise NotImplementedError
+
+    @property
+    def structures(self) -> int:
+        raise NotImplementedError
+
+    @property
+    def kinds(self) -> int:
+        return self.structures + self.cases - 1
+
+    @property
+    def classes_per_site(self) -> int:
+        return self.levels * self.kinds
+
+    def level_of(self, first: Any) -> Any:
+        """Return the levels of this rule for levels of the first layer."""
+        raise NotImplementedError
+
+    def join(self, level: Any, kind: Any, site: Any = 0) -> Any:
+        """Return the indices of classes from their places; `level` is one of this rule."""
+        return (site * self.levels + level) * self.kinds + kind
+
+    def split(self, index: Any) -> PlanePlace:
+        """Return the places of the classes `index`, an integer or an array."""
+        rest, kind = divmod(index, self.kinds)
+        site, level = divmod(rest, self.levels)
+        return PlanePlace(site, level, kind)
+
+    def within_site(self, index: Any) -> tuple[Any, Any]:
+        """Return the sites of the classes `index` of all sites, and their indices within them."""
+        site, within = divmod(index, self.classes_per_site)
+        return site, within
+
+    def kind(self, structure: Any, case: Any) -> Any:
+        """Return the kinds of pixels of a structure and a saturation case, which decides where it is not 0."""
+        return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
+
+    def case(self, kind: Any) -> Any:
+        """Return the saturation cases of kinds: 0 where nothing is saturated and the kind is a structure."""
+        return np.maximum(kind - self.structures + 1, 0)
+
+
+@dataclass(frozen=True)
+class StructureRule(PlaneClasses):
+    """Classes by level, and by strength and direction of edges."""
+
+    level_step: int = data("int64", doc="levels of the first layer that make one here")
+    gradient_factor: NDArray[np.uint8] = data(
+        "uint8", "mosaic_level", doc="what luminance differences are multiplied by, at each level of the first layer …"
+    )
+    gradient_shift: NDArray[np.uint8] = data("uint8", "mosaic_level", unit="bit", doc="… and then shifted right by")
+    strength_edges: NDArray[np.uint32] = data(
+        "uint32", "strength_edge", doc="trace of the structure tensor above which the next strength begins"
+    )
+    coherence: int = data("int64", unit="1/64", doc="share of the trace along one direction from which an edge has one")
+    turns: NDArray[np.int8] = data(
+        "int8", "site", "component", doc="signs of the tensor's components in the orientation that a site is learned in"
+    )
+    cases: int = data("int64", doc="saturation cases of the first layer, the unsaturated one included")
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.level_step < 1 or self.cases < 1 or not 0 <= self.coherence <= 64:
+            raise ValueError("level_step and cases must be at least 1, coherence within 0…64")
+        if self.turns.shape[1:] != (2,) or (np.abs(self.turns) != 1).any():
+            raise ValueError("turns must be two signs a site")
+        if (np.diff(self.strength_edges.astype(np.int64)) <= 0).any():
+            raise ValueError("strength_edges do not increase")
+        if self.gradient_factor.max(initial=0) > FACTORS[1] or self.gradient_shift.max(initial=0) > MOST_SHIFT:
+            raise ValueError(f"gradient_factor exceeds {FACTORS[1]}, or gradient_shift {MOST_SHIFT}")
+
+    @property
+    def levels(self) -> int:
+        return -(-len(self.gradient_factor) // self.level_step)
+
+    def level_of(self, first: Any) -> Any:
+        return first // self.level_step
+
+    @property
+    def strengths(self) -> int:
+        return len(self.strength_edges)
+
+    @property
+    def structures(self) -> int:
+        """Flat, then for each strength no direction and every direction."""
+        return 1 + self.strengths * (1 + DIRECTIONS)
+
+
+@dataclass(frozen=True)
+class TreeRule(PlaneClasses):
+    """Classes by the leaves of one tree for all sites, each of which sees its neighbourhood in the orientation that it is
+    learned in."""
+
+    gradient_factor: NDArray[np.uint8] = data(
+        "uint8", "mosaic_level", doc="what differences of planes are multiplied by, at each level of the first layer …"
+    )
+    gradient_shift: NDArray[np.uint8] = data("uint8", "mosaic_level", unit="bit", doc="… and then shifted right by")
+    test: NDArray[np.uint8] = data("uint8", "node", doc="which quotient of evidence a node compares")
+    threshold: NDArray[np.float32] = data("float32", "node", doc="above which the second of its branches is taken")
+    branch: NDArray[np.int32] = data(
+        "int32", "node", doc="the first of a node's two branches, which follow one another; 0: a leaf"
+    )
+    turns: NDArray[np.uint8] = data("uint8", "site", doc="orientation in which a site is learned, of the eight of a square")
+    cases: int = data("int64", doc="saturation cases of the first layer, the unsaturated one included")
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.cases < 1 or self.turns.max(initial=0) >= ORIENTATIONS or self.test.max(initial=0) >= TESTS:
+            raise ValueError(f"cases must be at least 1, turns below {ORIENTATIONS}, tests below {TESTS}")
+        if self.gradient_factor.max(initial=0) > FACTORS[1] or self.gradient_shift.max(initial=0) > MOST_SHIFT:
+            raise ValueError(f"gradient_factor exceeds {FACTORS[1]}, or gradient_shift {MOST_SHIFT}")
+        size = np.abs(self.threshold[self.threshold != 0])
+        if size.size and not SMALLEST <= size.min() <= size.max() <= LARGEST:
+            raise ValueError(f"thresholds must be zero, or of a size within {SMALLEST:g}…{LARGEST:g}")
+        inner = np.flatnonzero(self.branch)
+        every = np.concatenate([[0], self.branch[inner], self.branch[inner] + 1])
+        if (self.branch[inner] <= inner).any() or not np.array_equal(np.sort(every), np.arange(len(self.branch))):
+            raise ValueError("branch is no tree: every node but the first must be a branch of one before it")
+        if self.structures > MOST_LEAVES:
+            raise ValueError(f"the tree has {self.structures} leaves, more than {MOST_LEAVES}")
+        if self.depth > DEEPEST:
+            raise ValueError(f"the tree is {self.depth} tests deep, more than {DEEPEST}")
+
+    @property
+    def levels(self) -> int:
+        return 1
+
+    def level_of(self, first: Any) -> Any:
+        return first * 0
+
+    @property
+    def structures(self) -> int:
+        """Leaves."""
+        return len(self.branch) - int(np.count_nonzero(self.branch))
+
+    @property
+    def leaf(self) -> NDArray[np.int64]:
+        """Number (node) of the first leaf below each node, or of the leaf that it is itself; leaves are numbered as they are
+        met when first branches are taken first."""
+        below = np.ones(len(self.branch), np.int64)  # leaves
+        inner = np.flatnonzero(self.branch).tolist()
+        for node in reversed(inner):  # branches lie behind their node
+            below[node] = below[self.branch[node]] + below[self.branch[node] + 1]
+        first = np.zeros(len(self.branch), np.int64)
+        for node in inner:
+            left = self.branch[node]
+            first[left], first[left + 1] = first[node], first[node] + below[left]
+        return first
+
+    @property
+    def depth(self) -> int:
+        """Tests from the root to the deepest leaf."""
+        depth = np.zeros(len(self.branch), np.int64)
+        for node in np.flatnonzero(self.branch).tolist():  # branches lie behind their node
+            depth[self.branch[node] : self.branch[node] + 2] = depth[node] + 1
+        return int(depth.max())
