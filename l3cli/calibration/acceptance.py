@@ -2,7 +2,7 @@
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import PhotoFit
-from l3cli.calibration.efficiency import likely_mistake
+from l3cli.calibration.curves import likely_mistake
 from l3cli.calibration.photo.lights import NOTICED
 
 LEAST_EFFICIENCY = 0.01  # at the peak: below, a unit is more likely than such a camera

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.calibration.defects import Defects
-from l3cli.charts import perspective
+from l3cli.charts import patches
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES, Body, ChartCapture
 
@@ -18,8 +18,8 @@ def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
 
     corners (4, 2) are col, row of the outer corners of patches 1, 6, 24, 19; the chart may be turned and in perspective.
     """
-    cells = perspective.corner_cells(CHART_ROWS, CHART_COLS)
-    return perspective.patch_map(perspective.homography(cells, corners), (CHART_ROWS, CHART_COLS), (rows, cols), CORE)
+    cells = patches.corner_cells(CHART_ROWS, CHART_COLS)
+    return patches.patch_map(patches.homography(cells, corners), (CHART_ROWS, CHART_COLS), (rows, cols), CORE)
 
 
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:

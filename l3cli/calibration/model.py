@@ -9,8 +9,7 @@ from l3cli.calibration import agreement, gain, responsivity, settings
 from l3cli.calibration import curves as finished
 from l3cli.calibration.captures import Charts, Sensor, measure_charts, measure_sensor, measure_sweep
 from l3cli.calibration.corrections import correct_by_frames, with_corrections
-from l3cli.calibration.curves import Curves
-from l3cli.calibration.efficiency import check_efficiency, efficiency
+from l3cli.calibration.curves import Curves, check_efficiency, efficiency
 from l3cli.calibration.photo.responsivity import fit_photos
 from l3cli.calibration.series import fit_series
 from l3cli.calibration.statistics import Each, channel_shares

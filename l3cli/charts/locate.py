@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.charts.perspective import homography, through
+from l3cli.charts.patches import homography, through
 
 LONGEST = 480  # pixels of the picture that is searched
 SLOPES = (0.02, 0.04, 0.08, 0.15)  # relative, from pixel to pixel: plain is what changes less

@@ -1,12 +1,10 @@
-"""Values of a chart's patches in mosaics, and the noise of the sensor from them (docs/method.md#charts-in-photographs)."""
+"""A chart's patches in mosaics: where they lie, their values, the sensor's noise (docs/method.md#charts-in-photographs)."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from l3cli.charts.perspective import patch_map
 
 CORE = 0.25  # half the side of a patch's core, in cells: frames of patches, and blurred edges, stay out
 FAR = 5.0  # robust standard deviations: dust, scratches, hot pixels
@@ -17,6 +15,48 @@ PRECISION = 0.002  # of a value: what texture and gloss leave of it however many
 LEAST_POINTS = 6  # patches and channels for a line of variance over signal
 MAD = 1.4826  # standard deviations of a Gaussian in its median absolute deviation
 Array = NDArray[np.floating]
+
+
+def homography(cells: Array, pixels: Array) -> Array:
+    """(3, 3) from chart cells (point, 2) x, y to pixels (point, 2) col, row, four points or more, by least squares; applied
+    to (x, y, 1) it gives col, row times a scale. LinAlgError if four points lie on a line."""
+    scale, shift = float(np.ptp(pixels, axis=0).max()) or 1.0, pixels.mean(axis=0)
+    equations, right_side = [], []
+    for (x, y), (u, v) in zip(cells, (pixels - shift) / scale, strict=True):
+        equations += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
+        right_side += [u, v]
+    system, right = np.array(equations, dtype=np.float64), np.array(right_side)
+    solved = np.linalg.solve(system, right) if len(cells) == 4 else np.linalg.lstsq(system, right, rcond=None)[0]
+    normalised = np.append(solved, 1.0).reshape(3, 3)
+    back = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]], [0.0, 0.0, 1.0]])
+    return back @ normalised
+
+
+def corner_cells(rows: int, cols: int) -> Array:
+    """(4, 2) x, y of the outer corners of a grid of patches, clockwise from the first patch."""
+    return np.array([[0, 0], [cols, 0], [cols, rows], [0, rows]], dtype=np.float64)
+
+
+def through(matrix: Array, points: Array) -> Array:
+    """Return the points (…, 2) through a homography; infinite where it has none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = points @ matrix[:, :2].T + matrix[:, 2]
+        return np.asarray(moved[..., :2] / moved[..., 2:])
+
+
+def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], core: float) -> NDArray[np.int64]:
+    """Return the index (row, col) of the patch whose core a pixel lies in, rows · cols of the grid elsewhere.
+
+    `to_pixels`: homography of a grid (rows, cols) of cells; `core`: half the side of a core in cells."""
+    rows, cols = grid
+    col, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
+    cells = through(np.linalg.inv(to_pixels), np.stack([col, row], axis=-1))
+    x, y = cells[..., 0], cells[..., 1]
+    with np.errstate(invalid="ignore"):
+        inside = (x >= 0) & (x < cols) & (y >= 0) & (y < rows) & (np.abs(x % 1 - 0.5) < core) & (np.abs(y % 1 - 0.5) < core)
+    index = np.full(shape, rows * cols)
+    index[inside] = y[inside].astype(np.int64) * cols + x[inside].astype(np.int64)
+    return index
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ def calibrate(
         return _draft(draft, output, camera, console, force, measurements, others)
     if camera is not None:
         raise click.UsageError("--camera goes with --draft; a measurement file states its camera itself")
-    from l3cli.calibration import text
+    from l3cli.calibration import figures
     from l3cli.io.raw.registry import is_photo
 
     if measurements is not None and is_photo(measurements):
@@ -75,4 +75,4 @@ def calibrate(
     from l3cli.stages.calibration import calibrate as stage
 
     _, result = stage(measurements, output, console, force=force, **others)
-    return Result(result, lambda: show(*text.as_text(result, terminal.width())))
+    return Result(result, lambda: show(*figures.as_text(result, terminal.width())))

@@ -75,7 +75,7 @@ def export(
     \b
     Example: l3 export table.h5 -o source --to c
     """
-    from l3cli.calibration.text import matrix_lines
+    from l3cli.calibration.figures import matrix_lines
     from l3cli.stages.exports import export as export_camera
     from l3cli.stages.exports import is_table
 

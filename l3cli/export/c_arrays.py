@@ -15,7 +15,7 @@ from l3cli.classes.later import first_label_words
 from l3cli.classes.plane_kernel import rule_constants, rule_macros
 from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
 from l3cli.classes.windows import neighbourhoods
-from l3cli.export.short_words import ShortWords
+from l3cli.export.wordlengths import ShortWords
 from l3cli.rendering.opencl.layout import (
     PLANES,
     WholeWeights,

@@ -1,4 +1,4 @@
-"""Cost of short words: the weights of a table's last layer in fixed point, and the distance of its outputs from those of
+"""Cost of short words: the weights of a table's last layer in fixed point, their C, and the distance of its outputs from those of
 float weights, on a synthetic mosaic.
 
     weight ≈ whole · 2^−F, whole of so many bits with sign, F the largest that lets the largest weight in: of
@@ -8,6 +8,7 @@ Intercepts stay as they are. Layers before the last are in words of 16 bits anyw
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -15,17 +16,132 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
 from l3cli.artifacts.table import TransformTable
-from l3cli.export.short_words import OUTPUT_FRACTION, OUTPUT_TOP, ShortWords
+from l3cli.classes.planes import raw_middle
+from l3cli.classes.windows import window_channels
+from l3cli.errors import InputFileError
 from l3cli.export.vector import drawn_mosaic
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.later import later_outputs
 from l3cli.rendering.reference import ReferenceRenderer, output_planes
 
+OUTPUT_FRACTION = 12  # bits of an output behind the point: words reach ±8
+OUTPUT_TOP = 2**15 - 1
+HIGH_BITS = 12  # of a value, sign included: what the high part keeps
+MOST_WEIGHT, MOST_SUM = 2.0**15 - 8, 2.0**31 - 2**26  # before rounding, and before what the low part and 2^(F − 1) add
+MOST_FRACTION = 24
+REACH, OTHER, NOISE = 8.0, 0.8, 0.2  # R: pixels by which likeness falls to 1/e; of other channels; added on its diagonal
 LENGTHS = (8, 10, 12, 14, 16)  # bits
 SHAPE, SEED = (64, 256), 4  # of the mosaic: rows, columns
 ENOUGH = 60.0  # dB below a full output: a thousandth of it
 Scale = Literal["class", "table"]  # what shares a binary point
+
+
+@dataclass(frozen=True)
+class ShortWords:
+    """Transforms of the last layer; taps in the table's order."""
+
+    whole: NDArray[np.int32]  # (class, output, tap) of 16 bits, but for the largest of a window
+    intercept: NDArray[np.int32]  # (class, output)
+    fraction: NDArray[np.uint8]  # (class, output) F, less the split
+    split: int  # bits of the low part
+
+    def in_floats(self, table: TransformTable) -> NDArray[np.float32]:
+        """Return the weights (class, output, tap) of the table's last layer that these words stand for."""
+        shift = -(self.fraction.astype(np.int32) + self.split + OUTPUT_FRACTION)
+        return np.ldexp(self.whole.astype(np.float64) / _value_step(table), shift[..., None]).astype(np.float32)
+
+
+def split_of(table: TransformTable) -> int:
+    """Return the bits of the low part of what the last layer of a table reads."""
+    return PLANE_TOP.bit_length() + 1 - HIGH_BITS if table.later else max(0, table.bits - HIGH_BITS)
+
+
+def offset_of(table: TransformTable) -> int:
+    """Return the offset of the values that the last layer of a table reads."""
+    return 0 if table.later else raw_middle(table.bits)
+
+
+def short_words(table: TransformTable) -> ShortWords:
+    """Return the last layer of a table in words; InputFileError if its transforms are beyond them."""
+    split, offset = split_of(table), offset_of(table)
+    layer, black = table.layers[-1], 0.0 if table.later else table.black_level - offset
+    weights = layer.weights.astype(np.float64) * (_value_step(table) * 2**OUTPUT_FRACTION)  # per unit of a value
+    intercept = layer.intercept.astype(np.float64) * 2**OUTPUT_FRACTION - black * weights.sum(axis=-1)
+    values = PLANE_TOP if table.later else max(2**table.bits - 1 - offset, offset)
+    size = np.abs(weights)
+    sums = size.sum(axis=-1) * values + np.abs(intercept)
+    windows = weights.shape[-1] - _taps_behind(table)
+    second = np.sort(size[..., :windows], axis=-1)[..., -2:].min(axis=-1)
+    second = np.maximum(second, size[..., windows:].max(axis=-1, initial=0.0))
+    most = np.minimum(MOST_WEIGHT / (second + 1e-30), MOST_SUM * 2.0**split / (sums + 1e-30))
+    fraction = np.minimum(MOST_FRACTION + split, np.floor(np.log2(most)))
+    if fraction.min() < split:
+        raise InputFileError(
+            "transforms of the last layer are too large for words of 16 bits; export them as float32 (‹words›)"
+        )
+    scaled = weights * 2.0 ** fraction[..., None]
+    of_windows = [_rounded(scaled[members, :, :windows], likeness) for members, likeness in _likenesses(table)]
+    whole = np.concatenate([np.concatenate(of_windows), np.rint(scaled[..., windows:])], axis=-1)
+    intercept = (intercept + black * weights.sum(axis=-1)) * 2.0 ** (fraction - split) - black * whole.sum(
+        axis=-1
+    ) / 2**split
+    return ShortWords(
+        whole.astype(np.int32),
+        np.rint(intercept).astype(np.int32),
+        (fraction - split).astype(np.uint8),
+        split,
+    )
+
+
+def _taps_behind(table: TransformTable) -> int:
+    """Return the number of taps of the last layer behind those of its windows."""
+    return table.later[-1].ratio_taps if table.later else 0
+
+
+def _value_step(table: TransformTable) -> float:
+    """Return the step of the last layer's weights in units of the values that words multiply."""
+    return PLANE_STEP if table.later else 1 / (table.white_level - table.black_level)
+
+
+def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
+    """R (tap, tap) of the windows of the last layer, and which classes have these: of the mosaic, those of a site."""
+    layer = table.layers[-1]
+    if table.later:
+        source = np.repeat(np.arange(len(table.outputs)), table.later[-1].side ** 2)
+        return [(np.ones(len(layer.weights), bool), _likeness(source, 0.0))]
+    site = table.first.rule.split(np.arange(len(layer.weights))).site
+    channels = window_channels(table.cfa, table.first.rule.patch)
+    return [(site == number, _likeness(channel, OTHER)) for number, channel in enumerate(channels)]
+
+
+def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
+    """R (tap, tap) of square windows, plane by plane, of taps of a `source`: `other` times as alike where it differs."""
+    side = math.isqrt(len(source) if other else np.count_nonzero(source == source[0]))
+    row, column = np.divmod(np.arange(len(source)) % side**2, side)
+    distance = np.hypot(row[:, None] - row, column[:, None] - column)
+    alike = np.where(source[:, None] == source, 1.0, other) * np.exp(-distance / REACH)
+    return alike + NOISE * np.eye(len(source))
+
+
+def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the weights (class, output, tap) as whole numbers (docstring of this module)."""
+    flat = weights.reshape(-1, weights.shape[-1])
+    whole = np.rint(flat)
+    slope = (whole - flat) @ likeness  # half of what eᵀ R e rises by where a weight does
+    own = np.diag(likeness)
+    for _ in range(2 * flat.shape[1]):
+        change = own - 2 * np.abs(slope)  # by the better of one up and one down
+        tap = change.argmin(axis=1)
+        moved = np.flatnonzero(change[np.arange(len(flat)), tap] < -1e-9)
+        if not moved.size:
+            break
+        taken = tap[moved]
+        step = -np.sign(slope[moved, taken])
+        whole[moved, taken] += step
+        slope[moved] += step[:, None] * likeness[taken]
+    return whole.reshape(weights.shape)
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,81 @@ import hashlib
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError
-from l3cli.frames.bad_pixels import BadPixelCorrection, plan_correction
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import Shading, shading_of
+
+NEIGHBOURS = 4  # that a value is made of: the mean of the two in the middle
+FARTHEST = 16  # rows and columns to each side in which they are searched
+MOST_BAD = 0.1  # share of the pixels from which on a map is none of defects
+
+
+@dataclass(frozen=True, eq=False)
+class BadPixelCorrection:
+    """Which pixels are replaced, and by which."""
+
+    target: NDArray[np.int64]  # (defect) place in a frame, row by row
+    source: NDArray[np.int64]  # (defect, NEIGHBOURS) places of sound pixels
+
+    def corrected(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """values (row, col) with every defect replaced by the mean of the middle two of its neighbours, rounded up."""
+        result = values.copy()
+        near = values.ravel()[self.source].astype(np.int32)
+        result.ravel()[self.target] = (near.sum(axis=1) - near.max(axis=1) - near.min(axis=1) + 1) >> 1
+        return result
+
+
+def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixelCorrection:
+    """Return the correction of the pixels `bad` (row, col) of a sensor: by the nearest sound pixels of their channel,
+    however far a cluster or line makes them. InputFileError if a pixel has none within FARTHEST, or too many are bad."""
+    if bad.mean() > MOST_BAD:
+        raise InputFileError(f"{bad.mean():.0%} of the pixels are marked defective, too many to correct; map fewer")
+    shape, period = bad.shape, cfa.shape
+    targets, sources = [], []
+    places = np.argwhere(bad)
+    for site in np.ndindex(period):
+        defects = places[((places % period) == site).all(axis=1)]
+        if not defects.size:
+            continue
+        nearest = np.full((len(defects), NEIGHBOURS), -1, np.int64)
+        count = np.zeros(len(defects), np.int64)
+        for offset in _offsets(cfa, site):
+            open_ones = np.flatnonzero(count < NEIGHBOURS)
+            if not open_ones.size:
+                break
+            place = defects[open_ones] + offset
+            inside = ((place >= 0) & (place < shape)).all(axis=1)
+            row, col = place[inside].T
+            sound = ~bad[row, col]
+            found = open_ones[inside][sound]
+            nearest[found, count[found]] = row[sound] * shape[1] + col[sound]
+            count[found] += 1
+        if not count.all():
+            row, col = defects[int(count.argmin())]
+            raise InputFileError(f"pixel ({row}, {col}) has no sound neighbour within {FARTHEST} pixels; map fewer defects")
+        again = np.arange(NEIGHBOURS) % count[:, None]  # those that there are, in turn
+        targets.append(defects[:, 0] * shape[1] + defects[:, 1])
+        sources.append(np.take_along_axis(nearest, again, axis=1))
+    if not targets:
+        return BadPixelCorrection(np.zeros(0, np.int64), np.zeros((0, NEIGHBOURS), np.int64))
+    return BadPixelCorrection(np.concatenate(targets), np.concatenate(sources))
+
+
+def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int64]:
+    """(offset, 2) rows and columns to the pixels of the channel of a CFA site, the nearest first; of equally near ones those
+    opposite one another come one after the other."""
+    down, across = np.mgrid[-FARTHEST : FARTHEST + 1, -FARTHEST : FARTHEST + 1].reshape(2, -1)
+    same = cfa[(site[0] + down) % cfa.shape[0], (site[1] + across) % cfa.shape[1]] == cfa[site]
+    distance = down**2 + across**2
+    same &= distance > 0
+    down, across, distance = down[same], across[same], distance[same]
+    half = (down < 0) | ((down == 0) & (across < 0))
+    first_down, first_across = np.where(half, down, -down), np.where(half, across, -across)
+    order = np.lexsort((half, first_across, first_down, distance))
+    return np.stack([down, across], axis=1)[order].astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.frames.bad_pixels import plan_correction
+from l3cli.frames.correction import plan_correction
 from l3cli.frames.frame import RawFrame
 
 LEAST = 8.0  # standard deviations by which a hot pixel is above the brightest of its neighbours

@@ -13,8 +13,8 @@ from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.store import open_artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
-from l3cli.export import camera_colour
-from l3cli.export.camera_datasheet import datasheet
+from l3cli.export import camera_profile
+from l3cli.export.camera_profile import datasheet
 from l3cli.io import profiles
 from l3cli.io.curves import export_curves, export_paths
 from l3cli.stages.claims import OutputGuard
@@ -45,8 +45,8 @@ def always(folder: Path) -> list[Path]:
 
 def by_array(folder: Path, channels: Sequence[str], cfa: NDArray[np.integer]) -> list[Path]:
     """The further files that cameras of an array may be exported to."""
-    names = [DCP] if len(channels) >= camera_colour.LEAST_CHANNELS else []
-    names += [RASPBERRY_PI, SIMPLE] if camera_colour.bayer_order(channels, cfa) else []
+    names = [DCP] if len(channels) >= camera_profile.LEAST_CHANNELS else []
+    names += [RASPBERRY_PI, SIMPLE] if camera_profile.bayer_order(channels, cfa) else []
     return [folder / name for name in names]
 
 
@@ -74,17 +74,17 @@ def export(
 def write(camera: CameraModel, folder: Path, console: Console) -> dict[str, dict[str, dict[str, Any]]]:
     """Write all files; what is left out is told. The errors of the matrices, for each light."""
     camera = replace(camera, name=printable(camera.name))  # that of a file may hold bytes that are no text
-    lights = {name: camera_colour.light_matrices(camera, name) for name in camera_colour.TEMPERATURES}
+    lights = {name: camera_profile.light_matrices(camera, name) for name in camera_profile.TEMPERATURES}
     known = {name: matrices for name, matrices in lights.items() if matrices is not None}
     export_curves(camera, folder)
     write_whole(folder / DATASHEET, profiles.datasheet_csv(datasheet(camera)))
     if missing := [name for name in lights if name not in known]:
-        few = len(camera.channels) < camera_colour.LEAST_CHANNELS
+        few = len(camera.channels) < camera_profile.LEAST_CHANNELS
         reason = "it has fewer than three channels" if few else f"a channel sees next to nothing of {missing[0]}"
         console.report(f"{camera.name}: no colour matrices and no tuning files: {reason}")
         return {}
     planes = list(
-        camera_colour.rgb_order(camera.channels) or range(len(camera.channels))
+        camera_profile.rgb_order(camera.channels) or range(len(camera.channels))
     )  # raw files have r, g, b in this order
     parts = {
         name: profiles.ProfileMatrices(each.neutral[planes], each.colour.values[planes], each.forward.values[:, planes])
@@ -92,7 +92,7 @@ def write(camera: CameraModel, folder: Path, console: Console) -> dict[str, dict
     }
     names = [camera.channels[plane] for plane in planes]
     write_whole(folder / DCP, profiles.dcp_json(camera.name, names, parts))
-    order = camera_colour.bayer_order(camera.channels, camera.cfa)
+    order = camera_profile.bayer_order(camera.channels, camera.cfa)
     if order is None:
         console.report(f"{camera.name}: no tuning files for libcamera, which knows 2×2 arrays of r, g and b alone")
     else:
@@ -101,14 +101,14 @@ def write(camera: CameraModel, folder: Path, console: Console) -> dict[str, dict
         write_whole(folder / SIMPLE, profiles.simple_yaml(camera.name, tuning))
     kinds = ("CCM", "ForwardMatrix", "ColorMatrix")
     return {
-        name: {kind: camera_colour.errors(each)[kind] for kind in kinds if kind == "CCM" or name in profiles.ILLUMINANTS}
+        name: {kind: camera_profile.errors(each)[kind] for kind in kinds if kind == "CCM" or name in profiles.ILLUMINANTS}
         for name, each in known.items()
     }
 
 
 def _tuning(
-    camera: CameraModel, known: dict[str, camera_colour.LightMatrices], order: tuple[int, int, int]
+    camera: CameraModel, known: dict[str, camera_profile.LightMatrices], order: tuple[int, int, int]
 ) -> profiles.Tuning:
-    corrections = {camera_colour.TEMPERATURES[name]: each.correction.values[:, order] for name, each in known.items()}
-    curve, noise = camera_colour.temperature_curve(camera, order), camera_colour.noise_profile(camera)
-    return profiles.Tuning(camera_colour.black_level_16(camera), corrections, curve, noise)
+    corrections = {camera_profile.TEMPERATURES[name]: each.correction.values[:, order] for name, each in known.items()}
+    curve, noise = camera_profile.temperature_curve(camera, order), camera_profile.noise_profile(camera)
+    return profiles.Tuning(camera_profile.black_level_16(camera), corrections, curve, noise)

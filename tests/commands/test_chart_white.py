@@ -12,7 +12,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import save
 from l3cli.charts import locate
 from l3cli.charts.locate import Located
-from l3cli.charts.perspective import corner_cells, homography
+from l3cli.charts.patches import corner_cells, homography
 from l3cli.frames.frame import RawFrame, as_taken, upright
 from l3cli.io.images import read_image
 from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng

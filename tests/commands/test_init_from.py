@@ -16,7 +16,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration.photo.prior import WAVELENGTH
-from l3cli.export.camera_colour import light_matrices
+from l3cli.export.camera_profile import light_matrices
 from l3cli.io.images import read_image
 from l3cli.io.raw.dng_writer import RawColour, write_dng
 from l3cli.physics import spectra

@@ -7,7 +7,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.calibration.photo import estimate
 from l3cli.calibration.photo.estimate import Posterior, Shot
 from l3cli.calibration.photo.prior import WAVELENGTH
-from l3cli.charts.perspective import corner_cells, homography, through
+from l3cli.charts.patches import corner_cells, homography, through
 from l3cli.io.priors import shipped
 from l3cli.physics import charts, spectra
 

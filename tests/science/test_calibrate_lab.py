@@ -12,8 +12,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.calibration import defects, gain, noise
-from l3cli.calibration.curves import Curves
-from l3cli.calibration.efficiency import efficiency
+from l3cli.calibration.curves import Curves, efficiency
 from l3cli.cli import run
 from l3cli.frames.measurement import Body
 from l3cli.io.curves import write_curves

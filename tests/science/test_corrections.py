@@ -15,8 +15,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.errors import InputFileError
-from l3cli.frames.bad_pixels import NEIGHBOURS, plan_correction
-from l3cli.frames.correction import Correction, correction_of
+from l3cli.frames.correction import NEIGHBOURS, Correction, correction_of, plan_correction
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import FRACTION, STEP, clipped_from, evened, shading_of
 from l3cli.io.sequences import FrameReference

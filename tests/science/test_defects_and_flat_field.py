@@ -10,8 +10,8 @@ import pytest
 from l3cli.artifacts.camera import CameraModel, DefectMap, FlatField
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
+from l3cli.calibration.corrections import corner_falloff, flat_field
 from l3cli.calibration.defects import as_map, counts, join, outliers
-from l3cli.calibration.flat_field import corner_falloff, flat_field
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body
 from tests.helpers.calls import L3, Refused

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from l3cli.charts import locate, patches
-from l3cli.charts.perspective import corner_cells, homography, through
+from l3cli.charts.patches import corner_cells, homography, through
 from tests.helpers.photos import BAYER, GAIN, GRID, READ, REFLECTANCE, UPRIGHT, photograph
 
 

@@ -20,10 +20,9 @@ from l3cli.artifacts.plane_rules import StructureRule, TreeRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction
 from l3cli.errors import InputFileError
-from l3cli.export.short_words import OUTPUT_FRACTION, OUTPUT_TOP, short_words
 from l3cli.export.source import Words, c_files
 from l3cli.export.vector import drawn_mosaic
-from l3cli.export.wordlengths import SEED, SHAPE, in_words, short_cost
+from l3cli.export.wordlengths import OUTPUT_FRACTION, OUTPUT_TOP, SEED, SHAPE, in_words, short_cost, short_words
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.tables import random_table, with_first, with_later, with_spectra, with_tree

@@ -1,6 +1,6 @@
 """Frames → captures: which kind each frame is, by its name or else by what it shows, and which frames belong together."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from l3cli.calibration.draft.names import Name, natural
 from l3cli.calibration.draft.summary import EVEN, Summary
+from l3cli.charts.locate import locate
+from l3cli.charts.patches import corner_cells, through
+from l3cli.physics import charts
 
 DARK = 0.01  # of the range from the darkest to the brightest frame: without light
 ALIKE = 0.04  # relative, of signals: frames of one capture, sites of one channel, captures of one light
@@ -16,6 +19,12 @@ RATE = 0.1  # relative, of light a second: captures of one light
 LEAST_WHITES = 3  # exposures of one light that are taken for the white series
 BRIGHT_DARK, BRIGHTER = 0.05, 5.0  # of the range, times the noise: a frame called dark that is none
 Array = NDArray[np.floating]
+SAME_CHANNEL = 0.05  # of a site's largest response: sites of one channel differ by less
+LEAST_STEPS = 5
+GRID_NM = np.arange(400.0, 701.0, 10.0)
+SEARCHED = 6  # brightest captures of one series in which the chart is searched
+DIM = 0.05  # of the range: darker charts are not searched
+Corners = list[tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -165,3 +174,81 @@ def _same_light(group: Group, other: Group, scale: Scale) -> bool:
         return False
     times = group.first.seconds, other.first.seconds
     return None in times or abs(one.max() * times[1] / (two.max() * times[0]) - 1.0) < RATE
+
+
+@dataclass(frozen=True)
+class GuessedArray:
+    """Channels and array by what the sites respond to."""
+
+    channels: tuple[str, ...]
+    pattern: tuple[str, ...]  # rows of names
+
+
+def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -> GuessedArray | None:
+    """Return the array of `period` rows and columns; None if too few steps have a known wavelength, or no light is seen."""
+    steps = [step for step in steps if step.first.name.nm is not None and not scale.clipped(step)]
+    if len(steps) < LEAST_STEPS:
+        return None
+    # Exposures differ from step to step: shares of a step's light, weighed by its brightest site.
+    signal = np.array([scale.signal(step) for step in steps])
+    weight = signal.max(axis=1, keepdims=True)
+    seen = weight[:, 0] > 0.05 * weight.max()
+    shares = signal[seen] / weight[seen]
+    wavelength = np.array([step.first.name.nm for step in steps], dtype=np.float64)[seen]
+    channel_of: list[int] = []
+    curves: list[Array] = []
+    for curve in shares.T:
+        alike = [number for number, other in enumerate(curves) if np.abs(curve - other).max() < SAME_CHANNEL]
+        if not alike:
+            curves.append(curve)
+        channel_of.append(alike[0] if alike else len(curves) - 1)
+    if len(wavelength) < LEAST_STEPS or max(curve.max() for curve in curves) <= 0:
+        return None
+    peaks = [float(wavelength[curve > 0.5 * curve.max()].mean()) for curve in curves]
+    names = _names(peaks)
+    order = np.argsort([-peak for peak in peaks]) if len(peaks) == 3 else np.arange(len(peaks))
+    rows, cols = period
+    pattern = [" ".join(names[channel_of[row * cols + col]] for col in range(cols)) for row in range(rows)]
+    return GuessedArray(tuple(names[number] for number in order), tuple(pattern))
+
+
+def _names(peaks: Sequence[float]) -> list[str]:
+    """Return a name for each channel: r g b where there are three, w for one, else the wavelength that it responds to."""
+    if len(peaks) == 1:
+        return ["w"]
+    if len(peaks) == 3:
+        letters = dict(zip(np.argsort(peaks).tolist(), "bgr", strict=True))
+        return [letters[number] for number in range(3)]
+    names = [f"nm{peak:.0f}" for peak in peaks]
+    return [name if names.count(name) == 1 else f"{name}_{number + 1}" for number, name in enumerate(names)]
+
+
+def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
+    """Return col, row in pixels of the outer corners of patches 1, 6, 24, 19 of a ColorChecker in a mosaic of DN above
+    black, each site a channel of its own; None if there is none."""
+    sites = np.arange(period[0] * period[1], dtype=np.uint8).reshape(period)
+    found = locate(mosaic, sites, charts.chart("classic", GRID_NM)[1], charts.CLASSIC)
+    if found is None:
+        return None
+    return [(round(float(x), 1), round(float(y), 1)) for x, y in through(found.to_pixels, corner_cells(*charts.CLASSIC))]
+
+
+def brightest(groups: Sequence[Group], scale: Scale) -> list[Group]:
+    """Return the captures of a series in which the chart is best seen."""
+    seen = [group for group in groups if scale.signal(group).max() > DIM * scale.range]
+    return sorted(seen, key=lambda group: (scale.clipped(group), -float(scale.signal(group).max())))[:SEARCHED]
+
+
+def corners_of_series(
+    groups: Sequence[Group], scale: Scale, period: tuple[int, int], read: Callable[[str], Array]
+) -> Corners | None:
+    """Return the corners of a chart that stands still in all captures of a series: where most of those that show it agree,
+    the median."""
+    found = []
+    for group in brightest(groups, scale):
+        if corners := find_corners(read(group.first.name.path) - float(scale.black.mean()), period):
+            found.append(corners)
+    if not found:
+        return None
+    middle = np.median(np.array(found), axis=0)
+    return [(round(float(x), 1), round(float(y), 1)) for x, y in middle]

@@ -11,8 +11,7 @@ from l3cli.calibration import noise
 from l3cli.calibration.photo.estimate import Shot
 from l3cli.calibration.photo.prior import WAVELENGTH
 from l3cli.charts import locate, patches
-from l3cli.charts.patches import PatchValues
-from l3cli.charts.perspective import corner_cells, homography, through
+from l3cli.charts.patches import PatchValues, corner_cells, homography, through
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.measurement import Body, PhotoCapture

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frames.bad_pixels import plan_correction
+from l3cli.frames.correction import plan_correction
 from l3cli.frames.frame import with_one_black_level
 from l3cli.io.isolated import isolated
 from l3cli.io.raw.content import RawContent, Request

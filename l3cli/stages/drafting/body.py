@@ -3,7 +3,7 @@
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.calibration.draft.arrays import guess_array
+from l3cli.calibration.draft.sorting import guess_array
 from l3cli.calibration.draft.text import DraftText
 from l3cli.io.photos import F_NUMBER, FOCAL_MM, PITCH_UM, array_of
 from l3cli.stages.drafting.survey import Survey

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.calibration.draft import charts
+from l3cli.calibration.draft import sorting
 from l3cli.calibration.draft.matching import (
     columns_of,
     match_charts,
@@ -110,7 +110,7 @@ class _Composer:
         for number, (step, column) in enumerate(zip(self.steps, matched, strict=True), 1):
             self._common(step, "[[mono]]")
             uneven = step.first.summary.unevenness(float(seen.scale.black.mean()))
-            if uneven > 4 * charts.DIM and not seen.scale.clipped(step):
+            if uneven > 4 * sorting.DIM and not seen.scale.clipped(step):
                 out.comment(f"the light is uneven by {uneven:.0%}: a [[mono]] frame is an even field")
             if not columns and len(matched) >= SEVERAL:
                 self._wanted_spectrum(number, step)
@@ -157,12 +157,12 @@ class _Composer:
         elif not any(table.units) and not unknown_unit(table, column):
             self.out.assume("unit", PHOTON_RADIANCE, "the heading states none; it is as large as such radiances are", False)
 
-    def _chart_corners(self) -> dict[int, charts.Corners]:
+    def _chart_corners(self) -> dict[int, sorting.Corners]:
         """Return the corners of each chart by the identity of its capture; captures that show something else are left
         out."""
-        seen, found = self.seen, dict[int, charts.Corners]()
+        seen, found = self.seen, dict[int, sorting.Corners]()
         for group in list(self.charts):
-            corners = charts.find_corners(self._mosaic(group.first.name.path) - self._black, seen.period)
+            corners = sorting.find_corners(self._mosaic(group.first.name.path) - self._black, seen.period)
             if corners is not None:
                 found[id(group)] = corners
             elif group.kind == "structured":
@@ -177,14 +177,14 @@ class _Composer:
     def _mosaic(self, path: str) -> Any:
         return read_capture(self.seen.listing.folder / path).values.astype(np.float64)
 
-    def _corners(self, corners: charts.Corners | None, path: str, optional: bool = False) -> None:
+    def _corners(self, corners: sorting.Corners | None, path: str, optional: bool = False) -> None:
         what = "col, row of the outer corners of patches 1, 6, 24, 19; no chart was found"
         if corners is not None:
             self.out.key("corners", corners, "found")
         elif not optional:
             self.out.todo("corners", CORNERS, what, path)
 
-    def _charts(self, corners: dict[int, charts.Corners]) -> None:
+    def _charts(self, corners: dict[int, sorting.Corners]) -> None:
         """Add [[chart]] captures beside a monochromator."""
         out, seen = self.out, self.seen
         tables = match_charts(self.charts, seen.tables, seen.notes)
@@ -209,7 +209,7 @@ class _Composer:
     def _bands(self) -> None:
         """Add [[band]] captures: a chart behind narrow filters."""
         out, seen = self.out, self.seen
-        corners = charts.corners_of_series(self.bands, seen.scale, seen.period, self._mosaic)
+        corners = sorting.corners_of_series(self.bands, seen.scale, seen.period, self._mosaic)
         by_band = {table.name.nm: table for table in reversed(seen.tables) if table.has_patches}
         lacking = [f"{nm:g} nm" for group in self.bands if (nm := group.first.name.nm) not in by_band]
         self._share(self.bands, lacking, "relative power")
@@ -227,7 +227,7 @@ class _Composer:
                 if "unit" not in self.shared:
                     out.todo("unit", "relative power", "of these radiances, where the heading states none", path)
 
-    def _photos(self, corners: dict[int, charts.Corners]) -> None:
+    def _photos(self, corners: dict[int, sorting.Corners]) -> None:
         """Add [[photo]]: charts alone."""
         out, seen = self.out, self.seen
         for group in self.charts:

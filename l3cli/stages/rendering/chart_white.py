@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.charts.perspective import corner_cells, through
+from l3cli.charts.patches import corner_cells, through
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.physics import charts
