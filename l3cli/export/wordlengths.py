@@ -1,5 +1,4 @@
-"""Cost of short words: the weights of a table's last layer in fixed point, their C, and the distance of its outputs from those of
-float weights, on a synthetic mosaic.
+"""Short words: the weights of a last layer in fixed point, as C, and how far they move its outputs on a synthetic mosaic.
 
     weight ≈ whole · 2^−F, whole of so many bits with sign, F the largest that lets the largest weight in: of
     the whole table, or of each class by itself

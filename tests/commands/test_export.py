@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from l3cli.physics.matrices import colour_errors
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load, save
@@ -17,6 +16,7 @@ from l3cli.export import camera_profile
 from l3cli.export.camera_profile import datasheet
 from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, delta_e_2000, lab, srgb_from_xyz_matrix, white_point
+from l3cli.physics.matrices import colour_errors
 from l3cli.simulation.light import colour_matrix, make_light
 from l3cli.stages.console import Silent
 from l3cli.stages.exports import write

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from l3cli.physics import spectra
-from l3cli.physics.spaces import colour_errors, fit_through, refinement
+from l3cli.physics.matrices import colour_errors, fit_through, refinement
 
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)
 LIBRARY = spectra.reflectance_library(WAVELENGTH)[::4]
