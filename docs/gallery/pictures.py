@@ -29,7 +29,7 @@ STYLE = (
 def raw_picture(frame: TrainingPair, camera: CameraModel) -> Picture:
     """The mosaic, each pixel in the colour of its filter, from the black level to the white level."""
     share = np.clip((frame.raw - camera.black_level) / (camera.white_level - camera.black_level), 0.0, 1.0)
-    light = colours.channel_light(camera.responsivity, camera.wavelength)
+    light = colours.channel_light(camera)
     rows, cols = (np.arange(length) % period for length, period in zip(frame.raw.shape, camera.cfa.shape, strict=True))
     picture: Picture = srgb_codes(share[..., None] * light[camera.cfa[np.ix_(rows, cols)]])
     return picture
@@ -57,8 +57,7 @@ def _joined(pictures: list[Picture], axis: int) -> Picture:
 
 def drawing(camera: CameraModel) -> str:
     """An SVG file: one period of the array, the responsivities, their legend."""
-    light = colours.channel_light(camera.responsivity, camera.wavelength)
-    array, curves = array_figure(camera, light), responsivity_figures(camera, light)[0]
+    array, curves = array_figure(camera), responsivity_figures(camera)[0]
     side = min(SIDE, CELL_SIDE * max(camera.cfa.shape))
     left, legend = MARGIN + SIDE + MARGIN, MARGIN + SIDE + MARGIN + WIDTH + MARGIN
     size = f"{legend + KEY} {max(SIDE, HEIGHT, LINE * len(curves.legend)) + 2 * MARGIN}"

@@ -30,7 +30,7 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     \b
     Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html
     """
-    from l3cli.stages.reporting.report import report as stage
+    from l3cli.stages.report import report as stage
 
     stage(artifacts, output, console, backend=backend, force=force)
     return Result({"page": str(output)})

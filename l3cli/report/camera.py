@@ -3,31 +3,15 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import NoiseFit
 from l3cli.report import colours
-from l3cli.report.channels import MARKS, channel_keys, mark_of, table_of
 from l3cli.report.drawing import GLYPH, Plot, box, escape, sheet, spanning
-from l3cli.report.parts import (
-    Block,
-    Data,
-    Details,
-    Figure,
-    Figures,
-    Section,
-    Subsection,
-    Table,
-    Text,
-    counted,
-    tidy,
-    unit,
-)
-from l3cli.report.photo import declared_from, photo_lead, photo_subsections, without_bands
-from l3cli.report.validation import validation_blocks
+from l3cli.report.parts import Block, Data, Details, Figure, Figures, Section, Subsection, Table, Text
+from l3cli.report.validation import BANDS, photo_lead, photo_subsections, table_of, validation_blocks
+from l3cli.system.text import counted, tidy, unit
 
-Array = NDArray[np.floating]
 CELL, WIDEST = 44, 104  # px, of a filter in the drawing of the array
 HEADROOM = 1.06  # above the curves, for their names
 LABELLED = 24  # letters of all channels' names that find room above the curves
@@ -37,18 +21,15 @@ NEARLY = 0.9  # of the variance that a line of photon transfer has: points below
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
     """Return the section of a camera model. `figures` is what `l3 calibrate --json` says of the camera, and under
     "shortfall" why not to trust it, if so; `name` is the file it comes from."""
-    light = colours.channel_light(camera.responsivity, camera.wavelength)
     parts = [
-        Subsection("Sensor and colour filter array", (Figures((array_figure(camera, light),)), _facts(camera))),
-        Subsection("Responsivities", (Figures(responsivity_figures(camera, light)),)),
-        Subsection("Noise", _noise_blocks(camera, figures, light)),
+        Subsection("Sensor and colour filter array", (Figures((array_figure(camera),)), _facts(camera))),
+        Subsection("Responsivities", (Figures(responsivity_figures(camera)),)),
+        Subsection("Noise", _noise_blocks(camera, figures)),
     ]
     if camera.fit is not None and camera.fit.photo is not None:
-        strokes = colours.strokes(light)
-        parts[2:2] = photo_subsections(camera, camera.fit.photo, figures, strokes, channel_keys(camera, strokes))
-    if camera.fit is not None:
-        blocks = validation_blocks(camera, camera.fit, figures, light)
-        parts += [Subsection("Validation", blocks)] if blocks else []
+        parts[2:2] = photo_subsections(camera, camera.fit.photo, figures)
+    if camera.fit is not None and (blocks := validation_blocks(camera, camera.fit, figures)):
+        parts.append(Subsection("Validation", blocks))
     doubt = f" It falls short: {figures['shortfall']}." if figures["shortfall"] else ""
     return Section(f"Camera: {camera.name}", f"{_lead(camera, figures)}{doubt} From {name}.", tuple(parts))
 
@@ -76,9 +57,10 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
 # ---------------------------------------------------------------------------------------------------------- array
 
 
-def array_figure(camera: CameraModel, light: Array) -> Figure:
-    """Return one period of the array; `light` is that of its channels (colours.channel_light)."""
+def array_figure(camera: CameraModel) -> Figure:
+    """Return one period of the array."""
     rows, cols = camera.cfa.shape
+    light = colours.channel_light(camera)
     wide = float(np.clip(GLYPH * max(map(len, camera.channels)) + 8, CELL, WIDEST))
     fits = round((wide - 8) / GLYPH)
     items = []
@@ -112,65 +94,68 @@ def _facts(camera: CameraModel) -> Table:
         ("Responsivity", "absolute, e⁻/photon" if camera.absolute else "relative, largest value 1"),
     ]
     if camera.declared:
-        rows.append((declared_from(camera).capitalize(), ", ".join(camera.declared)))
+        rows.append((_declared_from(camera).capitalize(), ", ".join(camera.declared)))
     return Table("Sensor and lens", ("quantity", "value"), tuple(rows))
+
+
+def _declared_from(camera: CameraModel) -> str:
+    """Return the origin of the figures that were not measured: photos leave dark frames' figures at 0."""
+    return "not measured, taken as 0" if "dark current" in camera.declared else "taken from the data sheet"
 
 
 # -------------------------------------------------------------------------------------------------- responsivities
 
 
-def responsivity_figures(camera: CameraModel, light: Array) -> tuple[Figure, ...]:
-    """Return the curves, and where they were measured their confidence bands; `light` as for `array_figure`."""
+def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
+    """Return the curves, and where they were measured their confidence bands."""
     label = "quantum efficiency (e⁻/photon)" if camera.absolute else "relative responsivity (1)"
-    strokes = colours.strokes(light)
     upper, measured = camera.responsivity + camera.responsivity_band, bool(camera.responsivity_band.any())
     plot = Plot(
         spanning("wavelength (nm)", camera.wavelength), spanning(label, [0.0, HEADROOM * float(upper.max())], zero=True)
     )
-    peaks = []
-    for channel, name in enumerate(camera.channels):
-        curve, half = camera.responsivity[channel], camera.responsivity_band[channel]
+    peaks, keys = [], colours.channel_keys(camera)
+    for key, curve, half in zip(keys, camera.responsivity, camera.responsivity_band, strict=True):
         peak = int(curve.argmax())
         if measured:
-            plot.band(camera.wavelength, np.maximum(curve - half, 0), curve + half, strokes[channel])
-        plot.line(camera.wavelength, curve, strokes[channel], mark_of(strokes, channel), series=name)
+            plot.band(camera.wavelength, np.maximum(curve - half, 0), curve + half, key.colour)
+        plot.line(camera.wavelength, curve, key.colour, key.mark, series=key.label)
         if sum(map(len, camera.channels)) <= LABELLED:
-            plot.label(float(camera.wavelength[peak]), float(curve[peak]), name)
-        peaks.append(f"{name} {tidy(float(curve[peak]))} at {tidy(float(camera.wavelength[peak]), 4)} nm")
-    finding = f"Peaks: {', '.join(peaks)}."
-    figures = [Figure("Responsivities", plot.svg(finding), finding, channel_keys(camera, strokes), data=plot.data())]
-    if measured:
-        figures.append(_band_figure(camera, strokes))
-    return tuple(figures)
+            plot.label(float(camera.wavelength[peak]), float(curve[peak]), key.label)
+        peaks.append(f"{key.label} {tidy(float(curve[peak]))} at {tidy(float(camera.wavelength[peak]), 4)} nm")
+    curves = plot.figure("Responsivities", f"Peaks: {', '.join(peaks)}.", keys)
+    return (curves, _band_figure(camera)) if measured else (curves,)
 
 
-def _band_figure(camera: CameraModel, strokes: tuple[str, ...]) -> Figure:
+def _band_figure(camera: CameraModel) -> Figure:
     """Return the half widths alone, since a good calibration's bands are thinner than its lines."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
-    for channel, name in enumerate(camera.channels):
-        plot.line(camera.wavelength, shares[channel], strokes[channel], mark_of(strokes, channel), series=name)
+    keys = colours.channel_keys(camera)
+    for key, share in zip(keys, shares, strict=True):
+        plot.line(camera.wavelength, share, key.colour, key.mark, series=key.label)
     medians = ", ".join(f"{name} {tidy(float(np.median(s)), 2)} %" for name, s in zip(camera.channels, shares, strict=True))
     finding = (
         f"Half width of the 95 % band as a share of the channel's peak, median over wavelengths: {medians}; "
         f"at most {tidy(shares.max(), 2)} %."
     )
-    return Figure("Confidence bands", plot.svg(finding), finding, channel_keys(camera, strokes), data=plot.data())
+    return plot.figure("Confidence bands", finding, keys)
 
 
 # ----------------------------------------------------------------------------------------------------------- noise
 
 
-def _noise_blocks(camera: CameraModel, figures: dict[str, Any], light: Array) -> tuple[Block, ...]:
+def _noise_blocks(camera: CameraModel, figures: dict[str, Any]) -> tuple[Block, ...]:
     rows = tuple(
         (name, f"{tidy(entry['value'], 5)} {unit(entry['unit'])}".strip()) for name, entry in figures["camera"].items()
     )
     blocks: list[Block] = []
     if camera.fit is not None and camera.fit.noise is not None:
-        blocks.append(Figures((_transfer_figure(camera, camera.fit.noise, light),)))
-    sheet_says = f"; {declared_from(camera)}: {', '.join(camera.declared)}" if camera.declared else ""
+        blocks.append(Figures((_transfer_figure(camera, camera.fit.noise),)))
+    sheet_says = f"; {_declared_from(camera)}: {', '.join(camera.declared)}" if camera.declared else ""
     blocks.append(Table(f"The camera in EMVA 1288 terms{sheet_says}", ("quantity", "value"), rows))
-    if others := without_bands(figures["channels"]):
+    rows_of_channels = figures["channels"].items()
+    others = {name: {title: value for title, value in row.items() if title not in BANDS} for name, row in rows_of_channels}
+    if any(others.values()):
         blocks.append(table_of("Figures of each channel", "channel", others))
     if figures["saturation reached"] is False:
         blocks.append(Text("No white frame saturates: the white level is taken to be the converter's last value."))
@@ -188,22 +173,18 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any], light: Array) ->
     return tuple(blocks)
 
 
-def _transfer_figure(camera: CameraModel, noise: NoiseFit, light: Array) -> Figure:
+def _transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     mean, variance = noise.photon_transfer_mean, noise.photon_transfer_variance
-    strokes = colours.strokes(light)
     plot = Plot(
         spanning("mean signal above black (DN)", mean, zero=True), spanning("temporal variance (DN²)", variance, zero=True)
     )
-    for channel, name in enumerate(camera.channels):
+    keys = colours.channel_keys(camera)
+    for channel, key in enumerate(keys):
         gain = float(noise.conversion_gain[channel])
         dark = (gain * float(noise.read_noise[channel])) ** 2 + 1 / 12
-        last = int(variance[:, channel].argmax())  # beyond it the channel saturates
-        end = float(mean[last, channel])
-        plot.line(
-            np.array([0.0, end]), np.array([dark, dark + gain * end]), strokes[channel], mark_of(strokes, channel), 1.2
-        )
-        mark = MARKS[mark_of(strokes, channel)]
-        plot.dots(mean[:, channel], variance[:, channel], strokes[channel], mark, series=name)
+        end = float(mean[int(variance[:, channel].argmax()), channel])  # beyond it the channel saturates
+        plot.line(np.array([0.0, end]), np.array([dark, dark + gain * end]), key.colour, key.mark, 1.2)
+        plot.dots(mean[:, channel], variance[:, channel], key.colour, colours.MARKS[key.mark], series=key.label)
     gains = ", ".join(
         f"{name} {tidy(float(k), 4)} ± {tidy(float(e), 2)}"
         for name, k, e in zip(camera.channels, noise.conversion_gain, noise.conversion_gain_error, strict=True)
@@ -212,5 +193,4 @@ def _transfer_figure(camera: CameraModel, noise: NoiseFit, light: Array) -> Figu
     full = int((variance < NEARLY * line).sum())
     finding = f"The slope is the system gain K in DN/e⁻: {gains}. Lines are K times signal plus dark variance."
     points = f"{counted(full, 'saturated point')}, of less variance, {'lies' if full == 1 else 'lie'} below them."
-    finding += f" {points}" if full else ""
-    return Figure("Photon transfer", plot.svg(finding), finding, channel_keys(camera, strokes), data=plot.data())
+    return plot.figure("Photon transfer", f"{finding} {points}" if full else finding, keys)

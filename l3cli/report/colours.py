@@ -1,30 +1,48 @@
-"""Colours of channels and chromaticities, from spectra and never from names."""
+"""Colours and marks of channels, and chromaticities: from spectra and never from names."""
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.physics import spectra
 from l3cli.physics.display import LUMA, srgb_codes, srgb_from_xyz_matrix, xyz_from_srgb_matrix
+from l3cli.report.parts import Key
 
 Array = NDArray[np.floating]
 LINE_LUMINANCE = 0.18  # contrast over 4 to white and to the dark page alike
-SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # the page's colours for what has no colour itself
+MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # of a line → of a point
+ALIKE = 170  # sum of sRGB differences below which two colours are easily taken for one another
 
 
-def channel_light(responsivity: Array, wavelength: Array) -> NDArray[np.float64]:
-    """Return linear sRGB (channel, 3), largest value 1, of the daylight that each channel (channel, wavelength) takes in.
-
-    Light of channels that see nothing visible is grey.
-    """
-    seen = responsivity * spectra.illuminant("D65", wavelength)
-    linear = np.maximum(seen @ spectra.xyz_weights(wavelength).T @ srgb_from_xyz_matrix().T, 0.0)
+def channel_light(camera: CameraModel) -> NDArray[np.float64]:
+    """Return linear sRGB (channel, 3), largest value 1, of the daylight that each channel takes in; grey where a channel
+    sees nothing visible."""
+    seen = camera.responsivity * spectra.illuminant("D65", camera.wavelength)
+    linear = np.maximum(seen @ spectra.xyz_weights(camera.wavelength).T @ srgb_from_xyz_matrix().T, 0.0)
     top = linear.max(axis=1, keepdims=True)
     return np.where(top > 0, linear / np.where(top > 0, top, 1.0), 0.5)
 
 
-def strokes(light: Array) -> tuple[str, ...]:
-    """Return the same hues at one luminance, to be distinct from white and from black paper."""
-    return tuple(hex_colour(_at_luminance(linear)) for linear in light)
+def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
+    """Return the key of each channel's line: its light at one luminance, distinct from white and from black paper, and of
+    channels of like colour the mark that fewest of those before have."""
+    keys: list[Key] = []
+    for name, linear in zip(camera.channels, channel_light(camera), strict=True):
+        stroke = hex_colour(_at_luminance(linear))
+        alike = [key.mark for key in keys if np.abs(_codes(key.colour) - _codes(stroke)).sum() < ALIKE]
+        keys.append(Key(name, stroke, min(MARKS, key=alike.count)))
+    return tuple(keys)
+
+
+def point_keys(camera: CameraModel) -> tuple[Key, ...]:
+    """Return the key of each channel's points."""
+    return tuple(replace(key, mark=MARKS[key.mark]) for key in channel_keys(camera))
+
+
+def _codes(colour: str) -> NDArray[np.int64]:
+    return np.array([int(colour[start : start + 2], 16) for start in (1, 3, 5)])
 
 
 def _at_luminance(linear: Array) -> Array:

@@ -2,21 +2,31 @@
 drawing suits light, dark and paper, and the same numbers give the same bytes. Coordinates are pixels, sheets 440 px wide."""
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
-from l3cli.report.labels import GLYPH, Places
-from l3cli.report.parts import Data, superscript
+from l3cli.report.parts import Data, Figure, Key
+from l3cli.system.text import superscript
 
 Array = NDArray[np.floating]
 WIDTH, HEIGHT = 440, 300
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44
 MARKS = {"dot": "h0", "plus": "m-3,0h6m-3,-3v6", "cross": "m-2.3,-2.3l4.6,4.6m0,-4.6l-4.6,4.6"}
 DASHES = {"line": "", "dashed": ' stroke-dasharray="6 4"', "dotted": ' stroke-dasharray="2 3"'}
+SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # the page's colours for what has no colour itself
+GLYPH = 6.8  # px, mean width of a 12 px letter
+WIDE = 7.7  # px, that of figures with a unit in a wide font
+ABOVE, BELOW = 10.0, 3.5  # of a line of text about its baseline
+CLEAR = 2.5  # between a label and what is drawn
+SAMPLED = 1.5  # along curves
+REACH = (5.0, 7.0, 10.0, 16.0, 24.0)  # of a label from its point
+SIDES = ((0, -1), (1, 0), (-1, 0), (0, 1), (1, -1), (-1, -1), (1, 1), (-1, 1))  # tried in this order
+ANCHORS = {0: "middle", 1: "start", -1: "end"}
+Place = tuple[float, float, str]  # x, y of the baseline, text-anchor
 
 
 @dataclass(frozen=True)
@@ -145,11 +155,36 @@ class Plot:
         self._labels.append((a, b, text))
         return self
 
-    def data(self) -> Data:
-        """Return the numbers of all series."""
-        return Data(("series", self._x.label, self._y.label), tuple(self._rows))
+    def curves(
+        self,
+        series: Mapping[str, tuple[Array, Array]],
+        marks: Sequence[str] = tuple(DASHES),
+        size: float = 6,
+        width: float = 2,
+    ) -> tuple[Key, ...]:
+        """Draw named series (x, y) in the page's colours, with dots of `size` where that is not 0; their keys."""
+        keys = []
+        styles = zip(itertools.cycle(SERIES), itertools.cycle(marks), series.items(), strict=False)
+        for colour, mark, (name, (x, y)) in styles:
+            if x.size:
+                self.line(x, y, colour, mark, width, series=None if size else name)
+                keys.append(Key(name, colour, mark))
+            if x.size and size:
+                self.dots(x, y, colour, size=size, series=name)
+        return tuple(keys)
 
-    def svg(self, finding: str) -> Markup:
+    def points(self, keys: Sequence[Key], x: Array, y: Array, used: NDArray[np.bool_]) -> None:
+        """Draw the points (…, channel) of each channel that are used."""
+        for channel, key in enumerate(keys):
+            here = used[..., channel]
+            self.dots(x[..., channel][here], y[..., channel][here], key.colour, key.mark, series=key.label)
+
+    def figure(self, title: str, finding: str, keys: tuple[Key, ...] = ()) -> Figure:
+        """Return the drawing as a figure, with the numbers of all series."""
+        data = Data(("series", self._x.label, self._y.label), tuple(self._rows))
+        return Figure(title, self._svg(finding), finding, keys, data=data)
+
+    def _svg(self, finding: str) -> Markup:
         """Return the drawing, which says `finding` to those who cannot see it."""
         width, height = self._inner
         drawn = "".join([*self._items, *self._placed_labels()])
@@ -188,11 +223,18 @@ class Plot:
             items.append(f'<path class="grid" d="M{LEFT},{at:.1f}H{LEFT + width}"/>')
             items.append(f'<text x="{LEFT - 6}" y="{at + 4:.1f}" text-anchor="end">{tick_text(value)}</text>')
         items.append(f'<path class="axis" d="M{LEFT},{TOP}V{bottom}H{LEFT + width}"/>')
-        centre, middle = LEFT + width / 2, TOP + height / 2
-        items.append(f'<text x="{centre:.0f}" y="{bottom + 36}" text-anchor="middle">{escape(self._x.label)}</text>')
-        turned = f'transform="rotate(-90 13 {middle:.0f})"'
-        items.append(f'<text x="13" y="{middle:.0f}" text-anchor="middle" {turned}>{escape(self._y.label)}</text>')
-        return "".join(items)
+        return "".join(items) + _axis_labels(
+            self._x.label, self._y.label, LEFT + width / 2, f"{bottom + 36}", TOP + height / 2
+        )
+
+
+def _axis_labels(x_label: str, y_label: str, centre: float, below: str, middle: float) -> str:
+    """Draw the names of both axes, about `centre` and `middle`."""
+    turned = f'transform="rotate(-90 13 {middle:.0f})"'
+    return (
+        f'<text x="{centre:.0f}" y="{below}" text-anchor="middle">{escape(x_label)}</text>'
+        f'<text x="13" y="{middle:.0f}" text-anchor="middle" {turned}>{escape(y_label)}</text>'
+    )
 
 
 def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bool = False) -> Markup:
@@ -236,8 +278,63 @@ def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: st
     for index in range(0, len(columns), every):
         x = left + (index + 0.5) * width
         items.append(f'<text x="{x:.1f}" y="{bottom + 15:.1f}" text-anchor="middle">{escape(columns[index])}</text>')
-    centre, middle = (left + WIDTH - RIGHT) / 2, (TOP + bottom) / 2
-    items.append(f'<text x="{centre:.0f}" y="{bottom + 34:.1f}" text-anchor="middle">{escape(x_label)}</text>')
-    turned = f'transform="rotate(-90 13 {middle:.0f})"'
-    items.append(f'<text x="13" y="{middle:.0f}" text-anchor="middle" {turned}>{escape(y_label)}</text>')
+    items.append(_axis_labels(x_label, y_label, (left + WIDTH - RIGHT) / 2, f"{bottom + 34:.1f}", (TOP + bottom) / 2))
     return sheet(WIDTH, round(bottom + BOTTOM - 2), "".join(items), finding)
+
+
+# ---------------------------------------------------------------------------------------------------------- labels
+
+
+class Places:
+    """A plot of `width` × `height` pixels that fills with curves, dots and labels."""
+
+    def __init__(self, width: float, height: float) -> None:
+        self._width, self._height = width, height
+        self._taken: list[Array] = []  # points (point, 2)
+
+    def take(self, points: list[tuple[float, float]], joined: bool) -> None:
+        """Note points that are drawn, `joined`: with straight lines between them."""
+        array = np.asarray(points, np.float64).reshape(-1, 2)
+        if joined and len(array) > 1:
+            array = np.concatenate([_between(start, end) for start, end in itertools.pairwise(array)])
+        self._taken.append(array)
+
+    def place(self, x: float, y: float, text: str) -> Place | None:
+        """Return the free place for `text` nearest to the point, and take it; None if none is near."""
+        for reach in REACH:
+            for across, down in SIDES:
+                left, top = self._corner(x, y, text, across * reach, down * reach)
+                box = (left, top, left + WIDE * len(text), top + ABOVE + BELOW)
+                if self._free(box):
+                    self._take_box(box)
+                    at = {0: (box[0] + box[2]) / 2, 1: box[0], -1: box[2]}[across]
+                    return at, top + ABOVE, ANCHORS[across]
+        return None
+
+    def _corner(self, x: float, y: float, text: str, across: float, down: float) -> tuple[float, float]:
+        """Return the upper left corner of a label that lies so far beside and below its point."""
+        width, height = WIDE * len(text), ABOVE + BELOW
+        left = x - width / 2 if across == 0 else x + across - (width if across < 0 else 0)
+        top = y - height / 2 if down == 0 else y + down - (height if down < 0 else 0)
+        return left, top
+
+    def _free(self, box: tuple[float, float, float, float]) -> bool:
+        left, top, right, bottom = box
+        if min(left, top) < 0 or right > self._width or bottom > self._height - 1:
+            return False
+        for points in self._taken:
+            x, y = points.T
+            inside = (x > left - CLEAR) & (x < right + CLEAR) & (y > top - CLEAR) & (y < bottom + CLEAR)
+            if inside.any():
+                return False
+        return True
+
+    def _take_box(self, box: tuple[float, float, float, float]) -> None:
+        left, top, right, bottom = box
+        x, y = np.meshgrid(np.arange(left, right + SAMPLED, SAMPLED), np.arange(top, bottom + SAMPLED, SAMPLED))
+        self._taken.append(np.stack([x.ravel(), y.ravel()], axis=1))
+
+
+def _between(start: Array, end: Array) -> Array:
+    count = int(np.ceil(np.hypot(*(end - start)) / SAMPLED)) + 1
+    return start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)

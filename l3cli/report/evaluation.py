@@ -1,25 +1,14 @@
-"""An evaluation as a section: figures, curves over light level, and some frames."""
+"""An evaluation: the beginning of a page with its pictures and verdict, and a section of figures over lights and classes."""
 
-import itertools
 from typing import Any
 
 import numpy as np
 
 from l3cli.classes.names import further_headings, heading
-from l3cli.report.colours import SERIES
 from l3cli.report.drawing import Plot, spanning
-from l3cli.report.parts import (
-    Block,
-    Figure,
-    Figures,
-    Key,
-    Section,
-    Subsection,
-    Table,
-    Text,
-    counted,
-    tidy,
-)
+from l3cli.report.parts import Block, Comparison, Figure, Figures, Front, Key, Picture, Section, Subsection, Table, Text
+from l3cli.report.pictures import Jpeg, Pixels, fitted
+from l3cli.system.text import counted, tidy
 from l3cli.system.text import figure as number
 
 OURS = "ours"
@@ -46,18 +35,26 @@ BAND_MEANINGS = (
     "being the 99th percentile of the target's mean output; SSIM is the mean over the outputs."
 )
 
+ERROR_KEY = (  # of the error map's colours, as evaluation draws them
+    Key("error map: ΔE00 0", "#000000", "box"),
+    Key("2.5", "#460a6e", "box"),
+    Key("5", "#be285a", "box"),
+    Key("7.5", "#f58c1e", "box"),
+    Key("10 and more", "#ffffff", "box"),
+)
+SEEN = 3  # frames shown of an evaluation: the middle, the worst, the best
+Pictures = dict[int, dict[str, Pixels]]  # of some frames by index
+
 
 def evaluation_section(document: dict[str, Any], names: tuple[str, str]) -> Section:
     """Return the section of an evaluation. `document` is that of `l3 evaluate --json`, `names` the files of table and
     frames."""
-    figure = next(iter(document["frames"][0][OURS]))
-    parts = [
-        Subsection("Quality", _quality_blocks(document, figure)),
-        Subsection("Over light level", _level_blocks(document, figure)),
-    ]
-    parts.append(Subsection("By class", _class_blocks(document, figure)))
-    title = f"Evaluation: {names[0]} on {names[1]}" if all(names) else f"Evaluation: {names[0] or names[1]}"
-    return Section(title, summary(document), tuple(parts))
+    parts = (
+        Subsection("Quality", _quality_blocks(document)),
+        Subsection("Over light level", _level_blocks(document)),
+        Subsection("By class", _class_blocks(document)),
+    )
+    return Section(f"Evaluation: {names[0]} on {names[1]}", summary(document), parts)
 
 
 def luminance_section(
@@ -70,33 +67,29 @@ def luminance_section(
         heading = NAMES.get(figure, figure)
         x = spanning("luminance of a perfect white (cd/m²)", cameras[0][1], log=True)
         plot = Plot(x, spanning(heading, [value for _, _, values in cameras for value in values]))
-        keys = []
-        for colour, (name, luminance, value) in zip(itertools.cycle(SERIES), cameras, strict=False):
-            plot.line(np.array(luminance), np.array(value), colour).dots(
-                np.array(luminance), np.array(value), colour, series=name
-            )
-            keys.append(Key(name, colour))
+        series = {name: (np.array(luminance), np.array(value)) for name, luminance, value in cameras}
+        keys = plot.curves(series, marks=("line",), size=5)
         finding = " ".join(sentences[figure]) or f"{heading} of {cameras[0][0]}."
         rows = tuple(
             (tidy(luminance), *(tidy(values[index]) for _, _, values in cameras))
             for index, luminance in enumerate(cameras[0][1])
         )
         table = Table(heading, ("cd/m²", *(name for name, _, _ in cameras)), rows)
-        parts.append(
-            Subsection(
-                heading, (Figures((Figure(heading, plot.svg(finding), finding, tuple(keys), data=plot.data()),)), table)
-            )
-        )
+        parts.append(Subsection(heading, (Figures((plot.figure(heading, finding, keys),)), table)))
     return Section("Over the light on the scene", "Means over all frames of one luminance.", tuple(parts))
+
+
+def main_of(document: dict[str, Any]) -> str:
+    """Return the figure that decides."""
+    return str(next(iter(document["frames"][0][OURS])))
 
 
 def summary(document: dict[str, Any]) -> str:
     """Return the evaluation in a sentence."""
-    figure = next(iter(document["frames"][0][OURS]))
-    count = len(document["frames"])
+    figure = main_of(document)
     means = ", ".join(f"{name} {main_figure(document['mean'][name], figure)}" for name in document["pipelines"])
     name = NAMES[figure]
-    return f"{name[0].upper()}{name[1:]} over {counted(count, 'frame')}: {means}."
+    return f"{name[0].upper()}{name[1:]} over {counted(len(document['frames']), 'frame')}: {means}."
 
 
 def main_figure(figures: dict[str, float], figure: str) -> str:
@@ -104,73 +97,61 @@ def main_figure(figures: dict[str, float], figure: str) -> str:
     return figure_text(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
 
 
-def _quality_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
-    figures = tuple(document["frames"][0][OURS])
+def _quality_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
+    figure, figures = main_of(document), tuple(document["frames"][0][OURS])
     headings = ("pipeline", *(NAMES[name] for name in figures))
-    means = tuple((name, *(figure_text(f, document["mean"][name][f]) for f in figures)) for name in document["pipelines"])
-    blocks: list[Block] = [Table("Means over the frames", headings, means)]
-    blocks.append(Text(MEANINGS if figure == "mean_delta_e" else BAND_MEANINGS))
+    means = tuple((name, *_texts(document["mean"][name], figures)) for name in document["pipelines"])
     baselines = document["pipelines"][1:]
     about = ("frame", "scene", "light", "level (share of full scale)")
     rows = tuple(
-        (str(index + 1), f["scene"], f["illuminant"], f"{f['level']:.3f}", *(figure_text(n, f[OURS][n]) for n in figures))
+        (str(index + 1), f["scene"], f["illuminant"], f"{f['level']:.3f}", *_texts(f[OURS], figures))
         + tuple(figure_text(figure, f[baseline][figure]) for baseline in baselines)
         for index, f in enumerate(document["frames"])
     )
     heads = (*about, *(NAMES[name] for name in figures), *(f"{baseline}: {NAMES[figure]}" for baseline in baselines))
-    blocks.append(Table("Frames", heads, rows))
+    blocks: list[Block] = [
+        Table("Means over the frames", headings, means),
+        Text(MEANINGS if figure == "mean_delta_e" else BAND_MEANINGS),
+        Table("Frames", heads, rows),
+    ]
     if document["by_band"]:
-        blocks.append(_band_table(document))
-    if len(document["by_illuminant"]) > 1:
-        blocks.append(
-            _grouped(
-                document,
-                "By illuminant",
-                "illuminant",
-                [g["illuminant"] for g in document["by_illuminant"]],
-                "by_illuminant",
-            )
+        shown = [(owner, name) for name in ("psnr", "output_psnr", "ssim") for owner in document["pipelines"]]
+        bands = tuple(
+            (each["band"], *(figure_text(name, each[owner][name]) for owner, name in shown)) for each in document["by_band"]
         )
+        blocks.append(Table("By band", ("band", *(f"{owner}: {NAMES[name]}" for owner, name in shown)), bands))
+    if len(groups := document["by_illuminant"]) > 1:
+        blocks.append(_grouped(document, "By illuminant", "illuminant", "frames", [(g["illuminant"], g) for g in groups]))
     return tuple(blocks)
 
 
-def _band_table(document: dict[str, Any]) -> Table:
-    shown = [(owner, figure) for figure in ("psnr", "output_psnr", "ssim") for owner in document["pipelines"]]
+def _texts(values: dict[str, float], figures: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(figure_text(figure, values[figure]) for figure in figures)
+
+
+def _grouped(
+    document: dict[str, Any], caption: str, heading: str, counts: str, entries: list[tuple[str, dict[str, Any]]]
+) -> Table:
+    """Return the main figure of every pipeline in groups of `counts`, frames or pixels."""
+    figure, owners = main_of(document), document["pipelines"]
     rows = tuple(
-        (entry["band"], *(figure_text(figure, entry[owner][figure]) for owner, figure in shown))
-        for entry in document["by_band"]
+        (name, str(of[counts]), *(figure_text(figure, of[owner][figure]) for owner in owners)) for name, of in entries
     )
-    return Table("By band", ("band", *(f"{owner}: {NAMES[figure]}" for owner, figure in shown)), rows)
+    return Table(caption, (heading, counts, *(f"{owner}: {NAMES[figure]}" for owner in owners)), rows)
 
 
-def _grouped(document: dict[str, Any], caption: str, heading: str, names: list[str], group: str) -> Table:
-    figure = next(iter(document["frames"][0][OURS]))
-    heads = (heading, "frames", *(f"{owner}: {NAMES[figure]}" for owner in document["pipelines"]))
-    rows = tuple(
-        (name, str(g["frames"]), *(figure_text(figure, g[owner][figure]) for owner in document["pipelines"]))
-        for name, g in zip(names, document[group], strict=True)
-    )
-    return Table(caption, heads, rows)
-
-
-def _level_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
+def _level_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
     figures: list[Figure] = []
-    blocks: list[Block] = []
-    classes = document["by_class"].get("level", [])
+    classes, groups = document["by_class"].get("level", []), document["by_level"]
     if len(classes) > 1:
-        at = level_middles(classes)
-        figures.append(
-            _curves(document, figure, classes, at, "Error over the class's level", "level of the pixel's neighbourhood")
-        )
-    groups = document["by_level"]
+        title, label = "Error over the class's level", "level of the pixel's neighbourhood"
+        figures.append(_curves(document, classes, level_middles(classes), title, label))
     if len(groups) > 1:
         at = np.array([np.sqrt(group["from"] * group["to"]) for group in groups])
-        figures.append(_curves(document, figure, groups, at, "Error over the frame's level", "mean level of the frame"))
-    if figures:
-        blocks.append(Figures(tuple(figures)))
-    names = [f"{g['from']:.3f}–{g['to']:.3f}" for g in groups]
-    blocks.append(_grouped(document, "By the frame's level (share of full scale)", "level", names, "by_level"))
-    return tuple(blocks)
+        figures.append(_curves(document, groups, at, "Error over the frame's level", "mean level of the frame"))
+    entries = [(f"{g['from']:.3f}–{g['to']:.3f}", g) for g in groups]
+    table = _grouped(document, "By the frame's level (share of full scale)", "level", "frames", entries)
+    return (Figures(tuple(figures)), table) if figures else (table,)
 
 
 def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
@@ -178,42 +159,31 @@ def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
     return np.array([np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]) for entry in entries])
 
 
-def _curves(document: dict[str, Any], figure: str, entries: list, at: np.ndarray, title: str, label: str) -> Figure:
+def _curves(document: dict[str, Any], entries: list[dict[str, Any]], at: np.ndarray, title: str, label: str) -> Figure:
+    figure = main_of(document)
     values = {name: np.array([entry[name][figure] for entry in entries]) for name in document["pipelines"]}
     everything = np.concatenate(list(values.values()))
     plot = Plot(spanning(f"{label} (share of full scale)", at, log=True), spanning(NAMES[figure], everything, zero=True))
-    keys = []
-    for index, (name, curve) in enumerate(values.items()):
-        colour, mark = SERIES[index % len(SERIES)], ("line", "dashed", "dotted", "dashed")[index % 4]
-        plot.line(at, curve, colour, mark).dots(at, curve, colour, size=6, series=name)
-        keys.append(Key(name, colour, mark))
+    keys = plot.curves({name: (at, curve) for name, curve in values.items()}, ("line", "dashed", "dotted", "dashed"))
     values_text = "; ".join(
         f"{name} {figure_text(figure, curve[0])} at level {tidy(at[0], 2)}, "
         f"{figure_text(figure, curve[-1])} at {tidy(at[-1], 2)}, at most {figure_text(figure, curve.max())}"
         for name, curve in values.items()
     )
-    finding = f"{NAMES[figure]}: {values_text}."
-    return Figure(title, plot.svg(finding), finding, tuple(keys), data=plot.data())
+    return plot.figure(title, f"{NAMES[figure]}: {values_text}.", keys)
 
 
-def _class_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
-    heads = ("pixels", *(f"{owner}: {NAMES[figure]}" for owner in document["pipelines"]))
-
-    def cells(entry: dict[str, Any]) -> tuple[str, ...]:
-        return (str(entry["pixels"]), *(figure_text(figure, entry[owner][figure]) for owner in document["pipelines"]))
-
-    tables = []
-    for axis, entries in document["by_class"].items():
-        if axis != "level" and len(entries) > 1:
-            tables.append(Table(f"By {axis}", (axis, *heads), tuple((heading(axis, e), *cells(e)) for e in entries)))
-    worst = tuple(
-        (
-            ", ".join([f"level {e['from']:.3g}–{e['to']:.3g}, contrast {e['contrast']}", *further_headings(e), _kind(e)]),
-            *cells(e),
-        )
+def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
+    tables = [
+        _grouped(document, f"By {axis}", axis, "pixels", [(heading(axis, entry), entry) for entry in entries])
+        for axis, entries in document["by_class"].items()
+        if axis != "level" and len(entries) > 1
+    ]
+    worst = [
+        (", ".join([f"level {e['from']:.3g}–{e['to']:.3g}, contrast {e['contrast']}", *further_headings(e), _kind(e)]), e)
         for e in document["worst_classes"]
-    )
-    return (*tables, Table("Worst classes", ("class", *heads), worst))
+    ]
+    return (*tables, _grouped(document, "Worst classes", "class", "pixels", worst))
 
 
 def _kind(entry: dict[str, Any]) -> str:
@@ -223,3 +193,90 @@ def _kind(entry: dict[str, Any]) -> str:
 def figure_text(figure: str, value: float) -> str:
     """Return a figure of quality as text, without its unit."""
     return number(value, ".4f" if figure == "ssim" else ".2f")
+
+
+# ------------------------------------------------------------------------------------------------ beginning of a page
+
+
+def shown_frames(document: dict[str, Any]) -> list[int]:
+    """Return the indices of the frames worth showing, by the main figure of ours: the middle one first, then the others of a
+    few, else the worst and the best."""
+    frames = document["frames"]
+    figure = main_of(document)
+    order = np.argsort([-frame[OURS][figure] for frame in frames], kind="stable").tolist()
+    middle = order.pop(len(order) // 2)
+    return [middle, *(order if len(order) < SEEN else (order[0], order[-1]))]
+
+
+def front_section(
+    document: dict[str, Any], pictures: Pictures, title: str, anchor: str, limit: int, jpeg: Jpeg,
+    below: tuple[Subsection, ...],
+) -> Section:  # fmt: skip
+    """Return the first section of a page. `document` is that of `l3 evaluate --json`, `pictures` those of the frames of
+    `shown_frames` in that order, of which `limit` bytes is what they may take; `below` is shown after the first of them."""
+    count, figure = len(document["frames"]), main_of(document)
+    each = limit // sum(len(frame) for frame in pictures.values())
+    comparisons = [_comparison(document, index, names, anchor, each, jpeg) for index, names in pictures.items()]
+    over = "" if count == 1 else f", mean over {counted(count, 'frame')}"
+    meaning = f"{NAMES[figure]} of ours{over}. A ΔE00 of 1 is just visible."
+    pipelines = document["pipelines"]
+    rows = tuple(
+        (NAMES[name], *(figure_text(name, document["mean"][owner][name]) for owner in pipelines))
+        for name in document["frames"][0][OURS]
+    )
+    table = Table("Figures" if count == 1 else "Means over the frames", ("figure", *pipelines), rows)
+    score = figure_text(figure, document["mean"][OURS][figure])
+    parts = [Subsection("Ours beside the ideal", (Front(comparisons[0], score, meaning, verdict(document), table),)), *below]
+    if comparisons[1:]:
+        title_of_others = "The worst and the best frame" if count > SEEN else "Other frames"
+        parts.append(Subsection(title_of_others, tuple(comparisons[1:])))
+    which = "" if count == 1 else f"The first is, of {count} frames, the one of median {NAMES[figure]}."
+    return Section(title, which, tuple(parts))
+
+
+def verdict(document: dict[str, Any]) -> str:
+    """Return the pipeline that is nearer to the ideal, in words."""
+    count, figure = len(document["frames"]), main_of(document)
+    sentences = []
+    for baseline, wins in document["better"].items():
+        lost = [NAMES[name] for name, won in wins.items() if 2 * won <= count]
+        if all(won == count for won in wins.values()):
+            often = ", in every frame" if count > 1 else ""
+            sentences.append(f"Ours is nearer to the ideal than {baseline} by every figure{often}.")
+        elif 2 * wins[figure] > count:
+            but = f", not by {', '.join(lost)}" if lost else ""
+            by = _in_frames(figure, wins[figure], count)
+            sentences.append(f"Ours is nearer to the ideal than {baseline} by {by}{but}.")
+        else:
+            worse = count - wins[figure]
+            sentences.append(f"Ours is not nearer to the ideal than {baseline} by {_in_frames(figure, worse, count)}.")
+    return " ".join(sentences)
+
+
+def _in_frames(figure: str, won: int, count: int) -> str:
+    return NAMES[figure] + (f" in {won} of {count} frames" if count > 1 else "")
+
+
+def _comparison(
+    document: dict[str, Any], index: int, pictures: dict[str, Pixels], anchor: str, limit: int, jpeg: Jpeg
+) -> Comparison:
+    frame = document["frames"][index]
+    title = f"Frame {index + 1}: {frame['scene']}, {frame['illuminant']}, level {frame['level']:.3f}"
+    ordered = sorted(pictures, key=lambda name: (name != OURS, name != "ideal", name == "error"))
+    made = tuple(_picture(frame, name, pictures[name], main_of(document), limit, jpeg) for name in ordered)
+    size = next(iter(pictures.values())).shape[:2]
+    return Comparison(f"{anchor}-{index}", title, made, ERROR_KEY, (size[0], size[1]))
+
+
+def _picture(frame: dict[str, Any], name: str, pixels: Pixels, figure: str, limit: int, jpeg: Jpeg) -> Picture:
+    uri, (rows, cols) = fitted(pixels, limit, jpeg)
+    scale = pixels.shape[0] // rows
+    reduced = f", shown at 1/{scale} of its size" if scale > 1 else ""
+    if name == "ideal":
+        shows = "the target"
+    elif name == "error":
+        shows = f"ΔE00 of ours at every pixel, mean {figure_text(figure, frame[OURS][figure])}"
+    else:
+        shows = f"{NAMES[figure]} {main_figure(frame[name], figure)}"
+    caption = f"{name}: {shows}{reduced}"
+    return Picture(uri, rows, cols, caption, f"{frame['scene']}, {caption}")

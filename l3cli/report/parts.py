@@ -1,6 +1,5 @@
 """Parts of a report as plain data: sections of tables, figures and pictures. page.html lays them out."""
 
-import math
 import re
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -160,35 +159,3 @@ class Section:
     title: str
     lead: str
     parts: tuple[Subsection, ...] = field(default=())
-
-
-def tidy(value: float, digits: int = 3) -> str:
-    """Return a number to so many significant digits, without exponent where it can be read without; a dash where there is
-    none."""
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞" if value > 0 else "−∞"
-    if value == 0:
-        return "0"
-    if not 1e-4 <= abs(value) < 1e5:
-        mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
-        return f"{mantissa}×10{superscript(int(exponent))}".replace("-", "−")
-    rounded = float(f"{value:.{digits - 1}e}")
-    text = f"{rounded:.10f}".rstrip("0").rstrip(".")
-    return text.replace("-", "−")
-
-
-def superscript(number: int) -> str:
-    """Return an integer as an exponent is written."""
-    return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-
-
-def counted(number: int, what: str) -> str:
-    """Return a number and what it counts, such as "1 frame" or "2 frames"."""
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
-def unit(text: str) -> str:
-    """Return a unit as ASCII artifacts write it, as print does."""
-    return text.replace("e-", "e⁻").replace("m^2", "m²").replace("^2", "²")

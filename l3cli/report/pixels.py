@@ -16,6 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.names import class_words, plane_class_words
+from l3cli.report.colours import channel_light, hex_colour
 from l3cli.report.parts import Picture, PixelPicker
 from l3cli.report.pictures import Jpeg, Pixels
 
@@ -24,6 +29,7 @@ SIZES = ((192, 256), (144, 192), (96, 128), (72, 96), (48, 64), (24, 32))  # row
 QUALITY = 95  # of the crop's pictures
 PLACES = 8  # of crops along each side of a frame
 STEPS = 127  # of the square root of a weight's share of the largest
+PLANES = ("X − aY", "Y", "Z − bY")  # that later layers read
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,70 @@ class Sites:
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
     channels: tuple[str, ...]
     colours: tuple[str, ...]  # CSS, (channel)
+
+
+def crop_of(
+    table: TransformTable, camera: CameraModel, labels: list[NDArray[np.integer]], limit: int, more: int = 0
+) -> tuple[Crop, str]:
+    """Return the crop of most classes, and it packed as text: the largest of SIZES that takes at most `limit` letters, else
+    the smallest; then the table's other classes, the most frequent first, in at most `more` letters. `labels` (row, col)
+    are the classes of the frame in each layer."""
+    sites = Sites(table.cfa, table.channels, tuple(hex_colour(each) for each in channel_light(camera)))
+    for size in SIZES:
+        corner = richest(labels[0], size)
+        here = tuple(slice(start, start + length) for start, length in zip(corner, size, strict=True))
+        crop = _crop(table, labels, here)
+        text = packed(crop, sites, table.outputs)
+        if len(text) <= limit:
+            break
+    for others in ("all", "frame"):
+        left = len(text) + more - len(packed(_crop(table, labels, here, others), sites, table.outputs))
+        if left >= 0:
+            crop = _crop(table, labels, here, others, left // len(labels))
+            return crop, packed(crop, sites, table.outputs)
+    return crop, text
+
+
+def _crop(
+    table: TransformTable,
+    labels: list[NDArray[np.integer]],
+    here: tuple[slice, ...],
+    others: str = "none",
+    letters: int = 0,
+) -> Crop:
+    """Return part of a frame, with the classes that do not occur there, those of most pixels of the frame first: "none",
+    those of the "frame" or "all", with as many of their weights as `letters` for each layer hold."""
+    layers = []
+    for layer, of in zip(table.layers, labels, strict=True):
+        side, planes = (layer.rule.patch, ("mosaic",)) if isinstance(layer, MosaicLayer) else (layer.side, PLANES)
+        taps = side**2 * len(planes)
+        pixels = np.bincount(of.ravel(), minlength=len(layer.weights))
+        seen, indices = np.unique(of[here], return_inverse=True)
+        order = np.argsort(-pixels, kind="stable")
+        order = order[~np.isin(order, seen) & ((others == "all") | (pixels[order] > 0) & (others == "frame"))]
+        room = letters * 3 // 4 // (layer.weights.shape[1] * (taps + 4))  # weights are hardly deflated
+        classes = np.concatenate([seen, order])
+        layers.append(
+            Layer(
+                side=side,
+                planes=planes,
+                labels=indices.reshape(of[here].shape),
+                words=tuple(_words(table, layer, index) for index in classes.tolist()),
+                patches=layer.samples[classes],
+                pixels=pixels[classes],
+                weights=layer.weights[classes[: len(seen) + room], :, :taps],
+            )
+        )
+    return Crop((here[0].start, here[1].start), labels[0].shape, tuple(layers))
+
+
+def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer, index: int) -> dict[str, str]:
+    row, col = divmod(layer.rule.split(index).site, table.cfa.shape[1])
+    return {
+        "class": f"{index} of {len(layer.weights)}",
+        "site": f"({row}, {col}) {table.channels[table.cfa[row, col]]}",
+        **(class_words(table, index) if isinstance(layer, MosaicLayer) else plane_class_words(table, layer, index)),
+    }
 
 
 def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, int]:

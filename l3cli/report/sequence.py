@@ -1,14 +1,13 @@
 """Rendered sequences as a section: noise, flicker and errors over their frames."""
 
-import itertools
 from typing import Any
 
 import numpy as np
 
-from l3cli.report.colours import SERIES
 from l3cli.report.drawing import Plot, spanning
-from l3cli.report.parts import Figure, Figures, Key, Section, Subsection, Table, Text, tidy
+from l3cli.report.parts import Figure, Figures, Section, Subsection, Table, Text
 from l3cli.system.text import figure as number
+from l3cli.system.text import tidy
 
 Documents = dict[str, dict[str, Any]]  # by the name of its file what `l3 evaluate --sequence` printed as JSON
 WHOLE = {  # of a sequence: heading with unit
@@ -81,15 +80,14 @@ def _curves(documents: Documents, figure: str) -> Figure:
     series = {name: _series(document, figure) for name, document in documents.items()}
     longest = max(float(at.max(initial=1.0)) for at, _ in series.values())
     y = spanning(label, np.concatenate([values for _, values in series.values()]), zero=zero)
-    plot, keys, said = Plot(spanning("frame", [0.0, longest]), y), [], []
-    styles = zip(itertools.cycle(SERIES), itertools.cycle(("line", "dashed", "dotted")), series.items(), strict=False)
-    for colour, mark, (name, (at, values)) in styles:
-        if values.size:
-            plot.line(at, values, colour, mark, 1.6, series=name)
-            keys.append(Key(name, colour, mark))
-            said.append(f"{name} {tidy(values.min())} to {tidy(values.max())}, mean {tidy(values.mean())}")
-    finding = f"{label}: {'; '.join(said)}."
-    return Figure(title, plot.svg(finding), finding, tuple(keys), data=plot.data())
+    plot = Plot(spanning("frame", [0.0, longest]), y)
+    keys = plot.curves(series, size=0, width=1.6)
+    said = (
+        f"{name} {tidy(values.min())} to {tidy(values.max())}, mean {tidy(values.mean())}"
+        for name, (_, values) in series.items()
+        if values.size
+    )
+    return plot.figure(title, f"{label}: {'; '.join(said)}.", keys)
 
 
 def _series(document: dict[str, Any], figure: str) -> tuple[np.ndarray, np.ndarray]:

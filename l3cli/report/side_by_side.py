@@ -1,7 +1,6 @@
 """Tables side by side, of one or several arrays: the same frame, their figures, their errors over light level."""
 
-import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,24 +9,11 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import equal
 from l3cli.frames.scene import shown_alike
 from l3cli.report.camera import array_figure, responsivity_figures
-from l3cli.report.colours import SERIES, channel_light
 from l3cli.report.drawing import Plot, spanning
-from l3cli.report.evaluation import NAMES, OURS, figure_text, level_middles
-from l3cli.report.parts import (
-    Block,
-    Comparison,
-    Figure,
-    Figures,
-    Gallery,
-    Key,
-    Picture,
-    Section,
-    Subsection,
-    Table,
-    Text,
-    counted,
-)
+from l3cli.report.evaluation import NAMES, OURS, figure_text, level_middles, main_of
+from l3cli.report.parts import Block, Comparison, Figure, Figures, Gallery, Picture, Section, Subsection, Table, Text
 from l3cli.report.pictures import Jpeg, Pixels, fitted
+from l3cli.system.text import counted
 
 CAVEAT = "Scenes and lights are the same; each camera exposes them as its own training set says."
 UNKNOWN = "Scenes and lights have the same names; frames of older versions, and real ones, do not say what they show."
@@ -78,7 +64,7 @@ def _one_scene(shown: list[Any]) -> bool:
 def shared_frame(sides: list[Side]) -> list[int] | None:
     """Return the number in each side of the frame that all sides have, of several the one of median quality in the first
     side; None if there is none, or if the outputs are no pictures."""
-    figures = {_main(side) for side in sides}
+    figures = {main_of(side.document) for side in sides}
     places = shared_places(sides)
     if figures != {"mean_delta_e"} or not places:
         return None
@@ -101,10 +87,6 @@ def side_by_side_section(sides: list[Side], pictures: list[dict[str, Pixels]], l
     return Section("Side by side", _verdict(sides, shared), tuple(parts))
 
 
-def _main(side: Side) -> str:
-    return str(next(iter(side.document["frames"][0][OURS])))
-
-
 def _frames(side: Side, places: list[Place]) -> list[dict[str, Any]]:
     """Return the figures of the frames that show `places`; of all frames if there are none."""
     frames = side.document["frames"]
@@ -116,13 +98,13 @@ def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float:
 
 
 def _verdict(sides: list[Side], shared: list[Place]) -> str:
-    if len({_main(side) for side in sides}) > 1:
+    if len({main_of(side.document) for side in sides}) > 1:
         return "The tables have different outputs: their figures are not comparable."
     others = len(_alike(sides)) - len(shared)
     if not shared:
         cause = f" ({OTHERS})" if others else ""
         return f"The tables were evaluated on different frames{cause}: their figures are not comparable."
-    figure = _main(sides[0])
+    figure = main_of(sides[0].document)
     ranked = sorted(sides, key=lambda side: _mean(side, shared, OURS, figure))
     values = ", ".join(f"{_title(side, sides)} {figure_text(figure, _mean(side, shared, OURS, figure))}" for side in ranked)
     errors = np.array([[frame[OURS][figure] for frame in _frames(side, shared)] for side in ranked])
@@ -144,30 +126,27 @@ def _title(side: Side, sides: list[Side]) -> str:
 
 def _frame_block(sides: list[Side], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
     """Show ours of every side and the ideal: one upon another if they are of one size."""
-    shown = {_title(side, sides): of[OURS] for side, of in zip(sides, pictures, strict=True)}
-    shown["ideal"] = pictures[0]["ideal"]
     index = shared_frame(sides)
     assert index is not None
-    frames = {_title(side, sides): side.document["frames"][at] for side, at in zip(sides, index, strict=True)}
-    first = frames[_title(sides[0], sides)]
+    frames = [side.document["frames"][at] for side, at in zip(sides, index, strict=True)]
+    shown = [
+        (_title(side, sides), of[OURS], f"mean ΔE00 {frame[OURS]['mean_delta_e']:.2f}")
+        for side, of, frame in zip(sides, pictures, frames, strict=True)
+    ]
+    shown.append(("ideal", pictures[0]["ideal"], "the target"))
     made = []
-    for name, pixels in shown.items():
-        uri, (rows, cols) = fitted(pixels, limit // len(shown), jpeg)
-        says = f"mean ΔE00 {frames[name][OURS]['mean_delta_e']:.2f}" if name in frames else "the target"
-        made.append(
-            Picture(uri, rows, cols, f"{name}: {says}", f"{frames[_title(sides[0], sides)]['scene']}, {name}: {says}")
-        )
-    first = frames[_title(sides[0], sides)]
-    title = f"{first['scene']}, {first['illuminant']}"
-    sizes = {pixels.shape[:2] for pixels in shown.values()}
+    for name, pixels, says in shown:
+        uri, size = fitted(pixels, limit // len(shown), jpeg)
+        made.append(Picture(uri, *size, f"{name}: {says}", f"{frames[0]['scene']}, {name}: {says}"))
+    sizes = {pixels.shape[:2] for _, pixels, _ in shown}
     if len(sizes) > 1:
         return Gallery(tuple(made), wide=True)
-    return Comparison("sides", title, tuple(made), size=next(iter(sizes)))
+    return Comparison("sides", f"{frames[0]['scene']}, {frames[0]['illuminant']}", tuple(made), size=next(iter(sizes)))
 
 
 def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:
     figure_names = tuple(sides[0].document["frames"][0][OURS])
-    same = len({_main(side) for side in sides}) == 1
+    same = len({main_of(side.document) for side in sides}) == 1
     heads = (
         ("table", "frames", "array", *(NAMES[figure] for figure in figure_names)) if same else ("table", "frames", "array")
     )
@@ -189,21 +168,16 @@ def _level_figure(sides: list[Side]) -> Figure | None:
     classes = [side.document["by_class"].get("level", []) for side in sides]
     if min(map(len, classes)) < 2:
         return None
-    figure = _main(sides[0])
+    figure = main_of(sides[0].document)
     curves = [(level_middles(entries), np.array([entry[OURS][figure] for entry in entries])) for entries in classes]
     x = spanning(
         "level of the pixel's neighbourhood (share of full scale)", np.concatenate([at for at, _ in curves]), log=True
     )
     plot = Plot(x, spanning(NAMES[figure], np.concatenate([values for _, values in curves]), zero=True))
-    keys, said = [], []
-    styles = zip(itertools.cycle(SERIES), itertools.cycle(("line", "dashed", "dotted")), sides, curves, strict=False)
-    for colour, mark, side, (at, values) in styles:
-        name = _title(side, sides)
-        plot.line(at, values, colour, mark).dots(at, values, colour, size=6, series=name)
-        keys.append(Key(name, colour, mark))
-        said.append(f"{name} {figure_text(figure, values.min())} to {figure_text(figure, values.max())}")
+    series = {_title(side, sides): curve for side, curve in zip(sides, curves, strict=True)}
+    said = (f"{name} {figure_text(figure, of.min())} to {figure_text(figure, of.max())}" for name, (_, of) in series.items())
     finding = f"{NAMES[figure]} of ours, over all frames of each: {'; '.join(said)}."
-    return Figure("Error over the class's level", plot.svg(finding), finding, tuple(keys), data=plot.data())
+    return plot.figure("Error over the class's level", finding, plot.curves(series))
 
 
 def _cameras(sides: list[Side]) -> tuple[Figure, ...]:
@@ -216,10 +190,6 @@ def _cameras(sides: list[Side]) -> tuple[Figure, ...]:
     for side in drawn.values():
         camera = side.camera
         name = camera.name if names.count(camera.name) == 1 else f"{camera.name} ({side.name})"
-        light = channel_light(camera.responsivity, camera.wavelength)
-        figures += [_named(array_figure(camera, light), name), _named(responsivity_figures(camera, light)[0], name)]
+        shown = (array_figure(camera), responsivity_figures(camera)[0])
+        figures += [replace(figure, title=f"{figure.title}: {name}") for figure in shown]
     return tuple(figures)
-
-
-def _named(figure: Figure, name: str) -> Figure:
-    return Figure(f"{figure.title}: {name}", figure.svg, figure.finding, figure.legend, figure.narrow, figure.data)

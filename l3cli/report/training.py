@@ -1,7 +1,7 @@
 """A training set as a section: its scenes, lights, levels and colours."""
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,24 +10,10 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet, TrainingSetReader
 from l3cli.physics.display import XYZ
 from l3cli.report import colours
-from l3cli.report.channels import channel_keys, mark_of
 from l3cli.report.drawing import Axis, Plot, spanning
-from l3cli.report.parts import (
-    Block,
-    Data,
-    Figure,
-    Figures,
-    Gallery,
-    Key,
-    Picture,
-    Section,
-    Subsection,
-    Table,
-    Text,
-    counted,
-    tidy,
-)
+from l3cli.report.parts import Block, Data, Figure, Figures, Gallery, Key, Picture, Section, Subsection, Table, Text
 from l3cli.report.pictures import Jpeg, fitted, thumbnail
+from l3cli.system.text import counted, tidy
 
 Array = NDArray[np.floating]
 SHOWN = 24  # scenes with a picture
@@ -140,7 +126,7 @@ def _range(values: list[float]) -> str:
 
 
 def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
-    strokes = colours.strokes(colours.channel_light(camera.responsivity, camera.wavelength))
+    keys = colours.channel_keys(camera)
     shares = [100 * counts / max(counts.sum(), 1) for counts in survey.levels]
     plot = Plot(
         Axis("raw signal above black / full scale (1)", 1e-3, 1.0, True),
@@ -148,16 +134,16 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
     )
     middles = np.sqrt(LEVEL_EDGES[1:] * LEVEL_EDGES[:-1])
     medians = []
-    for channel, name in enumerate(camera.channels):
-        plot.steps(LEVEL_EDGES, shares[channel], strokes[channel], mark_of(strokes, channel), series=name)
-        if survey.levels[channel].any():
-            middle = middles[int(np.searchsorted(np.cumsum(shares[channel]), 50))]
-            medians.append(f"{name} {tidy(float(middle), 2)}")
+    for key, share, counts in zip(keys, shares, survey.levels, strict=True):
+        plot.steps(LEVEL_EDGES, share, key.colour, key.mark, series=key.label)
+        if counts.any():
+            middle = middles[int(np.searchsorted(np.cumsum(share), 50))]
+            medians.append(f"{key.label} {tidy(float(middle), 2)}")
     finding = (
         f"Median signal as a share of full scale: {', '.join(medians)}. {100 * survey.saturated / survey.pixels:.2g} % of "
         f"all pixels are saturated, {100 * survey.below / survey.pixels:.2g} % lie below a thousandth of full scale."
     )
-    return Figure("Levels", plot.svg(finding), finding, channel_keys(camera, strokes), data=plot.data())
+    return plot.figure("Levels", finding, keys)
 
 
 def _chromaticity_figure(survey: Survey) -> Figure:
@@ -199,7 +185,7 @@ def _chromaticity_figure(survey: Survey) -> Figure:
     col, row = np.nonzero(shares)
     cells = zip((col * GRID).tolist(), (row * GRID).tolist(), shares[col, row].tolist(), strict=True)
     data = Data(("CIE 1931 x (1)", "CIE 1931 y (1)", "pixels (share)"), tuple(cells))
-    return Figure("Chromaticities of the targets", plot.svg(finding), finding, tuple(keys), data=data)
+    return replace(plot.figure("Chromaticities of the targets", finding, tuple(keys)), data=data)
 
 
 def _cover(shares: Array, triangle: Array) -> tuple[float, float]:

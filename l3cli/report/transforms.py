@@ -10,8 +10,9 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import level
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.report import colours
-from l3cli.report.drawing import WIDTH, Plot, box, escape, heat, sheet, spanning
-from l3cli.report.parts import Block, Data, Figure, Figures, Key, Section, Subsection, Table, Text, tidy
+from l3cli.report.drawing import SERIES, WIDTH, Plot, box, escape, heat, sheet, spanning
+from l3cli.report.parts import Block, Data, Figure, Figures, Key, Section, Subsection, Table, Text
+from l3cli.system.text import tidy
 
 Array = NDArray[np.floating]
 DECADES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of 1–9, 10–99… patches
@@ -263,14 +264,14 @@ def _noise_figures(table: TransformTable) -> Figures:
         if table.first.rule.contrasts > 1:
             name += ", textured" if textured else ", flat"
         mark = "dashed" if textured else "line"
-        plot.line(middles[at], values[at], colours.SERIES[output], mark, series=name)
-        keys.append(Key(name, colours.SERIES[output], mark))
+        plot.line(middles[at], values[at], SERIES[output], mark, series=name)
+        keys.append(Key(name, SERIES[output], mark))
         ranges.append(f"{name} {tidy(values[at][0], 2)} to {tidy(values[at][-1], 2)}")
     finding = (
         f"Median over trained unsaturated classes, from the darkest to the brightest level: {'; '.join(ranges)}. "
         "1 hands a single tap's noise on."
     )
-    return Figures((Figure("Noise gain", plot.svg(finding), finding, tuple(keys), data=plot.data()),))
+    return Figures((plot.figure("Noise gain", finding, tuple(keys)),))
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:

@@ -1,27 +1,29 @@
-"""Predictions of charts by a camera model, and the choice of its smoothing."""
+"""Predictions of charts by a camera model: in the lab with the choice of its smoothing, or in photos with their
+reliability."""
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.fit import ChartFit, Fit, SweepFit
-from l3cli.report import colours
-from l3cli.report.channels import MARKS, mark_of, table_of
+from l3cli.artifacts.fit import ChartFit, Fit, PhotoFit, SweepFit
+from l3cli.report.colours import point_keys
 from l3cli.report.drawing import Axis, Plot, spanning
-from l3cli.report.parts import Block, Figure, Figures, Key, tidy
+from l3cli.report.parts import Block, Details, Figure, Figures, Key, Subsection, Table, Text
 from l3cli.report.patches import calibration_figures
+from l3cli.system.text import counted, tidy, unit
 
-Array = NDArray[np.floating]
+BANDS = {  # column of calibration's figures: heading here
+    "curve ± 95 % (% of peak)": "curve ± 95 % (% of peak)",
+    "colours ± 95 % (% of most)": "colours ± 95 % (% of the brightest)",
+}
 
 
-def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any], light: Array) -> tuple[Block, ...]:
-    """Return plots and tables of a camera's `fit`; `figures` as for `camera_section`, `light` (channel, 3) of its
-    channels."""
+def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) -> tuple[Block, ...]:
+    """Return plots and tables of a camera's `fit`; `figures` as for `camera_section`."""
     graphs: list[Figure] = []
     if fit.validation is not None:
-        graphs += _prediction_figures(camera, fit, light)
+        graphs += _prediction_figures(camera, fit)
     if fit.sweep is not None:
         graphs += _smoothing_figure(fit.sweep)
     blocks: list[Block] = [Figures(tuple(graphs))] if graphs else []
@@ -34,41 +36,39 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any], li
     return tuple(blocks)
 
 
-def _prediction_figures(camera: CameraModel, fit: Fit, light: Array) -> list[Figure]:
+def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> Table:
+    """Return the rows of numbers by name, as calibration's figures hold them."""
+    titles = tuple(next(iter(rows.values())))
+    body = tuple(
+        (name, *(f"{row[title]:.5f}" if title.startswith("R²") else tidy(row[title], 4) for title in titles))
+        for name, row in rows.items()
+    )
+    return Table(caption, (heading, *map(unit, titles)), body)
+
+
+def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
     assert fit.validation is not None
-    measured, predicted, used = fit.validation.measured, fit.validation.predicted, _used(fit)
+    measured, predicted = fit.validation.measured, fit.validation.predicted
+    used = np.ones(measured.shape, bool) if fit.chart is not None or fit.series is None else fit.series.used
     if not used.any():
         return []
-    strokes, keys = colours.strokes(light), []
+    keys, error = point_keys(camera), measured - predicted
     what = "chart patch" if isinstance(fit.validation, ChartFit) else "patch and exposure"
     top = max(float(measured[used].max()), float(predicted[used].max()))
     low = min(0.0, float(measured[used].min()), float(predicted[used].min()))
     one = Plot(Axis("predicted (DN)", low, 1.04 * top), Axis("measured (DN)", low, 1.04 * top), square=True)
     one.line(np.array([low, top]), np.array([low, top]), "var(--muted)", "dashed", 1)
-    error = measured - predicted
+    one.points(keys, predicted, measured, used)
     rest = Plot(Axis("predicted (DN)", low, 1.04 * top), spanning("measured − predicted (DN)", error[used]))
     rest.line(np.array([low, 1.04 * top]), np.zeros(2), "var(--muted)", "dashed", 1)
-    for channel, name in enumerate(camera.channels):
-        here = used[..., channel]
-        mark = MARKS[mark_of(strokes, channel)]
-        one.dots(predicted[..., channel][here], measured[..., channel][here], strokes[channel], mark, series=name)
-        rest.dots(predicted[..., channel][here], error[..., channel][here], strokes[channel], mark, series=name)
-        keys.append(Key(name, strokes[channel], mark))
+    rest.points(keys, predicted, error, used)
     fits = ", ".join(f"{n} {float(r):.5f}" for n, r in zip(camera.channels, fit.validation.r_squared, strict=True))
     scatter = f"{int(used.sum())} values, one for each {what} and channel. R²: {fits}."
     rmse = ", ".join(
         f"{n} {tidy(100 * float(r), 2)} %" for n, r in zip(camera.channels, fit.validation.relative_rmse, strict=True)
     )
     spread = f"RMSE relative to the mean signal: {rmse}; largest residual {tidy(float(np.abs(error[used]).max()))} DN."
-    return [
-        Figure("Measured against predicted", one.svg(scatter), scatter, tuple(keys), data=one.data()),
-        Figure("Residuals", rest.svg(spread), spread, tuple(keys), data=rest.data()),
-    ]
-
-
-def _used(fit: Fit) -> NDArray[np.bool_]:
-    assert fit.validation is not None
-    return fit.series.used if fit.chart is None and fit.series is not None else np.ones(fit.validation.measured.shape, bool)
+    return [one.figure("Measured against predicted", scatter, keys), rest.figure("Residuals", spread, keys)]
 
 
 def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
@@ -87,4 +87,113 @@ def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
         f"{tidy(float(error[nearest]))} %, the least of all tried {tidy(float(error.min()))} %."
     )
     keys = (Key("tried", "var(--one)", "dot"), Key("chosen", "var(--two)", "dot"))
-    return [Figure("Choice of the smoothing", plot.svg(finding), finding, keys, data=plot.data())]
+    return [plot.figure("Choice of the smoothing", finding, keys)]
+
+
+# --------------------------------------------------------------------------------------------------------- photos
+
+
+def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any]) -> tuple[Subsection, ...]:
+    """Return the parts of a camera made from photos; `figures` as for `camera_section`."""
+    keys = point_keys(camera)
+    return (
+        Subsection("Photos of a chart", (_photos(figures), _lights(figures), *_left_out(figures))),
+        Subsection("What to rely on", (_bands(camera, figures), *_reading(figures))),
+        Subsection("Patches", tuple(Figures(_patches(fit, index, keys)) for index in range(len(fit.names)))),
+    )
+
+
+def photo_lead(fit: PhotoFit, figures: dict[str, Any]) -> str:
+    """Return the uncertainties in a sentence."""
+    curve, colours = (max(row[title] for row in figures["channels"].values()) for title in BANDS)
+    many = "a photo" if len(fit.names) == 1 else f"{len(fit.names)} photos"
+    return (
+        f"Estimated from {many} of a chart: its curves stay uncertain (95 % within ± {tidy(curve, 2)} % of their peak), its "
+        f"colours do not (± {tidy(colours, 2)} % of the brightest)."
+    )
+
+
+def _photos(figures: dict[str, Any]) -> Table:
+    rows = [
+        (
+            name,
+            photo["chart"],
+            f"{photo['light']}{' (guessed)' if photo['guessed'] else ''}",
+            tidy(photo["uneven %"], 2),
+            tidy(max(photo["glare %"]), 2),
+            tidy(max(photo["misfit %"]), 2),
+        )
+        for name, photo in figures["photos"].items()
+    ]
+    units = ("uneven light (%)", "glare (% of the brightest)", "residual RMS (% of the brightest)")
+    return Table(
+        "Photos; glare and residual are those of the worst channel", ("photo", "chart", "light", *units), tuple(rows)
+    )
+
+
+def _lights(figures: dict[str, Any]) -> Text:
+    """Return whether the stated lights are those that the patches look like, in words."""
+    words = []
+    for name, photo in figures["photos"].items():
+        if photo["guessed"]:
+            words.append(
+                f"{name}: its light was guessed, of the usual ones the most probable; the bands include what others allow."
+            )
+        elif photo["deficit"] > 0:
+            words.append(
+                f"{name}: of the usual lights, {photo['nearest']} explains its patches best; {photo['light']} was named."
+            )
+        else:
+            words.append(f"{name}: no usual light explains its patches better than {photo['light']}, which was named.")
+    return Text(" ".join(words))
+
+
+def _left_out(figures: dict[str, Any]) -> list[Block]:
+    lines = figures["left out"]
+    return [Details(f"{counted(len(lines), 'value')} of patches left out", "\n".join(lines))] if lines else []
+
+
+def _bands(camera: CameraModel, figures: dict[str, Any]) -> Table:
+    rows = [(name, *(tidy(figures["channels"][name][title], 3) for title in BANDS)) for name in camera.channels]
+    return Table(
+        "Half widths of the 95 % bands, RMS over wavelengths and surfaces", ("channel", *BANDS.values()), tuple(rows)
+    )
+
+
+def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
+    further = figures["next light"]
+    source = "the curves of measured cameras" if figures["prior"] == "measured cameras" else "smoothness alone"
+    return (
+        Text(
+            "Curves stay uncertain, colours do not: the patches say little of a curve's details, which are filled in from "
+            f"{source}, but much of the responses to other surfaces under other lights, of which pictures are made. The "
+            "first column is the band drawn about the curves above."
+        ),
+        Text(
+            f"One more photo of the chart would help most under {further['light']}: it would leave "
+            f"{tidy(further['remaining %'], 2)} % of the error of the colours."
+        ),
+    )
+
+
+def _patches(fit: PhotoFit, index: int, keys: tuple[Key, ...]) -> tuple[Figure, Figure]:
+    """Draw measured against predicted patches of one photo, and the difference of each."""
+    used = fit.used[index]
+    brightest = np.where(used, fit.measured[index], 0.0).max(axis=0)
+    brightest = np.where(brightest > 0, brightest, 1.0)
+    measured, predicted = (100.0 * values[index] / brightest for values in (fit.measured, fit.predicted))
+    rest = np.where(used, measured - predicted, 0.0)
+    one = Plot(Axis("predicted (% of the brightest)", 0, 106), Axis("measured (% of the brightest)", 0, 106), square=True)
+    one.line(np.array([0.0, 106.0]), np.array([0.0, 106.0]), "var(--muted)", "dashed", 1)
+    one.points(keys, predicted, measured, used)
+    left = Plot(
+        Axis("patch, row by row", 0.0, len(used) + 1.0),
+        spanning("measured − predicted (% of the brightest)", np.append(rest, (-0.1, 0.1))),
+    )
+    left.line(np.array([0.0, len(used) + 1.0]), np.zeros(2), "var(--muted)", "dashed", 1)
+    left.points(keys, np.indices(used.shape)[0] + 1.0, rest, used)
+    patch, worst = map(int, np.unravel_index(int(np.abs(rest).argmax()), rest.shape))
+    rms = ", ".join(f"{key.label} {tidy(100 * float(m), 2)} %" for key, m in zip(keys, fit.misfit[index], strict=True))
+    fits = f"{int(used.sum())} values of {len(used)} patches, uneven light and glare in the prediction. Residual RMS: {rms}."
+    largest = f"Largest: patch {patch + 1} in {keys[worst].label}, {tidy(float(rest[patch, worst]), 2)} %."
+    return one.figure(f"Patches of {fit.names[index]}", fits, keys), left.figure("Residuals", largest, keys)

@@ -1,4 +1,4 @@
-"""Lines and tables of plain text, for terminals of any width and for pipes."""
+"""Numbers, lines and tables as plain text, for pages, terminals of any width and pipes."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -16,6 +16,38 @@ def printable(text: str) -> str:
 def figure(value: float, form: str) -> str:
     """A number as the format `form` says, a dash where there is none."""
     return format(value, form) if math.isfinite(value) else "–"
+
+
+def tidy(value: float, digits: int = 3) -> str:
+    """Return a number to so many significant digits, without exponent where it can be read without; a dash where there is
+    none."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if value == 0:
+        return "0"
+    if not 1e-4 <= abs(value) < 1e5:
+        mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+        return f"{mantissa}×10{superscript(int(exponent))}".replace("-", "−")
+    rounded = float(f"{value:.{digits - 1}e}")
+    text = f"{rounded:.10f}".rstrip("0").rstrip(".")
+    return text.replace("-", "−")
+
+
+def superscript(number: int) -> str:
+    """Return an integer as an exponent is written."""
+    return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def counted(number: int, what: str) -> str:
+    """Return a number and what it counts, such as "1 frame" or "2 frames"."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def unit(text: str) -> str:
+    """Return a unit as ASCII artifacts write it, as print does."""
+    return text.replace("e-", "e⁻").replace("m^2", "m²").replace("^2", "²")
 
 
 def short_names(paths: Iterable[Path]) -> list[str]:

@@ -201,7 +201,6 @@ def test_a_table_makes_a_relative_camera(table: Path, tmp_path: Path, l3: L3) ->
 def test_a_band_is_made_of_what_is_stated_or_there_is_none(table: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
     """Nothing in a table of means says how well it was measured: the diode's error and the wavelength's must be stated."""
     from l3cli.report.camera import responsivity_figures
-    from l3cli.report.colours import channel_light
 
     text = (table / "MEASUREMENTS.toml").read_text()
     command = ("calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5", "--force")
@@ -211,7 +210,7 @@ def test_a_band_is_made_of_what_is_stated_or_there_is_none(table: Path, tmp_path
         code, _, err = l3(*command)
         assert code == 0, err
         camera = load(CameraModel, tmp_path / "camera.h5")
-        figures = responsivity_figures(camera, channel_light(camera.responsivity, camera.wavelength))
+        figures = responsivity_figures(camera)
         assert len(figures) == 1 + bool(camera.responsivity_band.any())
         assert ('fill-opacity="0.25"' in figures[0].svg) == bool(camera.responsivity_band.any())
         return camera, err

@@ -13,7 +13,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
-from l3cli.report.parts import tidy
+from l3cli.system.text import tidy
 from tests.helpers.pages import Tags, csv_rows
 from tests.helpers.recipes import CLASSES
 

@@ -22,9 +22,8 @@ from l3cli.classes.structure import name, structures
 from l3cli.cli import run
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.report.pixels import Crop, Layer, Sites, packed, richest
-from l3cli.stages.reporting.pixels import crop_of
-from l3cli.stages.reporting.report import CLASS_BYTES
+from l3cli.report.pixels import Crop, Layer, Sites, crop_of, packed, richest
+from l3cli.stages.report import CLASS_BYTES
 from tests.helpers.browser import Browser
 from tests.helpers.tables import colorimetric_table, frame_of_all_levels, with_later, with_tree
 from tests.helpers.training_sets import a_frame
@@ -113,6 +112,12 @@ def test_every_pixel_has_its_classes_and_transforms(report: Report) -> None:
     assert "<b>" not in report.page.read_text()
 
 
+def labels_of(report: Report) -> list[np.ndarray]:
+    """The classes of the frame in both layers."""
+    renderer = ReferenceRenderer(report.table)
+    return [renderer.labels(report.raw, number) for number in range(2)]
+
+
 def test_classes_are_told_in_words(bayer: CameraModel) -> None:
     table = with_later(colorimetric_table(bayer), 3)
     rule = table.first.rule
@@ -153,14 +158,13 @@ def test_the_crop_is_that_of_most_classes_and_of_bounded_size(report: Report) ->
     assert left <= 60 <= left + 20
     assert richest(labels, (192, 256)) == (0, 0)
     assert report.table.camera is not None
-    renderer = ReferenceRenderer(report.table)
-    whole, text = crop_of(report.table, report.table.camera, renderer, report.raw, 10**6)
-    smaller, less = crop_of(report.table, report.table.camera, renderer, report.raw, len(text) - 1)
+    given = report.table, report.table.camera, labels_of(report)
+    whole, text = crop_of(*given, 10**6)
+    smaller, less = crop_of(*given, len(text) - 1)
     assert whole.layers[0].labels.shape == SIZE
     assert smaller.layers[0].labels.size < np.prod(SIZE)
     assert len(less) < len(text)
-    again = crop_of(report.table, report.table.camera, renderer, report.raw, 10**6)[1]
-    assert again == text
+    assert crop_of(*given, 10**6)[1] == text
     assert len(text) < len(packed_in(report.page)) <= len(text) + CLASS_BYTES
 
 
@@ -168,10 +172,11 @@ def test_other_classes_follow_those_of_the_crop(report: Report) -> None:
     """All of them in words, and their weights as far as there is room, those of most pixels first; if there is none, those
     of the frame alone or no other."""
     assert report.table.camera is not None
-    given = report.table, report.table.camera, ReferenceRenderer(report.table), report.raw
+    truths = labels_of(report)
+    given = report.table, report.table.camera, truths
     small = 1  # letters, which only the smallest crop is tried for
     _, alone = crop_of(*given, small)
-    plain, truths = unpacked(alone), [given[2].labels(report.raw, number) for number in range(2)]
+    plain = unpacked(alone)
     for more, whole in ((CLASS_BYTES, True), (len(alone) // 2, False)):
         crop, text = crop_of(*given, small, more)
         assert len(text) <= len(alone) + more

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from l3cli.report.drawing import Axis, spanning, tick_text
-from l3cli.report.front import verdict
-from l3cli.report.labels import Places
+from l3cli.report.drawing import Axis, Places, spanning, tick_text
+from l3cli.report.evaluation import verdict
 from l3cli.report.page import csv_uri, file_stem
-from l3cli.report.parts import Data, tidy
+from l3cli.report.parts import Data
 from l3cli.report.pictures import fitted, reduced
+from l3cli.system.text import tidy
 from tests.helpers.pages import csv_rows
 
 

@@ -16,7 +16,7 @@ from l3cli.report.parts import Figures, Table
 from l3cli.report.patches import calibration_figures
 from l3cli.simulation.charts import BOARD, colorchecker_patches
 from l3cli.simulation.procedural import chart_places, composition
-from l3cli.stages.reporting.judged import chart_subsection
+from l3cli.stages.report import chart_subsection
 
 WAVELENGTH = np.arange(390.0, 731.0, 10.0)
 

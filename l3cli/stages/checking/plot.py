@@ -11,7 +11,7 @@ from l3cli.stages.checking.check import Judgement
 from l3cli.stages.checking.kinds import CAMERA
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
-from l3cli.stages.reporting.report import figures_of_camera
+from l3cli.stages.report import figures_of_camera
 from l3cli.system.files import write_whole
 from l3cli.system.ledger import note_places
 

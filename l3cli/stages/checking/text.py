@@ -4,10 +4,9 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from l3cli.report.parts import counted
 from l3cli.stages.checking.check import Finding, Judgement
 from l3cli.stages.checking.kinds import KINDS
-from l3cli.system.text import columns, figure
+from l3cli.system.text import columns, counted, figure
 
 INDENT = "  "
 ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")  # of a message: what differs between equal faults

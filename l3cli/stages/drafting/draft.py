@@ -8,7 +8,6 @@ from l3cli.io.captures import list_captures
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.io.measurements import measurements_of
 from l3cli.recipes.toml import parse_recipe
-from l3cli.report.parts import counted
 from l3cli.stages.claims import OutputGuard, refuse_unwritable
 from l3cli.stages.console import Console
 from l3cli.stages.drafting.compose import compose
@@ -18,6 +17,7 @@ from l3cli.stages.plan import Made, before_work, is_dry
 from l3cli.system.files import refuse_existing, refuse_protected, write_whole
 from l3cli.system.ledger import is_noting
 from l3cli.system.locks import sole_writer_of_file
+from l3cli.system.text import counted
 
 MOST_SAID = 8  # assumptions and missing things of which each gets a line on the console
 

@@ -9,9 +9,9 @@ from l3cli.calibration.draft.names import read_name
 from l3cli.calibration.draft.text import DraftText
 from l3cli.errors import InputFileError
 from l3cli.io.curves import DIODE
-from l3cli.report.parts import counted
 from l3cli.stages.drafting.body import PITCH, known_body, unknown_optics
 from l3cli.stages.drafting.compose import HEAD
+from l3cli.system.text import counted
 
 LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # a sweep's column of a channel
 USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # channels of curves without a heading

@@ -1,0 +1,378 @@
+"""The report stage: any set of artifacts → one page. Rooms are called here, since they do not know one another."""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.schema import Artifact, equal
+from l3cli.artifacts.store import load, open_artifact
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet, TrainingSetReader, open_training_set
+from l3cli.errors import InputFileError, RecipeError
+from l3cli.io.images import jpeg
+from l3cli.report.camera import camera_section
+from l3cli.report.colours import channel_light
+from l3cli.report.evaluation import evaluation_section, front_section, shown_frames
+from l3cli.report.page import LIMIT, history_section, render_page
+from l3cli.report.parts import Figures, Section, Subsection
+from l3cli.report.patches import patches_figure, patches_table
+from l3cli.report.pictures import Pixels
+from l3cli.report.pixels import crop_of, picker
+from l3cli.report.sequence import sequence_section
+from l3cli.report.sequence import summary as sequence_summary
+from l3cli.report.side_by_side import Side, shared_frame, side_by_side_section
+from l3cli.report.training import training_section
+from l3cli.report.transforms import transform_section
+from l3cli.simulation.procedural import chart_places
+from l3cli.stages.claims import OutputGuard
+from l3cli.stages.console import Console, Silent
+from l3cli.stages.evaluation import evaluate_frame, raw_of
+from l3cli.stages.frame_renderers import FrameRenderers
+from l3cli.stages.input_warnings import warn_if_unlike, warn_of_kernels
+from l3cli.stages.plan import Made, before_work
+from l3cli.stages.sequence_evaluation import document, read_sequence_figures
+from l3cli.system.files import sha256, write_whole
+from l3cli.system.text import counted, short_names
+
+# of all evaluated frames, of all pixels that can be looked into, of classes elsewhere, of all training sets: see page.LIMIT
+PICTURE_BYTES, PIXEL_BYTES, CLASS_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 300_000, 2_000_000
+KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable)}
+SEQUENCE = ".json"  # suffix of an evaluation of a sequence
+CROPPED = ("ours", "ideal", "basic")  # pictures whose pixels can be looked at
+A = TypeVar("A", bound=Artifact)
+
+
+def report(
+    artifacts: tuple[Path, ...], output: Path, console: Console, *, backend: str = "opencl", force: bool = False
+) -> None:
+    """Write a page on camera models, training sets and transform tables; InputFileError if one is none of these, is damaged,
+    or does not fit the others, RecipeError or L3Error if the output cannot be written."""
+    if output.suffix != ".html":
+        raise RecipeError(f"{output}: a report is a page; name a file that ends in .html")
+    with OutputGuard(console) as claims:
+        claims.protect(*artifacts)
+        claims.claim_file(output, force)
+        given = _read(artifacts)
+        before_work({"artifacts": artifacts}, Made(output, "page"))
+        title, lead, sections = _compose(given, backend, console)
+        page = render_page(title, lead, sections).encode()
+        write_whole(output, page)
+        warn_of_kernels(console)
+        much = "; fewer files would make a lighter page" if len(page) > LIMIT else ""
+        console.info(f"{output}: {len(page) / 1e6:.2f} MB, {len(sections)} sections{much}")
+
+
+# --------------------------------------------------------------------------------------------------- what is given
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file of a report: how the page calls it, and what it holds; of a training set its head."""
+
+    name: str
+    path: Path
+    sha256: str
+    artifact: Artifact
+
+    @property
+    def array(self) -> tuple[Any, ...]:
+        """Return the key that distinguishes colour filter arrays."""
+        of: Any = self.artifact.camera if isinstance(self.artifact, TrainingSet) else self.artifact
+        return of.channels, of.cfa.shape, of.cfa.tobytes()
+
+
+class Pair(NamedTuple):
+    """A table and frames of its array that it was not trained on: what is evaluated."""
+
+    table: Entry
+    transforms: TransformTable
+    frames: Entry
+    head: TrainingSet
+
+
+@dataclass(frozen=True)
+class Given:
+    """The artifacts of a report in the order in which they were given, and evaluations of sequences."""
+
+    entries: list[Entry]
+    sequences: dict[str, dict[str, Any]]  # by name what `l3 evaluate --sequence` printed as JSON
+    sequence_sums: dict[str, str]  # their SHA-256
+
+    def of(self, kind: type[A]) -> list[tuple[Entry, A]]:
+        """Return the artifacts of a kind."""
+        return [(entry, entry.artifact) for entry in self.entries if isinstance(entry.artifact, kind)]
+
+    @property
+    def pairs(self) -> list[Pair]:
+        """Return each table with each training set of its array that it was not trained on."""
+        return [
+            Pair(table, transforms, frames, head)
+            for table, transforms in self.of(TransformTable)
+            for frames, head in self.of(TrainingSet)
+            if table.array == frames.array and not _trained_on(transforms, frames)
+        ]
+
+    @property
+    def arrays(self) -> list["Given"]:
+        """The artifacts of each colour filter array, without sequences."""
+        keys = dict.fromkeys(entry.array for entry in self.entries)
+        return [Given([entry for entry in self.entries if entry.array == key], {}, {}) for key in keys]
+
+
+def _trained_on(table: TransformTable, frames: Entry) -> bool:
+    """Return whether the table's history names the training set's file."""
+    return any(frames.sha256 in digests for stage in table.history for digests in stage.inputs.values())
+
+
+def _read(paths: tuple[Path, ...]) -> Given:
+    """Return artifacts, each once; InputFileError if one is none, is damaged, or does not fit the others."""
+    entries: dict[str, Entry] = {}
+    sequences: dict[str, dict[str, Any]] = {}
+    sums: dict[str, str] = {}
+    for path, name in zip(paths, short_names(paths), strict=True):
+        if path.suffix.lower() == SEQUENCE:
+            sequences[name], sums[name] = document(read_sequence_figures(path)), sha256(path)
+            continue
+        artifact, digest = _artifact(path), sha256(path)
+        entries.setdefault(digest, Entry(name, path, digest, artifact))
+    given = Given(list(entries.values()), sequences, sums)
+    for pair in given.pairs:
+        if pair.transforms.outputs != pair.head.outputs:
+            raise InputFileError(
+                f"{pair.table.path} and {pair.frames.path} have different outputs; report on a matching pair"
+            )
+    return given
+
+
+def _artifact(path: Path) -> Artifact:
+    with open_artifact(path) as root:
+        kind = str(root.attrs["kind"])
+    if kind not in KINDS:
+        raise InputFileError(f"{path} holds {kind}; give camera models, training sets or transform tables")
+    if KINDS[kind] is not TrainingSet:
+        return load(KINDS[kind], path)
+    with open_training_set(path, unchanged=True) as reader:
+        return reader.head
+
+
+# ------------------------------------------------------------------------------------------------------- the page
+
+
+def _compose(given: Given, backend: str, console: Console) -> tuple[str, str, list[Section]]:
+    """Return title, lead and sections of the page: pictures first, then what was given, array by array."""
+    arrays, tables = given.arrays, given.of(TransformTable)
+    _warn_of_arrays(given, console)
+    pairs = len(given.pairs)
+    shares = PICTURE_BYTES // (pairs + (pairs > 1) or 1), PIXEL_BYTES // (pairs or 1), CLASS_BYTES // (pairs or 1)
+    judged: list[Judged] = []
+    sections: list[Section] = []
+    cameras_of = [
+        [(entry.name, camera) for entry, camera in array.of(CameraModel)] or _cameras_within(array) for array in arrays
+    ]
+    cameras = [camera for each in cameras_of for _, camera in each]
+    called = [camera.name for camera in cameras]
+    for array, held in zip(arrays, cameras_of, strict=True):
+        _warn_of_cameras(array, console)
+        here = [_judge(pair, str(len(judged) + number), shares, backend, console) for number, pair in enumerate(array.pairs)]
+        sections += _array_sections(array, held, called, THUMBNAIL_BYTES // max(len(given.of(TrainingSet)), 1))
+        sections += [each.section for each in here]
+        judged += here
+    first = [each.front for each in judged if each.front is not None]
+    if len(judged) > 1:
+        first.insert(0, _side_by_side(judged, shares[0], backend))
+    files = [(entry.name, entry.artifact.kind, entry.sha256, entry.artifact.history) for entry in given.entries]
+    if given.sequences:
+        sections.append(sequence_section(given.sequences))
+        files += [(name, "evaluation of a sequence", digest, ()) for name, digest in given.sequence_sums.items()]
+    sections.append(history_section(files))
+    names = called or [table.camera_name for _, table in tables] or [*given.sequences]
+    if len(judged) > 1:
+        lead = " ".join((first[0].lead, *(f"But {each.warning}." for each in judged if each.warning)))
+    else:
+        lead = judged[0].section.lead if judged else _lead_without_evaluation(given)
+    return f"{', '.join(dict.fromkeys(names))}: report", lead, [*first, *sections]
+
+
+def _lead_without_evaluation(given: Given) -> str:
+    if given.sequences:
+        return sequence_summary(given.sequences)
+    if not given.of(TransformTable):
+        return f"{counted(len(given.entries), 'artifact')}, without a transform table: nothing is evaluated."
+    if len(given.arrays) > 1:
+        return "Add, for each table, frames of its colour filter array that it has not seen to have it evaluated."
+    if given.of(TrainingSet):
+        return "The table was trained on every training set given: add frames that it has not seen to have it evaluated."
+    return "Add a training set that the table was not trained on to have it evaluated."
+
+
+def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called: list[str], limit: int) -> list[Section]:
+    """Return cameras, training sets and tables of one array; `called` are the names of the cameras of all arrays, `limit`
+    bytes is what the pictures of a set may take."""
+    from l3cli.classes.names import class_name
+    from l3cli.training.insight import insight
+
+    sections = [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
+    for number, (name, camera) in enumerate(cameras):
+        if called.count(camera.name) > 1:
+            sections[number] = replace(sections[number], title=f"{sections[number].title} ({name})")
+    for entry, _ in given.of(TrainingSet):
+        with open_training_set(entry.path, unchanged=True) as reader:
+            sections.append(training_section(reader, entry.name, _role(given, entry), limit, jpeg))
+    light = channel_light(cameras[0][1]) if cameras else None
+    return sections + [
+        transform_section(table, light, insight(table), functools.partial(class_name, table), entry.name)
+        for entry, table in given.of(TransformTable)
+    ]
+
+
+def _role(given: Given, frames: Entry) -> str:
+    """Return the relation of the report's tables to a training set."""
+    roles = []
+    for text, wanted in (("Trained on it", True), ("Evaluated on it", False)):
+        names = [entry.name for entry, table in given.of(TransformTable) if _trained_on(table, frames) is wanted]
+        roles += [f"{text}: {', '.join(names)}."] if names else []
+    return " ".join(roles)
+
+
+def _cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
+    """Return the different cameras of the training sets."""
+    cameras: list[tuple[str, CameraModel]] = []
+    for entry, head in given.of(TrainingSet):
+        if not any(equal(head.camera, camera) for _, camera in cameras):
+            cameras.append((entry.name, head.camera))
+    return cameras
+
+
+def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
+    """Return what `l3 calibrate --json` says of a camera, as far as it was measured, and why not to trust it."""
+    from l3cli.calibration.acceptance import shortfall
+    from l3cli.calibration.figures import camera_figures, figures
+
+    if camera.fit is not None:
+        return figures(camera) | {"shortfall": (shortfall(camera) or "").partition(";")[0]}
+    plain = {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()}
+    nothing: dict[str, Any] = {"channels": {}, "lights": {}, "bands": {}, "photos": {}, "left out": [], "defects": []}
+    return {"camera": plain, **nothing, "saturation reached": None, "shortfall": ""}
+
+
+def _warn_of_arrays(given: Given, console: Console) -> None:
+    """Warn of every training set of another array than all tables."""
+    tables = [entry for entry, _ in given.of(TransformTable)]
+    for entry, _ in given.of(TrainingSet) if tables else ():
+        if all(entry.array != table.array for table in tables):
+            names = ", ".join(table.name for table in tables)
+            console.warn(f"{entry.name} is of another colour filter array than {names}: nothing is evaluated on it")
+
+
+def _warn_of_cameras(given: Given, console: Console) -> None:
+    """Warn of every camera model that is unlike the first table's camera or, without one, unlike the first artifact's."""
+    from l3cli.evaluation.likeness import unlike
+
+    tables, cameras = given.of(TransformTable), given.of(CameraModel)
+    held = [(entry, head.camera) for entry, head in given.of(TrainingSet)]
+    known: Sequence[tuple[Entry, Any]] = [*tables, *cameras, *held]
+    for entry, camera in cameras if tables else [*cameras, *held]:
+        if entry is not known[0][0] and (differences := unlike(known[0][1], camera)):
+            text = f"they differ in {differences}; report on each camera alone"
+            console.warn(f"{entry.name} is of another camera than {known[0][0].name}: {text}")
+
+
+# ------------------------------------------------------------------------------------------------------ evaluation
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A table on frames that it has not seen; `document` is that of `l3 evaluate --json`."""
+
+    pair: Pair
+    document: dict[str, Any]
+    front: Section | None  # None: the outputs are no picture
+    warning: str | None  # why not to trust it
+
+    @property
+    def section(self) -> Section:
+        """Return the section of its figures."""
+        section = evaluation_section(self.document, (self.pair.table.name, self.pair.frames.name))
+        return replace(section, lead=f"{section.lead} But {self.warning}.") if self.warning else section
+
+
+def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], backend: str, console: Console) -> Judged:
+    """Evaluate a table; `limits` in bytes are those of its pictures, of pixels that can be looked into, of other classes."""
+    from l3cli.evaluation.evaluation import Evaluation
+    from l3cli.physics.display import XYZ
+
+    warning = warn_if_unlike((pair.table.name, pair.transforms), (pair.frames.name, pair.head.camera), console)
+    renderers = FrameRenderers(backend, pair.transforms, console)
+    with open_training_set(pair.frames.path, unchanged=True) as reader:
+        evaluation = Evaluation(pair.transforms, reader.head)
+        pictures, chart, front = pair.transforms.outputs == XYZ, None, None
+        for index in console.progress(range(len(reader)), len(reader), "frames"):
+            frame, planes = evaluate_frame(evaluation, renderers, reader, index)
+            if pictures and chart is None:
+                chart = chart_subsection(frame, index, planes, pair.head)
+        figures = evaluation.document()
+        if pictures:
+            shown = {index: _pictures(pair, reader, renderers, index) for index in shown_frames(figures)}
+            pixels = _pixels(reader, renderers, anchor, *next(iter(shown.items())), limits)
+            below = (*([chart] if chart else []), pixels)
+            title = f"Pictures: {pair.table.name} on {pair.frames.name}"
+            front = front_section(figures, shown, title, anchor, limits[0], jpeg, below)
+    return Judged(pair, figures, front, warning)
+
+
+def _pictures(pair: Pair, reader: TrainingSetReader, renderers: FrameRenderers, index: int) -> dict[str, Pixels]:
+    from l3cli.evaluation.evaluation import Evaluation
+    from l3cli.evaluation.pictures import frame_pictures
+
+    return frame_pictures(*evaluate_frame(Evaluation(pair.transforms, reader.head), renderers, reader, index))
+
+
+def _pixels(
+    reader: TrainingSetReader,
+    renderers: FrameRenderers,
+    anchor: str,
+    index: int,
+    pictures: dict[str, Pixels],
+    limits: tuple[int, int, int],
+) -> Subsection:
+    """Return part of a frame whose pixels can be looked into."""
+    frame = reader.frame(index)
+    renderer, raw = renderers.of(frame), raw_of(frame, index, reader.head.camera)
+    table = renderer.table
+    labels = [renderer.labels(raw, number) for number in range(len(table.layers))]
+    crop, text = crop_of(table, reader.head.camera, labels, *limits[1:])
+    cropped = {name: pictures[name] for name in CROPPED if name in pictures}
+    return Subsection("Pixels", (picker(f"{anchor}-{index}", crop, text, cropped, frame.scene, jpeg),))
+
+
+def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray], head: TrainingSet) -> Subsection | None:
+    """Return the patches of the ColorChecker in frame `number` of a training set and in `planes`, those of every pipeline;
+    None where its target shows none."""
+    from l3cli.evaluation.patches import holds_chart, patch_colours
+
+    light = head.target_light or frame.light
+    size = frame.raw.shape[0], frame.raw.shape[1]
+    regions = next((each for each in chart_places(size) if holds_chart(frame, light, each)), None)
+    if regions is None:
+        return None
+    colours = patch_colours(frame, planes, regions)
+    ours = next(iter(planes))
+    title = f"Patches in frame {number + 1}, {frame.scene}, {frame.illuminant}"
+    figure = patches_figure(title, ("ideal", ours), (colours.ideal, colours.shown[ours]), colours.delta_e)
+    return Subsection("Colour chart", (Figures((figure,)), patches_table(colours.delta_e)))
+
+
+def _side_by_side(judged: list[Judged], limit: int, backend: str) -> Section:
+    """Return all judged tables in one section, whose pictures may take `limit` bytes."""
+    sides = [Side(each.pair.table.name, each.pair.frames.name, each.pair.head.camera, each.document) for each in judged]
+    pictures = []
+    for each, index in zip(judged, shared_frame(sides) or (), strict=False):
+        with open_training_set(each.pair.frames.path, unchanged=True) as reader:
+            renderers = FrameRenderers(backend, each.pair.transforms, Silent())  # each has been judged before
+            pictures.append(_pictures(each.pair, reader, renderers, index))
+    return side_by_side_section(sides, pictures, limit, jpeg)

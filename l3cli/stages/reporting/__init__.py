@@ -1,1 +1,0 @@
-"""The report stage: any set of artifacts → one page (`report`)."""
