@@ -19,9 +19,8 @@ from l3cli.frames.frame import RawFrame
 from l3cli.io.raw import files as raw_files
 from l3cli.io.raw.files import RawOverrides
 from l3cli.rendering.quiet import QuietRenderer, quiet_renderer
-from l3cli.rendering.raw_values import beyond_converter
-from l3cli.rendering.temporal.chunks import Chunks
-from l3cli.rendering.temporal.filters import filters
+from l3cli.rendering.raw_checks import beyond_converter
+from l3cli.rendering.temporal.chunks import Chunks, filters
 from l3cli.rendering.white.balance import WhiteBalance
 from l3cli.rendering.white.lights import Mix, mixed, nearest_for
 from l3cli.rendering.white.source import WhiteSource, given_white

@@ -20,7 +20,7 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.export.vector import make_vector
 from l3cli.export.wordlengths import ENOUGH, SEED, SHAPE, Cost, Words, chosen_words, word_costs
 from l3cli.rendering.display import require_known_layers
-from l3cli.rendering.smoothing import DARKEST
+from l3cli.rendering.reference import SPECTRA_DARKEST
 from l3cli.system.text import printable
 
 FORMAT, VERSION = "l3 table as arrays", 1
@@ -84,7 +84,7 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
     }
     if table.spectra:
         content["spectra"] = {"doc": SPECTRA_DOC, **arrays.add_fields("spectra/", table.spectra)}
-        content["constants"]["spectra_darkest"] = DARKEST
+        content["constants"]["spectra_darkest"] = SPECTRA_DARKEST
     if table.quiet:
         quiet = replace(table, first=table.quiet.first, later=table.quiet.later, quiet=None)
         arrays.prefix = QUIET

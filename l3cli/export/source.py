@@ -25,7 +25,7 @@ from l3cli.export.wordlengths import OUTPUT_FRACTION, OUTPUT_TOP, ShortWords, of
 from l3cli.physics.display import XYZ
 from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers
-from l3cli.rendering.smoothing import DARKEST
+from l3cli.rendering.reference import SPECTRA_DARKEST
 from l3cli.rendering.white.balance import WhiteBalance
 from l3cli.rendering.white.source import usual_balance
 from l3cli.system.text import printable
@@ -148,7 +148,7 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
     for feature, axis in further_features(rule):
         values |= feature.macros(axis, rule) | {"WINDOWS": len(axis.windows)}
     if table.spectra:
-        reach, darkest = _float(table.spectra.reach), _float(DARKEST)
+        reach, darkest = _float(table.spectra.reach), _float(SPECTRA_DARKEST)
         values |= {"SPECTRAL_WINDOW": table.spectra.window, "SPECTRAL_REACH": reach, "DARKEST": darkest}
     values |= _float_macros(table) if words == "float32" else _word_macros(table)
     return values | (_plane_macros(table) if table.later else {"LAST_TAPS": filled(rule.patch**2)})

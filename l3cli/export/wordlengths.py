@@ -22,8 +22,7 @@ from l3cli.classes.windows import window_channels
 from l3cli.errors import InputFileError
 from l3cli.export.vector import drawn_mosaic
 from l3cli.frames.frame import RawFrame
-from l3cli.rendering.later import later_outputs
-from l3cli.rendering.reference import ReferenceRenderer, output_planes
+from l3cli.rendering.reference import ReferenceRenderer, later_outputs, output_planes
 
 OUTPUT_FRACTION = 12  # bits of an output behind the point: words reach ±8
 OUTPUT_TOP = 2**15 - 1

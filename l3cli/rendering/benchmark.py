@@ -6,19 +6,169 @@ A frame is timed from uint16 in host memory to the result in host memory, everyt
 import functools
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import Axis, ClassRule, FurtherFeatures
+from l3cli.artifacts.layers import PLANE_STEP, MosaicLayer, PlaneLayer
+from l3cli.artifacts.plane_rules import StructureRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes import direction
+from l3cli.classes.chroma import CHROMA_FRACTION, chroma_weights
+from l3cli.classes.level import LEVEL_FRACTION
+from l3cli.classes.structure import NOISE_TRACE, SIGMA
+from l3cli.classes.windows import VARIANCE_FRACTION
+from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.rendering.display import make_display
 from l3cli.rendering.opencl.layout import VARIANTS
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.rendering.synthetic import CFAS, Case, synthetic_frame, synthetic_table
 
+SIDE = 5  # of the windows of the second layer …
+TWO_LAYERS = ("default",)  # … that these have
+STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0), 31, 2.0  # as configs/classes/default.toml has them
+BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
 FRAMES = 40  # timed frames of each case, after WARM_UP more
 WARM_UP = 3
+
+
+@dataclass(frozen=True)
+class Case:
+    """One line of the benchmark."""
+
+    width: int
+    height: int
+    patch: int
+    cfa: str  # key of CFAS
+    classes: str  # key of CLASSES
+    outputs: int = 3  # 3: X, Y, Z, shown as sRGB of 8 bits; another number: outputs as they are
+
+
+CFAS = {
+    "five-band": np.array([[2, 1, 4, 1], [1, 3, 1, 0], [4, 1, 2, 1], [1, 0, 1, 3]], np.uint8),
+    "bayer": np.array([[0, 1], [1, 2]], np.uint8),
+}
+CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # levels and chromas of recipes in configs/classes
+
+
+# Long: a rule and a table have many fields, and each is named.
+def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
+    """Random weights for as many classes as a trained table has: the recipe's levels and chromas, two contrasts (one before
+    a second layer), ten saturation cases; chroma centres about the grey of `synthetic_frame`, so that its pixels change
+    between them. Before a second layer weights are nearly equal: its classes follow the frame."""
+    cfa = CFAS[case.cfa]
+    channels = int(cfa.max()) + 1
+    level_count, chromas = CLASSES[case.classes]
+    levels = BLACK_LEVEL + np.geomspace(0.001, 0.95, level_count - 1) * (WHITE_LEVEL - BLACK_LEVEL)
+    centres = 1 - 0.08 * np.arange(channels) + 0.1 * rng.standard_normal((chromas, channels))
+    centres /= centres.sum(axis=1, keepdims=True)
+    case_of_code = rng.permutation(np.arange(2**channels) % CASE_COUNT).astype(np.uint16)
+    case_of_code[0] = 0
+    two_layers = case.classes in TWO_LAYERS
+    contrast_edges = 2 * 2**VARIANCE_FRACTION * channels * _variance(np.append(levels, WHITE_LEVEL))[None]
+    rule = ClassRule(
+        patch=case.patch,
+        shift=0,
+        level_edges=np.rint(levels * 2**LEVEL_FRACTION * channels).astype(np.uint32),
+        contrast_edges=np.rint(contrast_edges[: 0 if two_layers else 1]).astype(np.uint32),
+        saturation=4036,
+        saturation_radius=2,
+        case_of_code=case_of_code,
+        chroma_black_level=BLACK_LEVEL * 2**CHROMA_FRACTION,
+        chroma_weights=chroma_weights(centres),
+        features=FurtherFeatures.of((_directions(case, levels),)) if two_layers else None,
+    )
+    classes = cfa.size * rule.classes_per_site
+    weights = rng.standard_normal((classes, case.outputs, case.patch**2)) / case.patch
+    if two_layers:
+        weights = (1 + 0.1 * weights) / case.patch**2
+    return TransformTable(
+        camera_name="synthetic",
+        rows=case.height,
+        cols=case.width,
+        channels=tuple("abcdefgh"[:channels]),
+        cfa=cfa,
+        bits=BITS,
+        black_level=float(BLACK_LEVEL),
+        white_level=float(WHITE_LEVEL),
+        outputs=("X", "Y", "Z") if case.outputs == 3 else tuple(f"o{index}" for index in range(case.outputs)),
+        target_description="",
+        output_unit=1.0,
+        white_point=spectra.white_point("D65") if case.outputs == 3 else np.ones(case.outputs),
+        first=MosaicLayer(
+            rule=rule,
+            weights=weights.astype(np.float32),
+            intercept=np.zeros((classes, case.outputs), np.float32),
+            samples=np.ones(classes),
+            condition=np.ones(classes, np.float32),
+        ),
+        later=(_second_layer(rule, cfa.size, case.outputs, levels, rng),) if two_layers else (),
+    )
+
+
+def _directions(case: Case, level_edges: NDArray[np.float64]) -> Axis:
+    """The directions of the recipe `default` before a second layer."""
+    period = max(CFAS[case.cfa].shape)
+    span = case.patch - period
+    noise = np.sqrt(2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL)))  # DN, of a difference of two boxes
+    constants = [direction.SCALE, direction.SCALE, 4, 1, 0, *np.rint(DIRECTED * direction.SCALE * noise).tolist()]
+    windows = direction.boxes(case.patch, period, direction.inner_span(span))
+    return Axis("direction", 5, windows, np.array(constants, np.int32))
+
+
+def _second_layer(
+    first: ClassRule, sites: int, outputs: int, level_edges: NDArray[np.float64], rng: np.random.Generator
+) -> PlaneLayer:
+    """Random weights for classes of structure, whose gradients are in units of the frame's noise."""
+    noise = np.sqrt(2 * _variance(np.append(level_edges, WHITE_LEVEL)) / first.patch**3)  # DN, of a difference of means
+    scale = SIGMA * (WHITE_LEVEL - BLACK_LEVEL) * PLANE_STEP / noise
+    mantissa, exponent = np.frexp(scale)
+    rule = StructureRule(
+        level_step=1,
+        gradient_factor=np.minimum(np.rint(mantissa * 128), 127).astype(np.uint8),
+        gradient_shift=(7 - exponent).astype(np.uint8),
+        strength_edges=np.rint(np.array(STRENGTHS) * NOISE_TRACE).astype(np.uint32),
+        coherence=COHERENCE,
+        turns=rng.choice([-1, 1], (sites, 2)).astype(np.int8),
+        cases=first.cases,
+    )
+    classes = sites * rule.classes_per_site
+    weights = (rng.standard_normal((classes, outputs, outputs * SIDE**2)) / SIDE).astype(np.float32)
+    return PlaneLayer(SIDE, weights, np.zeros((classes, outputs), np.float32), np.ones(classes), rule)
+
+
+def _variance(level: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Variance (DN²) of the noise of `synthetic_frame`, nearly."""
+    return 30 + 0.4 * level
+
+
+def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
+    """A smooth scene over all levels with noise and some texture: neighbouring pixels change class as real ones do."""
+    cfa = CFAS[case.cfa]
+    row, col = np.mgrid[: case.height, : case.width]
+    channel = cfa[row % cfa.shape[0], col % cfa.shape[1]]
+    level = 0.5 + 0.3 * np.sin(col * 0.01) + 0.29 * np.cos(row * 0.013)
+    texture = 1 + 0.25 * np.sign(np.sin(col * 0.9) * np.sin(row * 0.7)) * ((col // 160 + row // 120) % 4 == 0)
+    if case.classes in TWO_LAYERS:
+        texture = texture * _detail(case, rng)
+    mean = level * texture * (1 - 0.08 * channel) * (WHITE_LEVEL - BLACK_LEVEL)
+    values = BLACK_LEVEL + mean + rng.standard_normal(mean.shape) * np.sqrt(30 + 0.4 * np.maximum(mean, 0))
+    return RawFrame("synthetic", np.clip(np.rint(values), 0, WHITE_LEVEL).astype(np.uint16), BLACK_LEVEL, WHITE_LEVEL)
+
+
+def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Edges all over the frame, as near to one another as in a busy scene: from one pixel of a site to the next, structures
+    change more often than not."""
+    blocks = np.zeros((case.height, case.width))
+    for side in (3, 7, 15):
+        drawn = rng.standard_normal((case.height // side + 1, case.width // side + 1))
+        blocks += drawn.repeat(side, 0).repeat(side, 1)[: case.height, : case.width]
+    return np.exp(0.1 * blocks)
+
 
 FULL = (
     Case(1280, 720, 9, "five-band", "fast"),

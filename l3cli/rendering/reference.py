@@ -6,17 +6,20 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import MosaicLayer
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.layers import PLANE_STEP, MosaicLayer, PlaneLayer
+from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.classes.decide import label_mosaic
-from l3cli.classes.later import label_planes
-from l3cli.classes.planes import FixedPoint, later_fixed_point, opponent_basis
+from l3cli.classes.later import label_planes, mirrored
+from l3cli.classes.planes import FixedPoint, coarse, later_fixed_point, opponent_basis
+from l3cli.classes.ratios import shaded_chroma
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import RawFrame, pad_mosaic
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
-from l3cli.rendering.later import first_planes, later_outputs, later_planes
 from l3cli.rendering.noise_sets import first_fixed_point, first_layer, later_layers, later_rules, quiet_pixels, sets_of
-from l3cli.rendering.smoothing import smoothed_spectra
+
+SPECTRA_DARKEST = (
+    2.0**-20
+)  # of the output unit: pixels of less brightness stay as they are, far below the noise of any sensor
 
 
 class ReferenceRenderer:
@@ -119,3 +122,75 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, firs
         weighted = first.weights[labels[row]].astype(np.float64) @ patches
         planes[:, row] = (weighted[..., 0] + first.intercept[labels[row]]).T
     return planes
+
+
+def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:
+    """Planes (plane, row, col) that the first layer makes of a frame at the table's levels, by its classes (row, col)."""
+    rows, cols = frame.values.shape
+    patch = table.first.rule.patch
+    padded = pad_mosaic(frame.values, table.first.rule.radius, table.cfa.shape).astype(np.int64)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
+    planes = np.empty((fixed.weights.shape[1], rows, cols), np.int32)
+    for row in range(rows):
+        patches, label = windows[row].reshape(cols, 1, patch**2), labels[row]
+        sums = (fixed.weights[label] * patches).sum(axis=-1) + fixed.intercept[label]
+        planes[:, row] = fixed.planes(sums.T, label)
+    return planes
+
+
+def later_planes(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint) -> NDArray[np.int32]:
+    """Planes (plane, row, col) that a layer makes of those of the layer before, by its classes (row, col)."""
+    _, rows, cols = planes.shape
+    windows = _windows(coarse(planes).astype(np.int64), layer)
+    made = np.empty_like(planes)
+    for row in range(rows):
+        patches, label = np.moveaxis(windows[:, row], 0, 1).reshape(cols, 1, -1), labels[row]
+        sums = (fixed.weights[label] * patches).sum(axis=-1) + fixed.intercept[label]
+        made[:, row] = fixed.planes(sums.T, label)
+    return made
+
+
+def later_outputs(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer) -> NDArray[np.float64]:
+    """Outputs (output, row, col) of a plane layer from what it reads and its classes (row, col)."""
+    _, rows, cols = planes.shape
+    windows = _windows(planes.astype(np.float64) * PLANE_STEP, layer)
+    ratios = np.moveaxis(shaded_chroma(planes, layer.side), 0, -1)[..., : layer.ratio_taps] * PLANE_STEP
+    outputs = np.empty((layer.weights.shape[1], rows, cols))
+    for row in range(rows):
+        patches = np.moveaxis(windows[:, row], 0, 1).reshape(cols, -1)
+        patches = np.concatenate([patches, ratios[row]], axis=1)[..., None]
+        weighted = layer.weights[labels[row]].astype(np.float64) @ patches
+        outputs[:, row] = (weighted[..., 0] + layer.intercept[labels[row]]).T
+    return outputs
+
+
+def _windows(planes: NDArray, layer: PlaneLayer) -> NDArray:
+    """Windows (plane, row, col, window row, window col) of planes (plane, row, col)."""
+    return np.lib.stride_tricks.sliding_window_view(mirrored(planes, layer.radius), (layer.side, layer.side), (1, 2))
+
+
+def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) -> NDArray[np.float64]:
+    """Outputs (output, row, col) whose spectra are smoothed; at the borders planes are mirrored about the outermost pixels.
+
+        w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))²)²        Y: mean of the outputs, q: pixels of the window, p too
+        o_p ← ō_p · Y_p / Ȳ_p                                    ō, Ȳ: means weighed by w
+
+    Means are taken of differences from the pixel itself, so that a plain area stays as it is to the last bit.
+    """
+    _, rows, cols = planes.shape
+    brightness = planes.mean(axis=0)
+    padded, around = mirrored(planes, smoothing.radius), mirrored(brightness, smoothing.radius)
+    scale = smoothing.reach * np.maximum(brightness, SPECTRA_DARKEST)
+    total, brighter, change = np.ones_like(brightness), np.zeros_like(brightness), np.zeros_like(planes)
+    for down, right in np.ndindex(smoothing.window, smoothing.window):
+        if down == right == smoothing.radius:
+            continue  # of the pixel itself: no difference, and a weight of 1
+        there = slice(down, down + rows), slice(right, right + cols)
+        difference = around[there] - brightness
+        weight = np.maximum(1 - np.square(difference / scale), 0) ** 2
+        total += weight
+        brighter += weight * difference
+        change += weight * (padded[:, *there] - planes)
+    kept = np.where(brightness > SPECTRA_DARKEST, brightness, 1.0)
+    share = kept / np.where(brightness > SPECTRA_DARKEST, brightness + brighter / total, 1.0)
+    return np.where(brightness > SPECTRA_DARKEST, (planes + change / total) * share, planes)

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from l3cli.frames.frame import RawFrame
-from l3cli.rendering.coverage import CoverageMeter
-from l3cli.rendering.opencl.kernel_cache import cache_warning
-from l3cli.rendering.raw_values import beyond_converter, mistaken
-from l3cli.rendering.sites import best_phases
+from l3cli.rendering.exposure import CoverageMeter
+from l3cli.rendering.opencl.devices import cache_warning
+from l3cli.rendering.raw_checks import best_phases, beyond_converter, mistaken
 from l3cli.stages.console import Console
 from l3cli.system.files import sha256
 

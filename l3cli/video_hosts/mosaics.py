@@ -14,9 +14,8 @@ from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.files import RawOverrides, frame_of
-from l3cli.rendering.raw_values import beyond_converter
-from l3cli.rendering.temporal.any_order import AnyOrder
-from l3cli.rendering.temporal.filters import filters
+from l3cli.rendering.raw_checks import beyond_converter
+from l3cli.rendering.temporal.chunks import AnyOrder, filters
 from l3cli.stages.rendering.corrections import CameraFile, correction_in
 from l3cli.system.files import sha256
 from l3cli.system.numbers import NoSuchNumber, Quantity

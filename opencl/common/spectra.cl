@@ -1,4 +1,4 @@
-// Spectra that take the mean of their neighbourhood and keep their brightness (l3cli/rendering/smoothing.py is the truth).
+// Spectra that take the mean of their neighbourhood and keep their brightness (l3cli/rendering/reference.py is the truth).
 
 // What a neighbour counts whose brightness differs so much; `inverse`: of the difference from which it counts nothing.
 INLINE floats nearness(floats difference, floats inverse) {

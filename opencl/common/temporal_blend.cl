@@ -1,4 +1,4 @@
-// Evidence of motion, weights of cells, and the blend (l3cli/rendering/temporal/blend.py).
+// Evidence of motion, weights of cells, and the blend (l3cli/rendering/temporal/reference.py).
 
 // Cells have SLACK beside them, and a row above and below them, of nought.
 INLINE int cell_row_length(int columns) { return columns + 2 * SLACK; }

@@ -20,7 +20,7 @@ from l3cli.cli import COMMANDS, l3, terminal
 from l3cli.errors import suggestion
 from l3cli.frames.frame import RawFrame
 from l3cli.io.confinement import LANDLOCK, SECCOMP
-from l3cli.rendering.coverage import CoverageMeter
+from l3cli.rendering.exposure import CoverageMeter
 from l3cli.system.text import columns
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import with_first

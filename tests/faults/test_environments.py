@@ -187,7 +187,7 @@ def test_what_a_variable_says_is_checked_where_nothing_depends_on_it(
 # --------------------------------------------------------------------------------------------------------- caches
 PROGRAM = """
 import os, numpy as np
-from l3cli.rendering.opencl import devices, kernel_cache
+from l3cli.rendering.opencl import devices
 from l3cli.rendering.opencl.programs import Compiler
 device = devices.choose_device("")
 cl = devices.pyopencl()
@@ -200,7 +200,7 @@ buffer = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, numbers.nbytes)
 kernel(queue, (16,), None, buffer)
 cl.enqueue_copy(queue, numbers, buffer)
 assert (numbers == 7).all()
-print(os.environ["POCL_CACHE_DIR"], kernel_cache.cache_warning())
+print(os.environ["POCL_CACHE_DIR"], devices.cache_warning())
 """
 
 

@@ -22,7 +22,7 @@ from l3cli.classes.tree import EVERY, Evidence
 from l3cli.classes.windows import window_channels
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
-from l3cli.rendering.later import first_planes
+from l3cli.rendering.reference import first_planes
 from tests.helpers.cameras import random_camera
 
 

@@ -22,7 +22,7 @@ from l3cli.io.sequences import FrameReference
 from l3cli.physics.display import displayed, srgb_curve
 from l3cli.rendering.display import make_display
 from l3cli.rendering.exposure import LightMeter
-from l3cli.rendering.opencl import bands
+from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.white.source import usual_balance
@@ -68,7 +68,7 @@ def test_backends_agree_on_shaded_frames(variant: str, monkeypatch: pytest.Monke
     reference, device = ReferenceRenderer(table), OpenCLRenderer(table, variant=variant)
     display = make_display(table.white_point, 1.0, 8)
     for pixels in (SHAPE[0] * SHAPE[1], 20 * SHAPE[1]):  # a single band, and several
-        monkeypatch.setattr(bands, "BAND_PIXELS", pixels)
+        monkeypatch.setattr(work, "BAND_PIXELS", pixels)
         device._frame_bands = None
         for layer in range(len(table.layers)):
             np.testing.assert_array_equal(device.labels(frame, layer), reference.labels(frame, layer))

@@ -17,7 +17,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import shading_of
 from l3cli.rendering.display import make_display
-from l3cli.rendering.opencl import bands
+from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.temporal.opencl import opencl_filters
@@ -65,7 +65,7 @@ def test_tiles_bands_shading_and_pictures(variant: str, monkeypatch: pytest.Monk
     shading = shading_of(field, shape, table.cfa)
     reference, device = ReferenceRenderer(table), OpenCLRenderer(table, variant=variant)
     for rows, frame in ((13, a_frame(table, shape)), (6, replace(a_frame(table, shape), shading=shading, dark=1.3))):
-        monkeypatch.setattr(bands, "BAND_PIXELS", rows * shape[1])
+        monkeypatch.setattr(work, "BAND_PIXELS", rows * shape[1])
         device._frame_bands = None
         np.testing.assert_allclose(device.outputs(frame), reference.exact_outputs(frame), atol=2e-5)
         for bits in (8, 16):

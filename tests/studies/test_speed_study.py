@@ -24,13 +24,12 @@ from l3cli.evaluation.demosaic import menon
 from l3cli.frames.frame import RawFrame, mirrored_indices
 from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics import spectra
-from l3cli.rendering.benchmark import FULL, WARM_UP
+from l3cli.rendering.benchmark import CFAS, FULL, WARM_UP, Case, synthetic_frame, synthetic_table
 from l3cli.rendering.display import make_display
 from l3cli.rendering.opencl.devices import choose_device, pyopencl
 from l3cli.rendering.opencl.programs import BUILD_OPTIONS
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.rendering.synthetic import CFAS, Case, synthetic_frame, synthetic_table
 from l3cli.simulation import light
 from l3cli.simulation.frame import simulate
 from l3cli.simulation.recipe import Lens

@@ -28,7 +28,7 @@ from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics.display import displayed, srgb_curve, white_luminance
 from l3cli.rendering.quiet import quiet_renderer, quiet_table
 from l3cli.rendering.renderer import make_renderer
-from l3cli.rendering.temporal.filters import filters
+from l3cli.rendering.temporal.chunks import filters
 from l3cli.simulation import procedural, sensor
 from l3cli.simulation.frame import Averaging, simulate
 from l3cli.simulation.light import make_light

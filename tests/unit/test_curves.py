@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from l3cli.physics.spaces import BT2020_CURVE, SRGB_CURVE, Curve
-from l3cli.rendering.opencl.curves import _literal, curve_pieces
+from l3cli.rendering.opencl.layout import _literal, curve_pieces
 
 
 @pytest.mark.parametrize("curve", [SRGB_CURVE, BT2020_CURVE])

@@ -10,8 +10,8 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.rendering.display import Display, make_display
-from l3cli.rendering.opencl import bands
 from l3cli.rendering.opencl import renderer as opencl
+from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table, with_later
@@ -45,7 +45,7 @@ def test_encoded_afterwards_or_with_the_transforms(table: TransformTable, engine
 def test_copied_or_in_the_memory_of_the_host(table: TransformTable, monkeypatch: pytest.MonkeyPatch) -> None:
     """A device that shares the host's memory computes on the arrays themselves, others on copies."""
     frame, shown, made = noise(), display(8), []
-    monkeypatch.setattr(bands, "BAND_PIXELS", 301 * 20)
+    monkeypatch.setattr(work, "BAND_PIXELS", 301 * 20)
     for shares in (True, False):
         monkeypatch.setattr(opencl, "shares_memory", lambda device, shares=shares: shares)
         renderer = OpenCLRenderer(table)
@@ -123,7 +123,7 @@ def test_what_is_held_is_of_the_same_frame_and_of_its_values_now(monkeypatch: py
     darker = dataclasses.replace(other, dark=100.0)  # the same values, another signal
     renderer.outputs(other)
     assert (renderer.picture(darker, display(8)) != expected).any()
-    monkeypatch.setattr(bands, "BAND_PIXELS", 301 * 20)  # more than one band: nothing is held
+    monkeypatch.setattr(work, "BAND_PIXELS", 301 * 20)  # more than one band: nothing is held
     banded = OpenCLRenderer(ONE_LAYER)
     banded.outputs(other)
     np.testing.assert_array_equal(banded.picture(other, display(8)), expected)

@@ -15,7 +15,7 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.rendering.display import Display, make_display
-from l3cli.rendering.opencl import bands
+from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import BACKENDS, make_renderer
@@ -148,7 +148,7 @@ def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, layers: str, kind
     labels = [whole.labels(frame, layer) for layer in range(len(table.layers))]
     planes, picture = whole.outputs(frame), whole.picture(frame, display)
     for rows in (1, 7, 30):
-        monkeypatch.setattr(bands, "BAND_PIXELS", rows * 83)
+        monkeypatch.setattr(work, "BAND_PIXELS", rows * 83)
         banded = OpenCLRenderer(table, **KINDS[kind])
         for layer, expected in enumerate(labels):
             np.testing.assert_array_equal(banded.labels(frame, layer), expected)

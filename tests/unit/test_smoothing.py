@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.errors import RecipeError
-from l3cli.rendering.opencl import bands
+from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
-from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.rendering.smoothing import DARKEST, smoothed_spectra
+from l3cli.rendering.reference import SPECTRA_DARKEST, ReferenceRenderer, smoothed_spectra
 from l3cli.training.insight import insight
 from l3cli.training.recipe import LearningRecipe, check_learning
 from l3cli.training.text import learned
@@ -78,11 +77,11 @@ def test_noise_of_spectra_falls_and_the_dark_stays_finite() -> None:
     smoothed = smoothed_spectra(noisy, SpectralSmoothing(3, 0.3))
     share = np.std(smoothed - spectrum) / np.std(noisy - spectrum)
     assert share == pytest.approx((1 / 9 + 8 / 9 / 16) ** 0.5, abs=0.03)  # a mean of nine, but brightness's own sixteenth
-    for level in (0.0, DARKEST, 1e-30, -1.0):
+    for level in (0.0, SPECTRA_DARKEST, 1e-30, -1.0):
         dark = level * (1 + rng.normal(size=(4, 6, 6)))
         made = smoothed_spectra(dark, SpectralSmoothing(3, 0.9))
         assert np.isfinite(made).all()
-        below = dark.mean(axis=0) <= DARKEST
+        below = dark.mean(axis=0) <= SPECTRA_DARKEST
         assert np.array_equal(made[:, below], dark[:, below])
 
 
@@ -98,7 +97,7 @@ def test_kernels_agree_with_the_reference(
     table = with_spectra(bare, window, reach)
     reference, renderer = ReferenceRenderer(table), OpenCLRenderer(table, variant=variant)
     for shape, band in (((3, 4), 100), ((53, 70), 100), ((52, 71), 7)):
-        monkeypatch.setattr(bands, "BAND_PIXELS", band * shape[1])
+        monkeypatch.setattr(work, "BAND_PIXELS", band * shape[1])
         frame = frame_of_all_levels(table, np.random.default_rng(3), shape, (1, 2))
         expected = reference.exact_outputs(frame)
         unsmoothed = ReferenceRenderer(dataclasses.replace(table, spectra=None)).exact_outputs(frame)

@@ -11,13 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.temporal import chunks
-from l3cli.rendering.temporal.any_order import AnyOrder
-from l3cli.rendering.temporal.blend import LEAST_WEIGHT, ONE
-from l3cli.rendering.temporal.chunks import CHUNK, LEAD, Chunks, chunks_of, needed
-from l3cli.rendering.temporal.filters import filters
-from l3cli.rendering.temporal.grid import Grid
+from l3cli.rendering.temporal.chunks import CHUNK, LEAD, AnyOrder, Chunks, chunks_of, filters, needed
+from l3cli.rendering.temporal.noise import Grid
 from l3cli.rendering.temporal.opencl import opencl_filters
-from l3cli.rendering.temporal.reference import ReferenceFilter
+from l3cli.rendering.temporal.reference import LEAST_WEIGHT, ONE, ReferenceFilter
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera
 from tests.helpers.tables import random_table
 

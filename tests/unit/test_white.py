@@ -14,8 +14,8 @@ from l3cli.frames.shading import Shading
 from l3cli.io.raw.cfa_codes import neutral_of_channels
 from l3cli.physics import near_lights, spectra
 from l3cli.physics.display import daylight, delta_e_2000, display_white, lab, scene_white
+from l3cli.rendering.raw_checks import best_phases
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.rendering.sites import best_phases
 from l3cli.rendering.white.auto import AutoWhite
 from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance, balanced, plain_balance
 from l3cli.rendering.white.grey import GreyRenderer, Square

@@ -1,5 +1,6 @@
 """A table as the kernels see it: macros for shapes, arrays for values, sources in their order (opencl/*.cl)."""
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,13 +19,54 @@ from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippet
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, raw_middle
 from l3cli.classes.ratios import DARKEST
 from l3cli.classes.windows import Integers, neighbourhoods
+from l3cli.physics.spaces import Curve
 from l3cli.rendering.display import Display
-from l3cli.rendering.opencl.curves import curve_macros, curve_pieces
-
-Macros = dict[str, int | str]
 
 PLANES = 3  # that a layer after the first reads
 PERIODS = 31  # columns by which a row of the CFA is repeated, so that two vectors of 16 can be read from any phase on
+SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # of floats that are arranged so; at most so many taps (folding.cl)
+SHARED = ("common/rule.cl", "common/encoding.cl")
+TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu/side_by_side.cl", "cpu/transform.cl")
+
+
+@functools.cache
+def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
+    """A curve, its power part as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
+    lowest = curve.knee**0.25
+    root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
+    terms = np.polynomial.polynomial.polyfit(root, curve.encoded(root**4), degree)
+    return {
+        "CURVE_KNEE": _literal(curve.knee),
+        "CURVE_SLOPE": _literal(curve.slope),
+        "CURVE_STEPS": steps,
+        "CURVE_DEGREE": degree,
+        "CURVE_TERMS": ",".join(_literal(term) for term in terms),
+    }
+
+
+@functools.cache
+def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
+    """A curve's codes up to `top`, and half a code, as 32 parabolas in u = 2^-8 + CURVE_SHARE · x within 3e-5 of `top`: four
+    an octave, fitted at Chebyshev's nodes, in the order in which the upper bits of u number them."""
+    start, share = 2.0**-8, 1 - 2.0**-8 - 2.0**-22
+    octave, quarter = np.divmod(np.arange(32), 4)
+    half = start * 2.0**octave / 8
+    middle = start * 2.0**octave * (1 + quarter / 4) + half
+    node = np.cos(np.linspace(0, np.pi, 101))
+    codes = top * curve.encoded((middle + half * node[:, None] - start) / share) + 0.5
+    c, b, a = np.polynomial.polynomial.polyfit(node, codes, 2) / half ** np.arange(3)[:, None]
+    terms = np.array([c - b * middle + a * middle**2, b - 2 * a * middle, a])
+    first = int(np.float32(start).view(np.int32)) >> 21 & 31
+    numbered = np.roll(terms, first, axis=1).ravel()
+    return {"CURVE_SHARE": _literal(share), "CURVE_PIECES": ",".join(_literal(term) for term in numbered)}
+
+
+def _literal(value: float) -> str:
+    """A number as OpenCL C writes one in single precision; whole numbers have an exponent, without which they are none."""
+    return f"{value:.8e}f"
+
+
+Macros = dict[str, int | str]
 
 
 @dataclass(frozen=True)
@@ -205,9 +247,6 @@ def by_column(weights: NDArray, planes: int) -> NDArray:
     return square.transpose(0, 1, 4, 3, 2).reshape(classes, outputs, taps)
 
 
-SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # of floats that are arranged so; at most so many taps (folding.cl)
-
-
 def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
     """(class, …) for side_by_side.cl; or, for floating_point.cl, (class, group, …): vectors (vector, output, lane) of all
     taps of a window but the last, the last taps of four outputs, their four intercepts, the taps behind the window one by
@@ -290,8 +329,6 @@ class Variant:
     pack_whole: Callable[[WholeWeights, int], NDArray]
 
 
-SHARED = ("common/rule.cl", "common/encoding.cl")
-TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu/side_by_side.cl", "cpu/transform.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(

@@ -18,14 +18,12 @@ from l3cli.frames.frame import RawFrame
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.noise_sets import sets_of
 from l3cli.rendering.opencl import layout
-from l3cli.rendering.opencl.bands import bands
 from l3cli.rendering.opencl.devices import pyopencl, refusals
 from l3cli.rendering.opencl.planes import table_buffers
 from l3cli.rendering.opencl.programs import Programs, chosen, compiler_of
 from l3cli.rendering.opencl.quiet import bring
-from l3cli.rendering.opencl.shading import DeviceShading
-from l3cli.rendering.opencl.spectra import DeviceSpectra
-from l3cli.rendering.opencl.work import SPECTRA, Band, Held, Track, Work, constant, scratch, shares_memory, stages_of
+from l3cli.rendering.opencl.steps import DeviceShading, DeviceSpectra
+from l3cli.rendering.opencl.work import SPECTRA, Band, Held, Track, Work, bands, constant, scratch, shares_memory, stages_of
 
 TRACKS = 2
 

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.rendering.temporal.grid import Grid
-from l3cli.rendering.temporal.noise import DEEP, NoiseTerms
+from l3cli.rendering.temporal.noise import DEEP, Grid, NoiseTerms
 
 Plane = NDArray[np.int32]
 Vectors = NDArray[np.int32]  # (block row, block col, 2), rows and columns

@@ -14,9 +14,8 @@ from l3cli.rendering.opencl import layout
 from l3cli.rendering.opencl.devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl.programs import Compiler
 from l3cli.rendering.opencl.work import Work, shares_memory
-from l3cli.rendering.temporal import blend, motion
-from l3cli.rendering.temporal.grid import Grid
-from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Kind, NoiseTerms, noise_of, share_left
+from l3cli.rendering.temporal import motion, reference
+from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Grid, Kind, NoiseTerms, noise_of, share_left
 
 STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods of a work-item
 MARGIN, SLACK = 4, 8  # rows and columns about a plane, and columns behind it
@@ -47,7 +46,7 @@ class Device:
     def run(self, name: str, rows: int, columns: int, *arguments: Any) -> None:
         """Enqueue a kernel over rows and columns, STRIP columns an item; whole numbers become 32 bits."""
         kernel, grid = self.kernels[name], (-(-columns // self.strip), rows)
-        if name not in self._typed:  # once, as in opencl_work.Track
+        if name not in self._typed:  # once, as in work.Track
             kernel.set_scalar_arg_dtypes([np.int32 if isinstance(each, int) else None for each in arguments])
             self._typed.add(name)
         kernel(self.queue, grid, (1, 1) if self.strip > 1 else None, *arguments)
@@ -85,18 +84,18 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
         "BLOCK_ROWS": grid.block[0],
         "BLOCK_COLUMNS": grid.block[1],
         "PLANES": grid.planes,
-        "SHARE_BITS": blend.ONE.bit_length() - 1,
+        "SHARE_BITS": reference.ONE.bit_length() - 1,
         "LINEAR_FRACTION": LINEAR_FRACTION,
         "UNEVEN_FRACTION": UNEVEN_FRACTION,
         "MARGIN": MARGIN,
         "SLACK": SLACK,
         "TILE_ROWS": TILE_ROWS,
-        "MOST_BEYOND": f"{blend.MOST_BEYOND}L",
+        "MOST_BEYOND": f"{reference.MOST_BEYOND}L",
         "MOST_DIFFERENCE": motion.CLIPPED,
         "SETTLED": motion.SETTLED,
         "RELUCTANCE": motion.RELUCTANCE,
         "FARTHEST": motion.FARTHEST,
-        **{name: getattr(blend, name) for name in names},
+        **{name: getattr(reference, name) for name in names},
     }
 
 
@@ -155,9 +154,9 @@ class OpenCLFilter:
             for pair in (buffers.kept, buffers.left):
                 pair.reverse()
             rows, cols = frame.values.shape
-            left = int(buffers.host_left.sum(dtype=np.int64)) / (int(np.prod(grid.cells)) * blend.ONE)
+            left = int(buffers.host_left.sum(dtype=np.int64)) / (int(np.prod(grid.cells)) * reference.ONE)
             share = share_left(self._camera, frame, left)
-            of_cells = NoiseLeft(buffers.host_left[1:-1, SLACK:-SLACK].copy(), blend.ONE, grid.cell)
+            of_cells = NoiseLeft(buffers.host_left[1:-1, SLACK:-SLACK].copy(), reference.ONE, grid.cell)
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def kept(self) -> NDArray[np.uint16]:
@@ -198,7 +197,7 @@ class OpenCLFilter:
     def _weigh(self, raw: Any, vectors: Any) -> None:
         """Each cell's weight."""
         device, buffers, grid, noise = self._device, self._buffers, self._grid, self._noise
-        constant = min(grid.sites * noise.constant, blend.MOST_VARIANCE)
+        constant = min(grid.sites * noise.constant, reference.MOST_VARIANCE)
         terms = (noise.protect, noise.black, noise.linear, constant, noise.fixed, noise.uneven)
         device.run(
             "evidence", *grid.blocks, raw, buffers.kept[0], vectors, buffers.left[0], *buffers.found, buffers.weights,

@@ -1,16 +1,119 @@
 """The filter by numpy: the truth that the kernels of opencl/temporal*.cl agree with, value by value."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.frames.frame import NoiseLeft, RawFrame
-from l3cli.rendering.temporal.blend import ONE, Blend, blended, first_blend
-from l3cli.rendering.temporal.grid import Grid
 from l3cli.rendering.temporal.motion import Vectors, planes_of, vectors_of
-from l3cli.rendering.temporal.noise import Kind, noise_of, of_units, share_left, to_units
+from l3cli.rendering.temporal.noise import (
+    LINEAR_FRACTION,
+    UNEVEN_FRACTION,
+    Grid,
+    Kind,
+    NoiseTerms,
+    noise_of,
+    of_units,
+    share_left,
+    to_units,
+)
+
+ONE = 1 << 10  # of shares: of noise that is left, and weights
+POWER_FACTOR, POWER_FREE = 4, 5
+MEAN_FREE, WIDE_FREE = 2, 6  # … and what the power of the cells' sums, and of the sum of all of them, are above these
+CUT = 8  # residuals' power, relative to noise, from which on a cell is of another scene
+CLIPPED = (1 << 14) - 1  # u, of a residual that is weighed: sums of squares then fit a kernel's 32 bits
+MOST_POWER, MOST_VARIANCE = (1 << 32) - 1, (1 << 29) - 1  # u², of a cell: a kernel holds no more …
+MOST_BEYOND = 1 << 42  # u²: … nor takes a double, in which all these are whole, beyond 2^53
+FEW = 2  # a frame of which one cell in so many is of another scene restarts the filter
+
+
+Cells = NDArray[np.int64]
+
+LEAST_WEIGHT = ONE // 12  # of a new frame
+# Beyond noise, relative to it: 4 times what the residuals' power over 3 × 3 cells is above 5/4, …
+
+
+@dataclass(frozen=True)
+class Blend:
+    """State of a frame that is carried to the next."""
+
+    values: NDArray[np.uint16]  # (row, col) u, of whole blocks
+    left: Cells  # (cell row, cell col) share of a frame's noise variance that is left, of ONE
+    restarted: bool
+
+
+def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
+    """Return the state of the first frame of a scene, values (row, col) u of whole blocks."""
+    return Blend(values, np.full(grid.cells, ONE, np.int64), restarted=True)
+
+
+def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: Grid, noise: NoiseTerms) -> Blend:
+    """A frame, values (row, col) u of whole blocks, with what was kept before it, moved by `vectors`."""
+    rows, cols = np.indices(grid.shape, sparse=True)
+    of_pixel = vectors.repeat(grid.block[0], 0).repeat(grid.block[1], 1)
+    kept = before.values[rows + of_pixel[..., 0], cols + of_pixel[..., 1]].astype(np.int64)
+    residual = values - kept
+    left = _moved_left(before.left, vectors, grid)
+    power, mean, wide, expected = _evidence(values, residual, left, vectors, grid, noise)
+    if np.count_nonzero(power > CUT * expected) * FEW > power.size:
+        return first_blend(values, grid)
+    beyond = np.maximum(power * POWER_FACTOR - expected * POWER_FREE, 0)
+    beyond += np.maximum(mean - expected * MEAN_FREE, 0) + np.maximum(wide - expected * WIDE_FREE, 0)
+    whole = expected * (ONE + left) + np.minimum(beyond, MOST_BEYOND) * ONE
+    weight = np.maximum(ONE - expected * ONE**2 // whole, LEAST_WEIGHT)
+    left = np.minimum(((ONE - weight) ** 2 * left + weight**2 * ONE) // ONE**2 + 1, ONE)
+    of_pixel = weight.repeat(grid.cell[0], 0).repeat(grid.cell[1], 1)
+    new = kept + ((of_pixel * residual + ONE // 2) // ONE)
+    return Blend(new.astype(np.uint16), left, restarted=False)
+
+
+def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
+    """Return the noise that is left in each cell, at the place where its middle was before."""
+    rows, cols = (
+        (np.arange(count) * side + side // 2 + _by_cell(vectors[..., axis], grid).swapaxes(0, axis).swapaxes(0, 1)) // side
+        for axis, (count, side) in enumerate(zip(grid.cells, grid.cell, strict=True))
+    )
+    return left[rows.swapaxes(0, 1), cols]
+
+
+def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
+    """(cell row, cell col) of values (block row, block col)."""
+    down, across = (block // cell for block, cell in zip(grid.block, grid.cell, strict=True))
+    return of_block.repeat(down, 0).repeat(across, 1)
+
+
+def _evidence(
+    values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
+) -> tuple[Cells, Cells, Cells, Cells]:
+    """Return, over three by three cells about each, the power of the residuals, of each cell's sum, of the sum of all,
+    and the share of noise in any of them."""
+    signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
+    variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)
+    level = signal // grid.sites
+    fixed = 2 * grid.sites * (noise.fixed + (level * level * noise.uneven >> UNEVEN_FRACTION))
+    variance = variance * (ONE + left) // ONE + np.where(_by_cell((vectors != 0).any(axis=2), grid), fixed, 0)
+    variance = np.minimum(variance, MOST_VARIANCE)
+    clipped = np.clip(residual, -CLIPPED, CLIPPED)
+    sums = _sums(clipped, grid)
+    power = np.minimum(_sums(clipped * clipped, grid), MOST_POWER)
+    return _nearby(power), _nearby(sums * sums), _nearby(sums) ** 2, _nearby(variance)
+
+
+def _sums(values: Cells, grid: Grid) -> Cells:
+    """Sums of values (row, col) over cells."""
+    (down, across), (tall, wide) = grid.cells, grid.cell
+    return values.reshape(down, tall, across, wide).sum(axis=(1, 3))
+
+
+def _nearby(cells: Cells) -> Cells:
+    """Sums over three by three cells, as far as there are any."""
+    padded = np.pad(cells, 1)
+    tall = padded[:-2] + padded[1:-1] + padded[2:]
+    return tall[:, :-2] + tall[:, 1:-1] + tall[:, 2:]
 
 
 class ReferenceFilter:

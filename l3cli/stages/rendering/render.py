@@ -17,8 +17,7 @@ from l3cli.io.raw.files import RawOverrides
 from l3cli.io.sequences import FrameSequence, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.rendering.display import require_xyz
-from l3cli.rendering.temporal.chunks import Chunks
-from l3cli.rendering.temporal.filters import filters
+from l3cli.rendering.temporal.chunks import Chunks, filters
 from l3cli.rendering.white.lights import mixed, nearest_for
 from l3cli.rendering.white.source import given_white, usual_balance
 from l3cli.stages.claims import OutputGuard
