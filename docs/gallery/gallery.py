@@ -25,7 +25,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures
-from l3cli.io.images import encoded, jpeg
+from l3cli.io.pictures.openimageio import encoded, jpeg
 from l3cli.parallel import ordered_map
 from l3cli.recipes.builtin import known_recipes
 from l3cli.stages.console import Silent

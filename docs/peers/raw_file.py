@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.evaluation.quality import cropped
 from l3cli.frames.frame import pad_mosaic
-from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
 from l3cli.physics.display import srgb_from_xyz_matrix
 
 Array = NDArray[np.floating]
@@ -30,7 +30,7 @@ def write_mosaic(path: Path, mosaic: Array, cfa: NDArray[np.uint8]) -> None:
     """A mosaic (row, col) of the channels red, green, blue in which a white is 1, as a new DNG file."""
     values = np.clip(np.rint(BLACK + WHITE_SHARE * (TOP - BLACK) * mosaic), 0, TOP).astype(np.uint16)
     matrix = srgb_from_xyz_matrix()
-    colour = RawColour(dict.fromkeys(LIGHT_CODES, matrix))
+    colour = dict.fromkeys(LIGHT_CODES, matrix)
     write_dng(path, values, _camera(cfa, values.shape), colour, np.ones(3), exposure=0.01)
 
 

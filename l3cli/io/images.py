@@ -1,11 +1,8 @@
-"""Pictures (PNG, TIFF, JPEG, JPEG XL: codes) and linear values (EXR, TIFF) to files and back, all through OpenImageIO."""
+"""Pictures and linear values of any format that OpenImageIO reads."""
 
 import contextlib
-import os
 import re
-import struct
 from collections.abc import Iterator
-from dataclasses import replace
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -13,187 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.io.icc import icc_profile
+from l3cli.errors import InputFileError
 from l3cli.io.isolated import isolated
-from l3cli.io.label import NOTHING, Label
 from l3cli.io.names import named_in_utf8
-from l3cli.io.raw.tiff_tags import UPRIGHT, flip_of
-from l3cli.physics.spaces import SRGB, XYZ, Space
-from l3cli.system.files import write_whole
+from l3cli.io.tags import UPRIGHT, flip_of
 from l3cli.system.limits import VALUE_BYTES, require_picture
-from l3cli.system.signals import uninterrupted
 
-PICTURES = {  # bits each may hold; 32: floating point
-    ".png": (8, 16),
-    ".tif": (8, 16, 32),
-    ".tiff": (8, 16, 32),
-    ".jpg": (8,),
-    ".jpeg": (8,),
-    ".jxl": (8, 16),
-}
-LINEAR = ".exr"
-JPEG_XL = ".jxl"
-RAW = ".dng"  # raw/developed.py
-FLOAT_BITS = 32
-# Noise hardly shrinks: what packs tightest takes seven times as long for a tenth of the size.
-COMPRESSION: dict[str, dict[str, str | int]] = {
-    # Differences to the mean of two neighbours: hardly any of their strings come again, and to look for them takes long.
-    ".png": {"compression": "rle", "png:compressionLevel": 1, "png:filter": 64},
-    ".tif": {"compression": "none"},
-    ".tiff": {"compression": "none"},
-    ".jpg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
-    ".jpeg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
-    ".jxl": {"compression": "lossless", "jpegxl:effort": 1},
-}
-XYZ_AS_IT_IS = replace(XYZ, title="CIE XYZ", neutral=None)
-EXIF_SRGB, EXIF_OTHER = 1, 65535  # values of Exif's ColorSpace
 EXPOSURE_TIME = "ExposureTime"  # OpenImageIO's name of the Exif tag
-
-
-def is_linear(path: Path, bits: int = 8) -> bool:
-    """Return whether a file of this name and depth holds linear values rather than the codes of a picture."""
-    return path.suffix.lower() == LINEAR or bits == FLOAT_BITS
-
-
-def check_format(path: Path, bits: int) -> None:
-    """Raise RecipeError if no file of this name can be written, or not with `bits` bits a value."""
-    if path.suffix.lower() == LINEAR or (path.suffix.lower() == RAW and bits != FLOAT_BITS):
-        return
-    if path.suffix.lower() == RAW:
-        raise RecipeError(f"{path}: a DNG file holds 16 bits a value; leave ‹bits› out")
-    depths = PICTURES.get(path.suffix.lower())
-    if depths is None:
-        raise RecipeError(
-            f"{path}: pictures are written as {', '.join(PICTURES)}, linear outputs as {LINEAR}, raw ones as {RAW}"
-        )
-    if bits not in depths:
-        held, cure = " or ".join(map(str, depths)), ".tif or .exr" if bits == FLOAT_BITS else ".png or .tif"
-        raise RecipeError(f"{path}: {path.suffix} holds {held} bits a value, not {bits}; use {cure}")
-
-
-def make_ready(suffix: str) -> None:
-    """Import what writes files of a suffix."""
-    if suffix.lower() != RAW:
-        import OpenImageIO  # noqa: F401
-
-
-def write_picture(path: Path, picture: NDArray) -> None:
-    """Encoded sRGB (row, col, 3), uint8 or uint16, to a file of the format of its suffix, tagged as sRGB."""
-    write_whole(path, picture_file(path, picture))
-
-
-def picture_file(path: Path, picture: NDArray, space: Space = SRGB, label: Label = NOTHING) -> bytes:
-    """Return the file of a picture (row, col, 3), uint8 or uint16, encoded in a space, whose profile it carries, and its
-    label."""
-    import OpenImageIO as oiio
-
-    check_format(path, 8 * picture.dtype.itemsize)
-    rows, cols, channels = picture.shape
-    spec = oiio.ImageSpec(cols, rows, channels, str(picture.dtype))
-    _add_profile(spec, space, with_name=path.suffix.lower() != ".png")  # a PNG file has a profile or a name
-    _add_label(spec, label)
-    for name, value in COMPRESSION[path.suffix.lower()].items():
-        spec.attribute(name, value)
-    content = encoded(path.name, spec, picture)
-    if path.suffix.lower() == JPEG_XL and label != NOTHING:
-        packet = label.xmp.encode()
-        content += struct.pack(">I4s", 8 + len(packet), b"xml ") + packet  # a box like the others of the file
-    return content
-
-
-def write_linear(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]) -> None:
-    """Linear outputs (row, col, output) to an EXR file of float channels called `names`."""
-    write_whole(path, linear_file(path, pixels, names, XYZ_AS_IT_IS if names == ("X", "Y", "Z") else None))
-
-
-def linear_file(
-    path: Path, pixels: NDArray[np.float32], names: tuple[str, ...], space: Space | None, label: Label = NOTHING
-) -> bytes:
-    """Return the EXR or TIFF file of linear values (row, col, value) called `names`; `space`: what they say of colours."""
-    import OpenImageIO as oiio
-
-    rows, cols, outputs = pixels.shape
-    spec = oiio.ImageSpec(cols, rows, outputs, "float")
-    spec.channelnames, spec.alpha_channel = names, -1
-    spec.attribute("compression", "none")
-    _add_label(spec, label)
-    if space is not None and path.suffix.lower() != LINEAR:
-        _add_profile(spec, space, with_name=False)
-    elif space is not None:
-        chromaticities = [value for point in (*space.primaries, space.white) for value in point]
-        spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), chromaticities)
-        if space.neutral:
-            spec.attribute("adoptedNeutral", oiio.TypeDesc("float[2]"), space.neutral)
-    return encoded(path.name, spec, pixels)
-
-
-def _add_profile(spec: Any, space: Space, with_name: bool) -> None:
-    """The profile of a space; of sRGB also its name, for those who look for that."""
-    import OpenImageIO as oiio
-
-    spec.attribute("oiio:ColorSpace", "sRGB" if space == SRGB and with_name else "data")  # else it is taken for sRGB
-    spec.attribute("Exif:ColorSpace", EXIF_SRGB if space == SRGB else EXIF_OTHER)
-    profile = icc_profile(space)
-    spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, np.uint8))
-
-
-def _add_label(spec: Any, label: Label) -> None:
-    shot = label.shot
-    numbers = {EXPOSURE_TIME: label.exposure, "FNumber": shot.f_number, "Exif:FocalLength": shot.focal_length}
-    texts = {"Make": shot.make, "Model": shot.model, "Exif:LensModel": shot.lens, "Exif:DateTimeOriginal": shot.date}
-    for name, value in {**numbers, **texts, "Software": label.software, "ImageDescription": label.description}.items():
-        if value:
-            spec.attribute(name, value)
-    if shot.iso:
-        spec.attribute("Exif:PhotographicSensitivity", min(round(shot.iso), 65535))  # of 16 bits, as Exif has it
-        spec.attribute("Exif:ISOSpeed", round(shot.iso))  # OpenImageIO writes the other one into no TIFF
-
-
-def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None = None) -> None:
-    """A raw mosaic (row, col) in DN as an uncompressed 16-bit mono TIFF, with its exposure time (s) if that is known."""
-    import OpenImageIO as oiio
-
-    spec = oiio.ImageSpec(values.shape[1], values.shape[0], 1, "uint16")
-    spec.attribute("compression", "none")
-    if exposure:
-        spec.attribute(EXPOSURE_TIME, exposure)
-    write_whole(path, encoded(path.name, spec, values[..., None]))
-
-
-def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
-    """Return the bytes of a JPEG file of sRGB codes (row, col, 3), `quality` 1…100, colour at full resolution."""
-    import OpenImageIO as oiio
-
-    rows, cols, channels = picture.shape
-    spec = oiio.ImageSpec(cols, rows, channels, "uint8")
-    spec.attribute("oiio:ColorSpace", "sRGB")
-    spec.attribute("Compression", f"jpeg:{quality}")
-    spec.attribute("jpeg:subsampling", "4:4:4")
-    return encoded("picture.jpg", spec, picture)
-
-
-@uninterrupted
-def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
-    """Return the bytes of a file of this name; L3Error if it cannot be encoded.
-
-    They are made in memory: on a full disk the JPEG library ends the whole program, and the PNG library says nothing. Left
-    half through by a signal, that one complains on stderr.
-    """
-    import OpenImageIO as oiio
-
-    spec.attribute("DateTime", "")  # else the clock is written into the file: the same input must give the same bytes
-    with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
-        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # names need not be text
-        if sink is None:
-            raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}")
-        written = sink.open(f"/proc/self/fd/{memory.fileno()}", spec) and sink.write_image(np.ascontiguousarray(pixels))
-        if not (sink.close() and written):
-            raise L3Error(f"{name} cannot be encoded: {sink.geterror().strip()}")
-        return memory.read()
-
-
-# ------------------------------------------------------------------------------------------------------- reading
 
 
 @isolated("OpenImageIO")

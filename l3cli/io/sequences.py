@@ -34,7 +34,7 @@ class FrameReference:
     source: Path | None = None  # the file that holds it alone
     origin: str | None = None  # what distinguishes it from another frame of its number, once computed
     inode: tuple[int, ...] | None = None  # time of the last change of its file's inode and that one's number, once known
-    identity: str = ""  # what its picture says that it was made from (label.of_file, of_values), once computed
+    identity: str = ""  # what its picture says that it was made from (file_identity, values_identity), once computed
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures, planes_of
 from l3cli.frames.frame import RawFrame
-from l3cli.io import images
-from l3cli.io.pictures import picture_files
+from l3cli.io.picture_sequences import picture_files
+from l3cli.io.pictures.registry import write_picture
 from l3cli.io.scenes import rgb
 from l3cli.rendering.display import require_xyz
 from l3cli.stages.claims import OutputGuard
@@ -79,7 +79,7 @@ def evaluate(
                 frame, planes = evaluate_frame(evaluation, renderers, reader, index, shown)
                 if pictures is not None:
                     for name, picture in frame_pictures(frame, planes).items():
-                        images.write_picture(pictures / f"{frame_name(index, frame.scene)}_{name}.png", picture)
+                        write_picture(pictures / f"{frame_name(index, frame.scene)}_{name}.png", picture)
         warn_of_kernels(console)
         return evaluation.document()
 

@@ -14,7 +14,7 @@ from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, TrainingSetReader, open_training_set
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.io.images import jpeg
+from l3cli.io.pictures.openimageio import jpeg
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
 from l3cli.report.evaluation import evaluation_section, front_section, shown_frames

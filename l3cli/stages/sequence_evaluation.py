@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.sequence import CELL, SequenceEvaluation, SequenceFigures
-from l3cli.io.pictures import PictureSequence, find_pictures, read_motion
+from l3cli.io.picture_sequences import PictureSequence, find_pictures, read_motion
 from l3cli.stages.console import Console
 from l3cli.stages.plan import before_work
 from l3cli.system.limits import read_bounded

@@ -11,7 +11,7 @@ import tifffile
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.calibration.photo.prior import WAVELENGTH
-from l3cli.io.raw.dng_writer import RawColour, write_dng
+from l3cli.io.pictures.dng import write_dng
 from l3cli.physics import spectra
 from tests.helpers import photos
 from tests.helpers.calls import L3, Refused
@@ -65,7 +65,7 @@ def measured(folder: Path, text: str, head: str = FILE) -> Path:
 def test_a_dng_alone_makes_a_camera(folder: Path, bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     cfa = np.array([[0, 1], [1, 2]], np.uint8)
     camera = replace(bayer, rows=600, cols=800, bits=12, black_level=float(BLACK), white_level=float(WHITE), cfa=cfa)
-    colour = RawColour({"A": np.eye(3), "D65": np.eye(3)})
+    colour = {"A": np.eye(3), "D65": np.eye(3)}
     write_dng(tmp_path / "chart.dng", mosaic(), camera, colour, None, 0.01)
     code, out, err = l3("calibrate", "--photo", tmp_path / "chart.dng", "--light", "D65", "-o", tmp_path / "camera.h5")
     assert code == 0, err
@@ -93,7 +93,7 @@ def test_a_dng_alone_makes_a_camera(folder: Path, bayer: CameraModel, tmp_path: 
 def test_a_file_of_another_array_is_refused(bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
     cfa = np.array([[0, 1], [1, 2]], np.uint8)
     camera = replace(bayer, rows=600, cols=800, bits=12, black_level=float(BLACK), white_level=float(WHITE), cfa=cfa)
-    write_dng(tmp_path / "chart.dng", mosaic(), camera, RawColour({"A": np.eye(3), "D65": np.eye(3)}), None, 0.01)
+    write_dng(tmp_path / "chart.dng", mosaic(), camera, {"A": np.eye(3), "D65": np.eye(3)}, None, 0.01)
     head = FILE.replace('["r", "g", "b"]', '["c", "m", "y"]').replace('"r g", "g b"', '"c m", "m y"')
     path = measured(tmp_path, '[photo]\nframes = ["chart.dng"]\n', head)
     line = refused(3, "calibrate", path, "-o", tmp_path / "camera.h5")

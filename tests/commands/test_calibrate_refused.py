@@ -12,7 +12,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.io.frames import read_frame
-from l3cli.io.images import write_mosaic
+from l3cli.io.pictures.openimageio import write_mosaic
 from tests.helpers.calls import L3, Refused
 from tests.helpers.hostile_inputs import TABLE
 from tests.helpers.paths import CONFIGS

@@ -15,7 +15,7 @@ from l3cli.charts.locate import Located
 from l3cli.charts.patches import corner_cells, homography
 from l3cli.frames.frame import RawFrame, as_taken, upright
 from l3cli.io.images import read_image
-from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
 from l3cli.physics import spectra
 from l3cli.physics.display import daylight, displayed_xyz, lab, srgb_decoded
 from l3cli.stages.rendering.chart_white import _greys, _place
@@ -43,7 +43,7 @@ def test_its_greys_are_neutral_also_where_the_file_states_another_white(
 ) -> None:
     raw, picture = tmp_path / "photo.dng", tmp_path / "a.tif"
     daylight_neutral = bayer.electron_weights @ spectra.illuminant("D55", bayer.wavelength)
-    colour = RawColour(dict.fromkeys(LIGHT_CODES, np.eye(3)))
+    colour = dict.fromkeys(LIGHT_CODES, np.eye(3))
     write_dng(raw, chart_mosaic(bayer, "A"), bayer, colour, daylight_neutral / daylight_neutral.max(), 0.01)
     call = ("render", table, raw, "--bits", 16, "--backend", "reference", "-o", picture, "--force", "--white")
     code, _, err = l3(*call, "chart")

@@ -93,7 +93,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 def made(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a single process makes: training.h5, table.h5, pictures/, video.y4m of frames/."""
     folder = tmp_path_factory.mktemp("made")
-    from l3cli.io.images import write_picture
+    from l3cli.io.pictures.registry import write_picture
 
     rng = np.random.default_rng(0)
     write_picture(folder / "picture.png", rng.integers(0, 256, (32, 40, 3), dtype=np.uint8))

@@ -16,7 +16,7 @@ from l3cli.artifacts.store import save
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
-from l3cli.io.raw.developed import HEADROOM, WHITE_LEVEL
+from l3cli.io.pictures.dng import HEADROOM, WHITE_LEVEL
 from l3cli.io.raw.files import read_raw
 from l3cli.physics.display import daylight, delta_e_2000, displayed_xyz, lab, scene_white, srgb_decoded
 from l3cli.physics.spaces import REC2020, SRGB, adaptation_matrix

@@ -15,7 +15,7 @@ from l3cli.artifacts.store import save
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import run
 from l3cli.io.images import read_image
-from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
 from l3cli.io.raw.files import read_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab, srgb_from_xyz_matrix
@@ -148,9 +148,7 @@ def test_matrices_and_neutral_follow_the_planes(tmp_path: Path) -> None:
         planes, matrix, shown = (tags.valueof(code) for code in (50710, 50722, 50728))
     assert list(planes) == [3, 5, 4]
     np.testing.assert_allclose(np.divide(shown[::2], shown[1::2]), grey[[0, 2, 1]], rtol=1e-6)
-    np.testing.assert_allclose(
-        np.divide(matrix[::2], matrix[1::2]).reshape(3, 3), _colour(camera).matrices["D65"][[0, 2, 1]]
-    )
+    np.testing.assert_allclose(np.divide(matrix[::2], matrix[1::2]).reshape(3, 3), _colour(camera)["D65"][[0, 2, 1]])
 
 
 @pytest.mark.parametrize("recipe", ["bayer", "fiveband", "cmy"])
@@ -177,5 +175,5 @@ def test_what_exists_already_is_refused(refused: Callable, made: Path, tmp_path:
     assert "not empty" in refused(1, *call, tmp_path / "full")
 
 
-def _colour(camera: CameraModel) -> RawColour:
-    return RawColour({name: colour_matrix(camera, make_light(name, {}, camera.wavelength)) for name in LIGHT_CODES})
+def _colour(camera: CameraModel) -> dict[str, np.ndarray]:
+    return {name: colour_matrix(camera, make_light(name, {}, camera.wavelength)) for name in LIGHT_CODES}

@@ -14,8 +14,9 @@ from l3cli.artifacts.store import load
 from l3cli.cli import run
 from l3cli.io.captures import read_capture
 from l3cli.io.curves import write_curves
-from l3cli.io.images import write_mosaic, write_picture
-from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
+from l3cli.io.pictures.openimageio import write_mosaic
+from l3cli.io.pictures.registry import write_picture
 from l3cli.spectra.file import read_table
 from l3cli.spectra.units import PHOTON_RADIANCE
 from tests.helpers.calls import L3, Refused
@@ -168,7 +169,7 @@ def test_raw_files_of_cameras_state_their_array_and_times(lab: Path, bayer: Came
     """The lab's frames as DNG, one kind as FITS: the same sensor."""
     fits = pytest.importorskip("astropy.io.fits")
     folder = tmp_path / "captures"
-    colour = RawColour({light: np.eye(3) for light in LIGHT_CODES})
+    colour = {light: np.eye(3) for light in LIGHT_CODES}
     for path in lab.glob("*/*.tif"):
         file = folder / path.relative_to(lab).with_suffix(".dng")
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -17,7 +17,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as program
-from l3cli.io.images import write_picture
+from l3cli.io.pictures.registry import write_picture
 from l3cli.stages.starting import COMMON
 from tests.helpers.paths import CONFIGS
 from tests.helpers.readme import PAGES, commands, sessions

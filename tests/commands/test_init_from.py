@@ -18,7 +18,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration.photo.prior import WAVELENGTH
 from l3cli.export.camera_profile import light_matrices
 from l3cli.io.images import read_image
-from l3cli.io.raw.dng_writer import RawColour, write_dng
+from l3cli.io.pictures.dng import write_dng
 from l3cli.physics import spectra
 from l3cli.stages.starting import COMMON
 from tests.helpers import dng_files, photos
@@ -27,7 +27,7 @@ from tests.helpers.recipes import SMALL
 
 XTRANS = np.array([[1, 0, 1, 1, 2, 1], [2, 1, 2, 0, 1, 0], [1, 0, 1, 1, 2, 1]] * 2)
 SRATIONAL, ASCII = 10, 2
-IDENTITY = RawColour({"A": np.eye(3), "D65": np.eye(3)})
+IDENTITY = {"A": np.eye(3), "D65": np.eye(3)}
 
 
 def scene(camera: CameraModel, seed: int = 0) -> np.ndarray:
@@ -44,7 +44,7 @@ def photo(bayer: CameraModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("photo") / "photo.dng"
     found = {light: light_matrices(bayer, light) for light in ("A", "D65")}
     matrices = {light: each.colour.values for light, each in found.items() if each}
-    write_dng(path, scene(bayer), bayer, RawColour(matrices), None, 0.01)
+    write_dng(path, scene(bayer), bayer, matrices, None, 0.01)
     return path
 
 

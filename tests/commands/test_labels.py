@@ -17,7 +17,7 @@ from l3cli.artifacts.store import save
 from l3cli.frames.frame import Shot
 from l3cli.io.images import read_image
 from l3cli.io.raw.files import read_raw
-from l3cli.io.raw.shot import believable_shot
+from l3cli.io.tags import believable_shot
 from l3cli.system.files import sha256
 from tests.helpers.cameras import BAYER
 from tests.helpers.dng_files import BYTE, RATIONAL, SHORT, Tags, write_dng

@@ -19,7 +19,7 @@ import pytest
 
 from l3cli.cli import run
 from l3cli.errors import DeviceError, L3Error
-from l3cli.io.images import write_mosaic
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.io.raw.files import RawOverrides
 from l3cli.rendering.renderer import make_renderer
 from l3cli.stages.checking.schema import OUTPUT, schema

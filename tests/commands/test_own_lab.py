@@ -11,8 +11,8 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
-from l3cli.io.images import write_mosaic
 from l3cli.io.measurement_recipe import CaptureRecipe, MeasurementRecipe
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.sensor import expose
 from tests.helpers.calls import L3

@@ -10,8 +10,10 @@ import tifffile
 
 from l3cli.errors import InputFileError
 from l3cli.io.frames import read_frame
-from l3cli.io.images import read_image, write_mosaic, write_picture
-from l3cli.io.raw.pages import count_pages, read_page
+from l3cli.io.images import read_image
+from l3cli.io.pictures.openimageio import write_mosaic
+from l3cli.io.pictures.registry import write_picture
+from l3cli.io.raw.tiff import count_pages, read_page
 from l3cli.system.limits import TRUST
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, frames, pictures

@@ -18,7 +18,8 @@ from scipy.ndimage import gaussian_filter
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
-from l3cli.io.images import read_image, write_picture
+from l3cli.io.images import read_image
+from l3cli.io.pictures.registry import write_picture
 from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.hostile_names import Pipelines

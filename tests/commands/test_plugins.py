@@ -12,7 +12,8 @@ import pytest
 
 import l3cli as l3_api
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.io.images import read_image, write_picture
+from l3cli.io.images import read_image
+from l3cli.io.pictures.registry import write_picture
 from l3cli.physics.display import daylight, srgb_codes, srgb_from_xyz_matrix
 from l3cli.simulation import sensor
 from tests.helpers.readme import PAGES, blocks

@@ -10,8 +10,8 @@ import pytest
 
 from l3cli.artifacts import store
 from l3cli.artifacts.camera import CameraModel
-from l3cli.io.images import write_linear, write_picture
-from l3cli.io.pictures import find_pictures
+from l3cli.io.picture_sequences import find_pictures
+from l3cli.io.pictures.registry import write_picture
 from l3cli.io.video import VideoChoice, new_video, new_y4m
 from l3cli.physics.display import srgb_curve
 from l3cli.report.sequence import sequence_section
@@ -40,7 +40,7 @@ def ideal(tmp_path: Path) -> Path:
     folder = folder_of(tmp_path / "clip", pictures(), "{:05d}_x_ideal.png")
     still = np.zeros((*SHAPE, 3), np.float32)
     for number in range(4):
-        write_linear(folder / f"{number:05d}_x_motion.exr", still + (0, 0, number > 0), ("down", "right", "seen"))
+        write_picture(folder / f"{number:05d}_x_motion.exr", still + (0, 0, number > 0), ("down", "right", "seen"))
         (folder / f"{number:05d}_x_raw.tif").write_bytes(b"not looked at")
     return folder
 
@@ -138,7 +138,7 @@ def test_what_does_not_belong_together_is_refused(ideal: Path, tmp_path: Path, r
     for option in (("--viewing", 60), ("--backend", "reference"), ("--force",)):
         assert f"{option[0]} is for a table" in refused(2, *call, ideal, *option)
     assert "ends after 3" in refused(3, "evaluate", "--sequence", ideal, "--ideal", tmp_path / "short.mkv")
-    write_linear(ideal / "00002_x_motion.exr", np.zeros((8, 8, 3), np.float32), ("down", "right", "seen"))
+    write_picture(ideal / "00002_x_motion.exr", np.zeros((8, 8, 3), np.float32), ("down", "right", "seen"))
     assert "no motion of frames of 24×32" in refused(3, *call, folder_of(tmp_path / "four", pictures()))
 
 

@@ -14,8 +14,9 @@ from PIL import Image, ImageCms
 import l3cli as l3_python
 from l3cli.artifacts.store import save
 from l3cli.frames.frame import RawFrame
-from l3cli.io.icc import icc_profile
-from l3cli.io.images import picture_file, read_image
+from l3cli.io.images import read_image
+from l3cli.io.pictures.icc import icc_profile
+from l3cli.io.pictures.registry import Picture, picture_file
 from l3cli.physics.display import scene_white
 from l3cli.physics.spaces import D65, SPACES, SRGB, adaptation_matrix, chromaticity_of, xyz_of
 from l3cli.physics.spectra import colour_science
@@ -94,7 +95,7 @@ def test_whoever_follows_the_profile_sees_the_same_colours(name: str, suffix: st
     codes = np.random.default_rng(2).integers(40, 216, (8, 8, 3))
     xyz = np.moveaxis(((codes / 255 + 0.055) / 1.055) ** 2.4 @ np.linalg.inv(SRGB.from_xyz).T, -1, 0)
     picture = encode(xyz, make_display(SRGB.neutral_xyz, 1.0, 8, SPACES[name])).repeat(8, 0).repeat(8, 1)
-    stored = Image.open(io.BytesIO(picture_file(Path("a" + suffix), picture, SPACES[name])))
+    stored = Image.open(io.BytesIO(picture_file(Path("a" + suffix), Picture(picture, SPACES[name]))))
     profile = ImageCms.ImageCmsProfile(io.BytesIO(stored.info["icc_profile"]))
     shown = ImageCms.profileToProfile(
         stored, profile, ImageCms.createProfile("sRGB"), renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC

@@ -73,8 +73,8 @@ def test_nothing_is_said_when_all_is_done(desk: Path) -> None:
 def test_a_foreign_file_is_read_by_the_isolated_process(desk: Path, tmp_path: Path) -> None:
     import OpenImageIO as oiio
 
-    from l3cli.io.images import encoded
-    from l3cli.io.raw.pages import read_by_library
+    from l3cli.io.pictures.openimageio import encoded
+    from l3cli.io.raw.tiff import read_by_library
 
     values = read_by_library(desk / "raw.tif")["values"]
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], 1, "uint16")

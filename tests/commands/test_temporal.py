@@ -9,7 +9,8 @@ import pytest
 
 from l3cli.artifacts.store import save
 from l3cli.frames.frame import RawFrame
-from l3cli.io.images import read_image, write_mosaic
+from l3cli.io.images import read_image
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.rendering.quiet import quiet_table
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.temporal import chunks

@@ -15,7 +15,7 @@ from l3cli.artifacts.light_set import LightSet
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.io.images import read_image
-from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
 from l3cli.physics import spectra
 from l3cli.physics.display import display_white
 from l3cli.rendering.white.balance import adaptation
@@ -46,7 +46,7 @@ def mosaic(camera: CameraModel, light: str, share: float = 0.5) -> np.ndarray:
 def dng(path: Path, camera: CameraModel, light: str, values: np.ndarray, stated: str | None = "") -> Path:
     """A frame as DNG that states the neutral of its light, or of another one."""
     neutral = camera.electron_weights @ spectra.illuminant(stated or light, camera.wavelength)
-    colour = RawColour(dict.fromkeys(LIGHT_CODES, np.eye(3)))
+    colour = dict.fromkeys(LIGHT_CODES, np.eye(3))
     write_dng(path, values, camera, colour, None if stated is None else neutral / neutral.max(), 0.01)
     return path
 
@@ -152,7 +152,7 @@ def test_a_neutral_that_no_light_gives_and_another_camera_are_warned_of(
     l3: Callable, table: Path, bayer: CameraModel, tmp_path: Path
 ) -> None:
     other = dataclasses.replace(bayer, name="Canon EOS 550D")
-    colour = RawColour(dict.fromkeys(LIGHT_CODES, np.eye(3)))
+    colour = dict.fromkeys(LIGHT_CODES, np.eye(3))
     write_dng(tmp_path / "odd.dng", mosaic(bayer, "A"), other, colour, np.array([1.0, 0.2, 1.0]), 0.01)
     code, _, err = l3("render", table, tmp_path / "odd.dng", "--white", "camera", "-o", tmp_path / "a.png", *FAST)
     assert code == 0

@@ -16,7 +16,7 @@ from l3cli.errors import InputFileError
 from l3cli.io import isolated
 from l3cli.io.confinement import LANDLOCK, SECCOMP
 from l3cli.io.decoder_process import measures
-from l3cli.io.images import write_mosaic
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.system.limits import MEGAPIXELS, TRUST
 from tests.helpers.cameras import BAYER
 from tests.helpers.decoders import (

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.store import save
-from l3cli.io.images import write_mosaic
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.io.raw.hdf5 import chunks_of_a_frame
 from l3cli.io.video import pyav
 from tests.helpers.paths import ROOT

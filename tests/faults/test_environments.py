@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from l3cli.errors import RecipeError
-from l3cli.io.images import write_picture
+from l3cli.io.pictures.registry import write_picture
 from l3cli.io.raw.libraw import read_camera_raw
 from l3cli.recipes.toml import Recipe, load_recipe
 from l3cli.system.limits import MEGAPIXELS, SECONDS, TRUST, trusted

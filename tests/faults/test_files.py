@@ -14,7 +14,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.container import new_file
 from l3cli.errors import InputFileError, L3Error
-from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
 from l3cli.io.video import VideoChoice, new_video, new_y4m
 from l3cli.system import files
 from l3cli.system.files import atomic_output, require_same, sha256, write_whole
@@ -192,7 +192,7 @@ def test_a_full_disk_names_the_output(tmp_path: Path) -> None:
 def test_a_raw_file_that_does_not_fit_names_itself(bayer: CameraModel, tmp_path: Path) -> None:
     """The library that makes it would say that only a part of an array was written."""
     path, before = tmp_path / "a.dng", resource.getrlimit(resource.RLIMIT_FSIZE)
-    colour = RawColour({light: np.eye(3) for light in LIGHT_CODES})
+    colour = {light: np.eye(3) for light in LIGHT_CODES}
     resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
     try:
         with pytest.raises(L3Error, match=r"a\.dng cannot be written: File too large; free some space"):

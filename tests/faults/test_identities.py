@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.store import save
-from l3cli.io.images import write_picture
+from l3cli.io.pictures.registry import write_picture
 from l3cli.recipes import builtin
 from l3cli.stages import starting
 from l3cli.system.files import atomic_output, protecting, refuse_protected

@@ -18,7 +18,7 @@ from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as every_command
 from l3cli.cli.options import Number
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.io.images import write_mosaic
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.recipes.toml import parse_recipe
 from l3cli.system.numbers import NoSuchNumber, Quantity
 from l3cli.training.recipe import TrainingRecipe

@@ -19,7 +19,8 @@ import pytest
 
 from l3cli.artifacts.container import seal
 from l3cli.artifacts.store import save
-from l3cli.io.images import read_image, write_mosaic
+from l3cli.io.images import read_image
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.system.limits import MEGAPIXELS, MOST_TEXT, TRUST
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS, ROOT
@@ -173,7 +174,7 @@ def test_names_within_files_never_become_paths(l3: Callable, tmp_path: Path) -> 
     recipe = tmp_path / "in/scenes.toml"
     recipe.parent.mkdir()
     picture = np.full((20, 24, 3), 120, np.uint8)
-    from l3cli.io.images import write_picture
+    from l3cli.io.pictures.registry import write_picture
 
     write_picture(tmp_path / "in/..hurt..png", picture)
     recipe.write_text('exposure_share = [0.9]\n[[scene]]\nsource = "rgb"\nfile = "..hurt..png"\n')

@@ -9,7 +9,7 @@ import pytest
 
 from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
-from l3cli.io.images import write_mosaic
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.system.files import open_regular, require_regular, sha256
 from l3cli.system.limits import read_bounded
 from tests.helpers.hostile import Hang, timed

@@ -66,7 +66,7 @@ def kill(line: str, module: str, function: str, count: int) -> dict[str, bytes]:
 
 @pytest.mark.parametrize(
     ("module", "function", "count"),
-    [("io.images", "write_picture", 2), ("io.raw.dng_writer", "write_dng", 1)],
+    [("io.pictures.registry", "write_picture", 2), ("io.pictures.dng", "write_dng", 1)],
 )
 def test_a_simulation_killed_among_its_pictures_is_finished(
     module: str, function: str, count: int, folder: Path, l3: Callable
@@ -96,7 +96,7 @@ def test_a_simulation_killed_among_its_pictures_can_be_begun_anew(folder: Path, 
     whole = contents()
     assert "exists; add --force" in refused(1, *SIMULATE.split())
     shutil.rmtree("out")
-    kill(SIMULATE, "io.images", "write_picture", 2)
+    kill(SIMULATE, "io.pictures.registry", "write_picture", 2)
     assert l3(*SIMULATE.split()) == (0, "", "")  # what is there is of the same run: no --force is asked for
     assert contents() == whole
     Path("out/set.h5").unlink()
@@ -104,7 +104,7 @@ def test_a_simulation_killed_among_its_pictures_can_be_begun_anew(folder: Path, 
 
 
 def test_another_run_is_kept_off_the_pictures_of_a_killed_one(folder: Path, l3: Callable) -> None:
-    left = kill(SIMULATE, "io.images", "write_picture", 2)
+    left = kill(SIMULATE, "io.pictures.registry", "write_picture", 2)
     code, _, err = l3(*SIMULATE.split(), "--seed", "1")
     assert (code, err.count("\n")) == (1, 1)
     assert "out/pictures is not empty; add --force" in err
@@ -142,7 +142,7 @@ def test_an_evaluation_killed_among_its_pictures_is_finished(folder: Path, l3: C
     assert len(whole) >= 3 * 4
     assert "is not empty; add --force" in refused(1, *EVALUATE.split())
     shutil.rmtree("out")
-    left = kill(EVALUATE, "io.images", "write_picture", 6)
+    left = kill(EVALUATE, "io.pictures.registry", "write_picture", 6)
     assert {name for name in left if name.endswith(".png")} < whole.keys()
     other = "is not empty; add --force"
     assert other in l3(*EVALUATE.replace("set.h5", "training.h5").split())[2]

@@ -21,7 +21,7 @@ import numpy as np
 
 from l3cli.artifacts.store import save
 from l3cli.cli import run
-from l3cli.io.images import write_mosaic
+from l3cli.io.pictures.openimageio import write_mosaic
 from tests.helpers.paths import ROOT
 
 T = TypeVar("T")

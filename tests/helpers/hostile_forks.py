@@ -23,7 +23,7 @@ from l3cli.api import Renderer, read_raw
 from l3cli.artifacts.store import load, open_artifact, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError
-from l3cli.io.images import write_mosaic
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.parallel import ordered_map
 from l3cli.rendering.opencl import devices
 from l3cli.rendering.reference import ReferenceRenderer

@@ -9,7 +9,8 @@ import av
 import h5py
 import numpy as np
 
-from l3cli.io.images import read_image, write_mosaic
+from l3cli.io.images import read_image
+from l3cli.io.pictures.openimageio import write_mosaic
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.cli import run
-from l3cli.io.images import write_mosaic
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.system.files import UNFINISHED
 from tests.helpers.cameras import bayer_camera
 

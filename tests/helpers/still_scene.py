@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from l3cli.io.images import write_mosaic
+from l3cli.io.pictures.openimageio import write_mosaic
 from tests.helpers.cameras import BAYER, random_camera
 from tests.helpers.tables import random_table
 

@@ -9,7 +9,7 @@ import pytest
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.evaluation.demosaic import tiled
 from l3cli.frames.scene import ChannelPicture
-from l3cli.io.images import write_linear, write_picture
+from l3cli.io.pictures.registry import write_picture
 from tests.helpers.paths import CONFIGS
 
 CAMERA = CONFIGS / "benchmarks/bayer/camera.toml"
@@ -58,7 +58,7 @@ def test_channels_are_taken_by_their_names(codes: np.ndarray, tmp_path: Path, l3
 
 
 def test_a_picture_of_floats_is_linear_already(tmp_path: Path, l3: Callable) -> None:
-    write_linear(tmp_path / "picture.exr", np.full((16, 16, 3), 0.25, np.float32), ("R", "G", "B"))
+    write_picture(tmp_path / "picture.exr", np.full((16, 16, 3), 0.25, np.float32), ("R", "G", "B"))
     scenes = recipe(tmp_path, HEAD.format(share="0.9") + SCENE.format(file="picture.exr"))
     assert l3("simulate", scenes, "--camera", CAMERA, "-o", tmp_path / "set.h5", "--quiet")[0] == 0
     with open_training_set(tmp_path / "set.h5") as reader:

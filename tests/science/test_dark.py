@@ -19,7 +19,8 @@ from l3cli.cli import run
 from l3cli.errors import InputFileError
 from l3cli.frames.dark import average_dark, without_dark
 from l3cli.frames.frame import RawFrame
-from l3cli.io.images import read_image, write_mosaic
+from l3cli.io.images import read_image
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.rendering.exposure import LightMeter
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer

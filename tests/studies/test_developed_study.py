@@ -17,7 +17,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.io.raw.developed import HEADROOM, WHITE_LEVEL
+from l3cli.io.pictures.dng import HEADROOM, WHITE_LEVEL
 from l3cli.physics.display import displayed, displayed_delta_e, srgb_curve, white_luminance
 from l3cli.physics.spaces import REC2020, SRGB
 from tests.helpers.paths import CONFIGS

@@ -9,7 +9,8 @@ import OpenImageIO as oiio
 import pytest
 
 from l3cli.errors import RecipeError
-from l3cli.io.images import check_format, read_image, write_linear, write_picture
+from l3cli.io.images import read_image
+from l3cli.io.pictures.registry import format_of, write_picture
 from l3cli.system import signals
 from tests.helpers.tables import XYZ
 
@@ -38,11 +39,11 @@ def test_jpeg_comes_back_alike(tmp_path: Path) -> None:
 
 def test_exr_keeps_floats_and_names(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).normal(size=(5, 7, 3)).astype(np.float32) * 3
-    write_linear(tmp_path / "a.exr", pixels, XYZ)
+    write_picture(tmp_path / "a.exr", pixels, XYZ)
     back, names = read_image(tmp_path / "a.exr")
     assert (names, back.dtype) == (XYZ, np.float32)
     np.testing.assert_array_equal(back, pixels)
-    write_linear(tmp_path / "b.exr", pixels[..., :2], ("nir", "leaf"))
+    write_picture(tmp_path / "b.exr", pixels[..., :2], ("nir", "leaf"))
     back, names = read_image(tmp_path / "b.exr")
     np.testing.assert_array_equal(back[..., [names.index("nir"), names.index("leaf")]], pixels[..., :2])
 
@@ -82,4 +83,4 @@ def test_an_interrupted_picture_leaves_no_complaints(tmp_path: Path, capfd: pyte
 def test_formats_that_cannot_be_are_refused() -> None:
     for name, bits in (("a.gif", 8), ("a", 8), ("a.jpg", 16)):
         with pytest.raises(RecipeError, match=r"\.png"):
-            check_format(Path(name), bits)
+            format_of(Path(name), bits)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.io.images import write_mosaic, write_picture
-from l3cli.io.raw import plain_tiff, registry
-from l3cli.io.raw.pages import read_by_library
+from l3cli.io.pictures.openimageio import write_mosaic
+from l3cli.io.pictures.registry import write_picture
+from l3cli.io.raw import registry, tiff
 from l3cli.system.limits import MEGAPIXELS, TRUST
 
 
@@ -27,14 +27,14 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_same_as_by_the_library(tmp_path: Path, shape: tuple[int, int], exposure: float | None) -> None:
     path = tmp_path / "a.tif"
     write_mosaic(path, mosaic(*shape), exposure)
-    content = plain_tiff.read(path)
-    content = read_by_library(path)
+    content = tiff.read_plain(path)
+    content = tiff.read_by_library(path)
     values, time = content["values"], content["exposure"]
     assert content is not None
     np.testing.assert_array_equal(content["values"], mosaic(*shape))
     np.testing.assert_array_equal(content["values"], values)
     assert (content["values"].dtype, content["exposure"]) == (values.dtype, time)
-    assert plain_tiff.is_plain(path)
+    assert tiff.is_plain(path)
     assert not registry.needs_isolation(path)
 
 
@@ -45,16 +45,16 @@ def test_every_changed_byte_is_refused_or_read_as_by_the_library(tmp_path: Path)
     for place in range(len(whole)):
         for change in (1, 0x80, 0xFF):
             broken.write_bytes(whole[:place] + bytes([whole[place] ^ change]) + whole[place + 1 :])
-            content = plain_tiff.read(broken)
-            assert plain_tiff.is_plain(broken) == (content is not None)
+            content = tiff.read_plain(broken)
+            assert tiff.is_plain(broken) == (content is not None)
             if content is not None:
-                content = read_by_library(broken)
+                content = tiff.read_by_library(broken)
                 values, time = content["values"], content["exposure"]
                 np.testing.assert_array_equal(content["values"], values)
                 assert content["exposure"] == pytest.approx(time, rel=1e-6)
                 accepted += 1
         broken.write_bytes(whole[:place])
-        assert plain_tiff.read(broken) is None
+        assert tiff.read_plain(broken) is None
     assert 70 <= accepted < 2 * len(whole)  # of three times as many: pixels, the date, the exposure, unused bytes
 
 
@@ -71,7 +71,7 @@ def test_a_directory_that_claims_much_or_leads_back_is_refused(tmp_path: Path) -
         (at + 2 + 8, struct.pack("<I", 2**31)),  # so wide
     ):
         path.write_bytes(whole[:place] + content + whole[place + len(content) :])
-        assert plain_tiff.read(path) is None
+        assert tiff.read_plain(path) is None
 
 
 def test_other_files_are_left_to_the_isolated_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,9 +81,9 @@ def test_other_files_are_left_to_the_isolated_process(tmp_path: Path, monkeypatc
     os.mkfifo(pipe)
     write_mosaic(plain, mosaic(20, 30))
     for path in (coloured, empty, pipe, tmp_path, tmp_path / "missing.tif"):
-        assert not plain_tiff.is_plain(path)
+        assert not tiff.is_plain(path)
         assert registry.needs_isolation(path) == bool(path.suffix)
     monkeypatch.setenv(MEGAPIXELS, "0.0001")
-    assert not plain_tiff.is_plain(plain)  # whoever reads all kinds says that it is too large
+    assert not tiff.is_plain(plain)  # whoever reads all kinds says that it is too large
     monkeypatch.setenv(MEGAPIXELS, "many")
-    assert not plain_tiff.is_plain(plain)
+    assert not tiff.is_plain(plain)

@@ -155,7 +155,7 @@ def test_raised_spectra_have_the_colours_of_the_picture_and_stay_reflectances() 
 
 def test_a_picture_becomes_frames(l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path) -> None:
     from l3cli.artifacts.training_set import open_training_set
-    from l3cli.io.images import write_picture
+    from l3cli.io.pictures.registry import write_picture
 
     write_picture(tmp_path / "red.png", np.broadcast_to(np.array([200, 40, 30], np.uint8), (64, 96, 3)))
     recipe = tmp_path / "scenes.toml"
@@ -170,7 +170,7 @@ def test_a_picture_becomes_frames(l3: Callable[..., tuple[int, str, str]], bayer
 
 
 def test_decoded_pictures_are_linear(tmp_path: Path) -> None:
-    from l3cli.io.images import write_picture
+    from l3cli.io.pictures.registry import write_picture
 
     write_picture(tmp_path / "ramp.png", np.repeat(np.arange(256, dtype=np.uint8)[None, :, None], 3, axis=2))
     linear = read_rgb_picture(tmp_path / "ramp.png")

@@ -145,10 +145,10 @@ def test_cubes_of_matlab_hdf5_and_numpy(tmp_path: Path) -> None:
 def test_exr_channels_and_tiff_pages(tmp_path: Path) -> None:
     import tifffile
 
-    from l3cli.io.images import write_linear
+    from l3cli.io.pictures.registry import write_picture
 
     shuffled = np.random.default_rng(0).permutation(31)
-    write_linear(tmp_path / "a.exr", a_cube()[..., shuffled], tuple(f"S0.{WAVELENGTH[i]:.0f},5nm" for i in shuffled))
+    write_picture(tmp_path / "a.exr", a_cube()[..., shuffled], tuple(f"S0.{WAVELENGTH[i]:.0f},5nm" for i in shuffled))
     scene = channels.read(tmp_path / "a.exr")
     assert np.array_equal(scene.values, a_cube())
     assert scene.wavelength is not None

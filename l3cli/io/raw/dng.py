@@ -1,11 +1,15 @@
 """DNG files, CinemaDNG too (Adobe DNG 1.7, TIFF/EP).
 
 LibRaw unpacks the pixels, of whatever packing and compression it knows, and applies the linearisation table; but it takes
-any CFA for 2 × 2 or 6 × 6 and black levels for four numbers. So all that pixels mean is read from the tags (dng_tags).
+any CFA for 2 × 2 or 6 × 6 and black levels for four numbers. So all that pixels mean is read from the tags. Those that
+change pixels and are not read are refused, or noted for a warning (docs/raw-files.md#tags-of-a-dng).
 """
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +18,69 @@ from l3cli.errors import InputFileError
 from l3cli.frames.correction import plan_correction
 from l3cli.frames.frame import with_one_black_level
 from l3cli.io.isolated import isolated
+from l3cli.io.raw.cfa_codes import LETTERS
 from l3cli.io.raw.content import RawContent, Request
-from l3cli.io.raw.dng_tags import Mosaic, read_tags
 from l3cli.io.raw.libraw import opened
-from l3cli.io.raw.opcodes import bad_pixels, gain_of_pixels
+from l3cli.io.raw.opcodes import Opcodes, bad_pixels, gain_of_pixels, read_opcodes
+from l3cli.io.tags import (
+    BROKEN,
+    COLOUR_FILTER_ARRAY,
+    LINEAR_RAW,
+    ONE_OF_MANY,
+    RECTANGULAR,
+    UNSIGNED,
+    UPRIGHT,
+    camera_names,
+    exposure_time,
+    flip_of,
+    numbers,
+    shot_of_page,
+)
 from l3cli.io.video import storable_rate
+from l3cli.system.limits import require_picture
 
+WHITE_CODE = LETTERS.index("W")
+LATEST = (1, 7)  # DNG that is read
+UNREAD = {8: "Deflate", 34892: "lossy JPEG", 52546: "JPEG XL"}  # compressions that LibRaw does not unpack mosaics of
+WHOLE = (0, 0, 1, 1)  # value of DefaultUserCrop
+ONLY = {  # tags of which one value is read, and the complaint about any other
+    "CFALayout": (RECTANGULAR, "is of a sensor with staggered pixels, which no table is made for"),
+    "SampleFormat": (UNSIGNED, "holds floating-point values; give the raw file the camera wrote"),
+    "FillOrder": (1, "stores bits in reverse (FillOrder), which is not read; convert the camera's own file to DNG"),
+    "Predictor": (1, "stores differences (Predictor), which are not read; convert the camera's own file to DNG"),
+    "SubTileBlockSize": (
+        1,
+        "stores pixels in blocks (SubTileBlockSize), which are not read; convert the camera's own file to DNG",
+    ),
+    "ColorimetricReference": (
+        0,
+        "holds a picture's values, not a scene's (ColorimetricReference); give the raw file",
+    ),
+}
 FRAME_RATE = 51044  # the tag of CinemaDNG
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """The raw image as tags describe it."""
+
+    orientation: int  # LibRaw's flip code
+    pattern: NDArray[np.int64]  # (row, col) colour codes, from the upper left corner of the active area
+    active: tuple[int, int, int, int]  # top, left, bottom, right of the pixels that see light
+    crop: tuple[int, int, int, int]  # row, column within the active area, rows, columns: what is to be shown
+    black_level: NDArray[np.float64]  # (row, col) DN, repeating from the corner of the active area
+    black_of_row: NDArray[np.float64]  # (active row), DN added
+    black_of_col: NDArray[np.float64]  # (active col), DN added
+    white_level: float  # DN
+    exposure: float | None  # s
+    neutral: NDArray[np.float64] | None  # (colour, 2) code and what a grey gives
+    camera: list[str]  # make, model and other names
+    shot: dict[str, str | float]
+    opcodes: Opcodes
+    planes: tuple[int, ...]  # colour code of each plane
+    shape: tuple[int, int]  # rows, columns with masked borders
+    fields: tuple[int, int]  # number of fields in which rows, and columns, are stored
+    notes: tuple[str, ...]  # on tags that are not carried out
 
 
 def read(path: Path, _: Request) -> RawContent:
@@ -30,7 +90,7 @@ def read(path: Path, _: Request) -> RawContent:
 
 @isolated("rawpy", "tifffile")
 def _read(path: Path) -> RawContent:
-    mosaic = read_tags(path)  # first: LibRaw says less of what is wrong with them
+    mosaic = _read_tags(path)  # first: LibRaw says less of what is wrong with them
     with opened(path) as raw:
         if raw.raw_image.shape != mosaic.shape:
             rows, cols = mosaic.shape
@@ -124,3 +184,150 @@ def _rate(path: Path) -> tuple[int, int] | None:
     except (tifffile.TiffFileError, TypeError, ValueError, IndexError, ZeroDivisionError, OSError):
         return None  # reading the frame raises what is wrong with it
     return (rate.numerator, rate.denominator) if rate > 0 else None
+
+
+# ------------------------------------------------------------------------------------------------------------ tags
+
+
+def _read_tags(path: Path) -> Mosaic:
+    """Return the mosaic that a file's tags describe. InputFileError if they are broken, describe none, or one stored or
+    meant in a way that is not read."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as file:
+            first, raw = file.pages[0], _raw_page(path, file)
+            _refuse_others(path, first, raw)
+            return _mosaic(path, first, raw)
+    except tifffile.TiffFileError as error:
+        raise InputFileError(f"{path} is damaged or no DNG file; give the raw file the camera wrote") from error
+    except BROKEN as error:
+        raise InputFileError(f"{path}: its tags are damaged ({error}); copy it again") from error
+
+
+def _raw_page(path: Path, file: Any) -> Any:
+    """Return the full-size raw image, neither preview, mask nor enhanced, among the file's pages and those below them."""
+    pages = [each for page in file.pages for each in (page, *(page.pages or ()))]
+    kinds = (COLOUR_FILTER_ARRAY, LINEAR_RAW)
+    raw = [page for page in pages if page.tags.valueof("PhotometricInterpretation") in kinds]
+    full = [page for page in raw if not page.tags.valueof("NewSubfileType", 0) & ~ONE_OF_MANY]
+    if not full:
+        raise InputFileError(f"{path} holds no raw image; give a DNG with the mosaic of a camera")
+    return max(full, key=lambda page: page.imagelength * page.imagewidth)
+
+
+def _refuse_others(path: Path, first: Any, raw: Any) -> None:
+    """Raise InputFileError if the file needs a later reader, or a tag changes pixels in a way that is not read."""
+    version = tuple(first.tags.valueof("DNGBackwardVersion") or LATEST)[:2]
+    if version > LATEST:
+        raise InputFileError(
+            f"{path} is for readers of DNG {version[0]}.{version[1]}, this is one of {LATEST[0]}.{LATEST[1]}; "
+            "convert the camera's own file to DNG for earlier ones"
+        )
+    if raw.samplesperpixel != 1:
+        raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
+    if raw.compression in UNREAD:
+        raise InputFileError(
+            f"{path} is compressed by {UNREAD[raw.compression]}, which is not read; convert it to lossless JPEG or none"
+        )
+    for tag, (only, what) in ONLY.items():
+        page = first if tag == "ColorimetricReference" else raw
+        if set(np.ravel(page.tags.valueof(tag, only)).tolist()) != {only}:
+            raise InputFileError(f"{path} {what}")
+    if raw.compression == 1 and not raw.is_tiled and not _contiguous(raw.dataoffsets, raw.databytecounts):
+        raise InputFileError(f"{path}: its strips do not follow one another, as LibRaw takes them; save it in one strip")
+    one_tile = raw.compression != 1 or raw.tilelength >= raw.imagelength
+    if raw.is_tiled and raw.tilewidth > raw.imagewidth and one_tile:
+        raise InputFileError(f"{path}: its tiles are wider than the image, as LibRaw does not take them; save it in strips")
+
+
+def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
+    shape = (int(raw.imagelength), int(raw.imagewidth))
+    require_picture(str(path), *shape)
+    top, left, bottom, right = (int(edge) for edge in numbers(raw, "ActiveArea", (0, 0, *shape)))
+    if not (0 <= top < bottom <= shape[0] and 0 <= left < right <= shape[1]):
+        raise InputFileError(
+            f"{path}: its active area {top, left, bottom, right} is not within its {shape[0]}×{shape[1]} pixels"
+        )
+    rows, cols = bottom - top, right - left
+    origin, size = numbers(raw, "DefaultCropOrigin", (0, 0)), numbers(raw, "DefaultCropSize", (cols, rows))
+    crop = tuple(round(value) for value in (origin[1], origin[0], size[1], size[0]))
+    if not (min(crop[:2]) >= 0 and min(crop[2:]) >= 1 and crop[0] + crop[2] <= rows and crop[1] + crop[3] <= cols):
+        raise InputFileError(f"{path}: its crop {crop} is not within its active area of {rows}×{cols} pixels")
+    black_shape = raw.tags.valueof("BlackLevelRepeatDim", (1, 1))
+    return Mosaic(
+        orientation=flip_of(path, first.tags.valueof("Orientation", UPRIGHT)),
+        pattern=_pattern(path, raw),
+        active=(top, left, bottom, right),
+        crop=crop,
+        black_level=_repeating(numbers(raw, "BlackLevel", (0,)), black_shape).astype(np.float64),
+        black_of_row=_as_many(raw, "BlackLevelDeltaV", rows),
+        black_of_col=_as_many(raw, "BlackLevelDeltaH", cols),
+        white_level=float(numbers(raw, "WhiteLevel", (2**raw.bitspersample - 1,))[0]),
+        exposure=exposure_time(first),
+        neutral=_neutral(first, raw),
+        camera=camera_names(first),
+        shot=shot_of_page(first),
+        opcodes=read_opcodes(path, raw),
+        planes=tuple(raw.tags.valueof("CFAPlaneColor") or (0, 1, 2)),
+        shape=shape,
+        fields=_fields(raw),
+        notes=tuple(_notes(raw)),
+    )
+
+
+def _fields(raw: Any) -> tuple[int, int]:
+    """Return the number of fields that rows, and columns, are stored in."""
+    rows, cols = (int(numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
+    if min(rows, cols) < 1:
+        raise ValueError(f"{rows}×{cols} fields")
+    return rows, cols
+
+
+def _notes(raw: Any) -> Iterator[str]:
+    """Yield a note for each tag of the picture that is not carried out."""
+    across, down = numbers(raw, "DefaultScale", (1, 1))
+    if across != down:
+        yield f"its pixels are not square (DefaultScale {across:g}, {down:g}); the picture is not stretched"
+    if tuple(numbers(raw, "DefaultUserCrop", WHOLE)) != WHOLE:
+        yield "the crop that was chosen in the camera (DefaultUserCrop) is not applied"
+
+
+def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
+    """Codes of the colour planes and the signals that the camera took for those of a grey; None where they are not stated,
+    or are none."""
+    try:
+        codes = numbers(raw, "CFAPlaneColor", (0, 1, 2))
+        signals = np.asarray(numbers(first, "AsShotNeutral", ()), np.float64)
+    except BROKEN:  # pixels need none of it
+        return None
+    if len(signals) != len(codes) or not (np.isfinite(signals).all() and signals.min() > 0):
+        return None
+    return np.stack([np.asarray(codes, np.float64), signals], axis=1)
+
+
+def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:
+    return all(offset + length == after for offset, length, after in zip(offsets, lengths, offsets[1:], strict=False))
+
+
+def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
+    if raw.tags.valueof("PhotometricInterpretation") == LINEAR_RAW:  # of one sample: no filters at all
+        return np.array([[WHITE_CODE]])
+    codes, shape = raw.tags.valueof("CFAPattern"), raw.tags.valueof("CFARepeatPatternDim")
+    if codes is None or shape is None:
+        raise InputFileError(f"{path} does not state its colour filter array; convert the camera's own file to DNG again")
+    return _repeating(list(codes), shape).astype(np.int64)
+
+
+def _repeating(values: Sequence[float], shape: Sequence[int]) -> NDArray:
+    """(row, col) of what repeats over the mosaic."""
+    if min(shape) < 1:
+        raise ValueError(f"a pattern of {shape}")
+    return np.reshape(values, tuple(shape))
+
+
+def _as_many(page: Any, name: str, length: int) -> NDArray[np.float64]:
+    values = numbers(page, name, np.zeros(length))
+    if len(values) != length:
+        raise ValueError(f"{name} has {len(values)} values instead of {length}")
+    return np.asarray(values, np.float64)

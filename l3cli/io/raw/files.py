@@ -20,7 +20,7 @@ from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
 from l3cli.io.raw.content import MultiFrameFile, RawContent, Request
 from l3cli.io.raw.headerless import layout_of, stdin
 from l3cli.io.raw.registry import CAMERA_RAW, RawFormat, format_of
-from l3cli.io.raw.shot import believable_shot
+from l3cli.io.tags import believable_shot
 from l3cli.system.files import STDIN, require_regular
 from l3cli.system.limits import require_picture
 

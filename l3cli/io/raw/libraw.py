@@ -14,8 +14,7 @@ from l3cli.io.isolated import isolated
 from l3cli.io.names import named_in_utf8
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.content import RawContent, Request
-from l3cli.io.raw.shot import shot_of_file, shot_of_libraw
-from l3cli.io.raw.tiff_tags import BROKEN, camera_names
+from l3cli.io.tags import BROKEN, camera_names, shot_of_file
 from l3cli.system.limits import require_picture
 
 
@@ -29,7 +28,7 @@ def read_camera_raw(path: Path) -> RawContent:
     """Return the content of a camera raw within its visible area; InputFileError as from `opened`."""
     with opened(path) as raw:
         content = _visible(path, raw)
-        content["shot"] = shot_of_libraw(raw) | shot_of_file(path)
+        content["shot"] = _shot(raw) | shot_of_file(path)
     return content
 
 
@@ -104,6 +103,18 @@ def _camera_names(path: Path) -> list[str]:
             return camera_names(file.pages[0])
     except (tifffile.TiffFileError, *BROKEN, OSError):  # LibRaw has read the file, whatever kind it is of
         return []
+
+
+def _shot(raw: Any) -> dict[str, str | float]:
+    """Return the settings that LibRaw reads from a raw file of any structure; rawpy has it since 0.26."""
+    shot, lens = getattr(raw, "other", None), getattr(raw, "lens", None)
+    stated = {
+        "lens": getattr(lens, "model", None),
+        "f_number": getattr(shot, "aperture", None),
+        "focal_length": getattr(shot, "focal_length", None),
+        "iso": getattr(shot, "iso_speed", None),
+    }
+    return {name: value for name, value in stated.items() if isinstance(value, str | float | int)}
 
 
 def _levels(raw: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.raw.tiff_tags import TiffTag
 
-LISTS = (TiffTag.OPCODE_LIST_1, TiffTag.OPCODE_LIST_2, TiffTag.OPCODE_LIST_3)  # for values as stored, linear, demosaicked
+LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # for values as stored, linear, demosaicked
 FIX_VIGNETTE_RADIAL, FIX_BAD_PIXELS_CONSTANT, FIX_BAD_PIXELS_LIST, GAIN_MAP = 3, 4, 5, 9
 CARRIED_OUT = ((4, 5), (5, 3, 9), (3, 9))  # opcodes of each list
 NAMES = (
@@ -85,7 +84,7 @@ def read_opcodes(path: Path, page: Any) -> Opcodes:
     """Return the opcodes of a page. InputFileError if one is neither carried out nor optional; ValueError or struct.error if
     a list is damaged."""
     found: dict[str, list[Any]] = {"constants": [], "points": [], "rects": [], "gains": [], "notes": []}
-    linearised = page.tags.valueof(TiffTag.LINEARIZATION_TABLE) is not None
+    linearised = page.tags.valueof("LinearizationTable") is not None
     for each in _listed(page):
         carried = each.number in CARRIED_OUT[each.stage]
         if not carried or (each.number == FIX_BAD_PIXELS_CONSTANT and linearised):

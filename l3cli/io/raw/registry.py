@@ -23,7 +23,7 @@ class RawFormat:
     holds_frame: bool = True  # False: such a file is a sequence, never a frame
     stackable: bool = False  # may hold several frames
     isolated: bool = True  # decoded in an isolated process
-    plain: str | None = None  # module whose `is_plain` excepts files that are simple enough to be read here
+    has_plain: bool = False  # its module's `is_plain` excepts files that are simple enough to be read here
     wants_geometry: bool = False  # Request.layout
     wants_dataset: bool = False  # Request.dataset
     has_rate: bool = False  # a file of one frame may state the frames a second of its sequence
@@ -41,9 +41,13 @@ class RawFormat:
         """Return the frames a second that a file of one frame states."""
         return self._reader.rate(path) if self.has_rate else None
 
+    def is_plain(self, path: Path) -> bool:
+        """Return whether a file is simple enough to be read in this process."""
+        return self.has_plain and self._reader.is_plain(path)
+
     @property
     def _reader(self) -> Any:
-        return _reader(self.module)
+        return importlib.import_module(f"l3cli.io.raw.{self.module}")
 
 
 CAMERA_RAW = RawFormat(
@@ -55,8 +59,8 @@ CAMERA_RAW = RawFormat(
 )  # fmt: skip
 HEADERLESS = (".raw", ".bin", *("." + packing for packing in PACKED))
 FORMATS = (
-    RawFormat((".tif", ".tiff"), "pages", stackable=True, plain="plain_tiff"),
-    RawFormat((".png",), "pages"),
+    RawFormat((".tif", ".tiff"), "tiff", stackable=True, has_plain=True),
+    RawFormat((".png",), "tiff"),
     RawFormat((".pgm",), "pgm", isolated=False),
     RawFormat((".npy",), "npy", stackable=True, isolated=False),
     RawFormat(HEADERLESS, "headerless", stackable=True, isolated=False, wants_geometry=True),
@@ -90,10 +94,4 @@ def needs_isolation(path: Path) -> bool:
     """Return whether a file is decoded in an isolated process; a name without suffix, of a folder or of stdin, does not
     tell."""
     kind = format_of(path)
-    if not path.suffix or not kind.isolated:
-        return False
-    return kind.plain is None or not _reader(kind.plain).is_plain(path)
-
-
-def _reader(module: str) -> Any:
-    return importlib.import_module(f"l3cli.io.raw.{module}")
+    return bool(path.suffix) and kind.isolated and not kind.is_plain(path)

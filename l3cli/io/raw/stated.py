@@ -1,6 +1,7 @@
 """Facts about its camera that a raw file states beside the frame: names, colour matrices, noise, lens (DNG 1.7, Exif,
 LibRaw)."""
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +13,9 @@ from numpy.typing import NDArray
 from l3cli.io.isolated import isolated
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.libraw import opened
-from l3cli.io.raw.tiff_tags import COLOUR_FILTER_ARRAY, FRACTIONS, TiffTag
+from l3cli.io.tags import BROKEN, COLOUR_FILTER_ARRAY, exif_of, number, numbers
 from l3cli.system.files import require_regular
 
-ANALOG_BALANCE, CAMERA_CALIBRATION = 50727, {TiffTag.COLOR_MATRIX_1: 50723, TiffTag.COLOR_MATRIX_2: 50724}
 LIGHTS = {  # values of Exif's LightSource, which DNG calls calibration illuminants → names of lights
     1: "D55", 2: "F2", 3: "A", 4: "D55", 9: "D55", 10: "D65", 11: "D75", 12: "F1", 13: "F3", 14: "F2", 15: "F3", 17: "A",
     18: "B", 19: "C", 20: "D55", 21: "D65", 22: "D75", 23: "D50", 24: "3200K",
@@ -56,23 +56,23 @@ def stated(path: Path) -> Stated:
     """Return the facts stated by the file in `path`; a wrong statement of its tags counts as none. InputFileError if it
     is no raw file that can be opened."""
     require_regular(path, "give a raw file")
-    names, numbers, matrices = _stated(path)
+    names, figures, matrices = _stated(path)
     found = tuple(
         StatedMatrix(LIGHTS.get(int(light), USUAL_LIGHT), int(light) not in LIGHTS, rows)
         for light, codes, values in matrices
         if (rows := _rows(codes, values))
     )
-    slope, constant = numbers.get("noise_slope"), numbers.get("noise_constant")
+    slope, constant = figures.get("noise_slope"), figures.get("noise_constant")
     noise = (slope, constant) if slope and constant is not None and 0 < slope < 1 and 0 <= constant < 1 else None
-    pitch = _positive(numbers.get("pitch_um"))
+    pitch = _positive(figures.get("pitch_um"))
     return Stated(
         camera=_named(names),
         matrices=found,
         noise=noise,
-        iso=_positive(numbers.get("iso")),
+        iso=_positive(figures.get("iso")),
         pitch_um=pitch if pitch and PITCHES_UM[0] <= pitch <= PITCHES_UM[1] else None,
-        focal_length_mm=_positive(numbers.get("focal_length_mm")),
-        f_number=_positive(numbers.get("f_number")),
+        focal_length_mm=_positive(figures.get("focal_length_mm")),
+        f_number=_positive(figures.get("f_number")),
     )
 
 
@@ -104,18 +104,18 @@ def _positive(value: float | None) -> float | None:
 @isolated("rawpy", "tifffile")
 def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
     """Make and model, numbers by name, matrices with the codes of their light and rows."""
-    names, numbers, matrices = _facts_of_tags(path)
+    names, figures, matrices = _facts_of_tags(path)
     with opened(path) as raw:
         if not matrices:
             letters = raw.color_desc.decode("ascii", "replace")[: raw.num_colors]
             values = np.array(raw.rgb_xyz_matrix, np.float64)[: len(letters)]
             matrices = [(0, codes_of(letters), values)] if values.any() else []
         shot = getattr(raw, "other", None)  # rawpy has it since 0.26
-        told = {"iso": "iso_speed", "focal_length_mm": "focal_length", "f_number": "aperture"}
+        known = {"iso": "iso_speed", "focal_length_mm": "focal_length", "f_number": "aperture"}
         if not getattr(shot, "focal_length", 0.0):
-            del told["f_number"]  # LibRaw says 1 where the file says nothing
-        numbers = {name: float(getattr(shot, key, 0.0)) for name, key in told.items()} | numbers
-    return names, numbers, matrices
+            del known["f_number"]  # LibRaw says 1 where the file says nothing
+        figures = {name: float(getattr(shot, key, 0.0)) for name, key in known.items()} | figures
+    return names, figures, matrices
 
 
 def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
@@ -126,26 +126,23 @@ def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[
         with tifffile.TiffFile(path) as file:
             first = file.pages[0]
             pages = [first, *(first.pages or ())]
-            names = [str(first.tags.valueof(tag) or "") for tag in (TiffTag.MAKE, TiffTag.MODEL)]
-            return names, _numbers(pages), _matrices(pages)
+            return [str(first.tags.valueof(tag) or "") for tag in ("Make", "Model")], _figures(pages), _matrices(pages)
     except Exception:  # LibRaw says what is wrong with a file; tags that nobody needs are no reason to refuse it
         return ["", ""], {}, []
 
 
-def _numbers(pages: list[Any]) -> dict[str, float]:
-    tags = pages[0].tags
-    exif = tags.valueof(TiffTag.EXIF)
-    exif = exif if isinstance(exif, dict) else {}
+def _figures(pages: list[Any]) -> dict[str, float]:
+    tags, exif = pages[0].tags, exif_of(pages[0])
     stated = {
         "iso": exif.get("ISOSpeedRatings"),
-        "focal_length_mm": tags.valueof(TiffTag.FOCAL_LENGTH) or exif.get("FocalLength"),
-        "f_number": tags.valueof(TiffTag.F_NUMBER) or exif.get("FNumber"),
+        "focal_length_mm": tags.valueof("FocalLength") or exif.get("FocalLength"),
+        "f_number": tags.valueof("FNumber") or exif.get("FNumber"),
     }
-    found = {name: number for name, value in stated.items() if (number := _number(value))}
-    per_unit, unit = _number(exif.get("FocalPlaneXResolution")), exif.get("FocalPlaneResolutionUnit", 2)
+    found = {name: figure for name, value in stated.items() if (figure := number(value))}
+    per_unit, unit = number(exif.get("FocalPlaneXResolution")), exif.get("FocalPlaneResolutionUnit", 2)
     if per_unit and unit in UNITS_MM:
         found["pitch_um"] = 1000.0 * UNITS_MM[unit] / per_unit
-    profile = next((page.tags.valueof(TiffTag.NOISE_PROFILE) for page in pages if TiffTag.NOISE_PROFILE in page.tags), None)
+    profile = next((page.tags.valueof("NoiseProfile") for page in pages if "NoiseProfile" in page.tags), None)
     if profile is not None:
         slope, constant = np.asarray(profile, np.float64).reshape(-1, 2).mean(axis=0).tolist()
         found |= {"noise_slope": slope, "noise_constant": constant}
@@ -155,31 +152,16 @@ def _numbers(pages: list[Any]) -> dict[str, float]:
 def _matrices(pages: list[Any]) -> list[tuple[int, NDArray, NDArray]]:
     """Return XYZ → what the camera collects: AnalogBalance · CameraCalibration · ColorMatrix."""
     tags = pages[0].tags
-    raw = [page for page in pages if page.tags.valueof(TiffTag.PHOTOMETRIC_INTERPRETATION) == COLOUR_FILTER_ARRAY]
-    codes = np.array(list((raw or pages)[0].tags.valueof(TiffTag.CFA_PLANE_COLOR) or (0, 1, 2)), np.int64)
+    raw = [page for page in pages if page.tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY]
+    codes = np.array(numbers((raw or pages)[0], "CFAPlaneColor", (0, 1, 2)), np.int64)
     count, found = len(codes), []
-    kinds = (
-        (TiffTag.COLOR_MATRIX_1, TiffTag.CALIBRATION_ILLUMINANT_1),
-        (TiffTag.COLOR_MATRIX_2, TiffTag.CALIBRATION_ILLUMINANT_2),
-    )
-    for tag, light in kinds:
-        if tag in tags:
-            balance = _fractions(tags.get(ANALOG_BALANCE), np.ones(count))
-            own = _fractions(tags.get(CAMERA_CALIBRATION[tag]), np.eye(count)).reshape(count, count)
-            values = balance[:, None] * (own @ _fractions(tags.get(tag), np.zeros(0)).reshape(count, 3))
-            found.append((int(tags.valueof(light) or 0), codes, values))
+    for index in (1, 2):
+        if f"ColorMatrix{index}" not in tags:
+            continue
+        with contextlib.suppress(*BROKEN):  # one that is wrong counts as none
+            balance = numbers(pages[0], "AnalogBalance", np.ones(count))
+            calibration = np.reshape(numbers(pages[0], f"CameraCalibration{index}", np.eye(count)), (count, count))
+            matrix = np.reshape(numbers(pages[0], f"ColorMatrix{index}", ()), (count, 3))
+            light = int(tags.valueof(f"CalibrationIlluminant{index}") or 0)
+            found.append((light, codes, np.array(balance)[:, None] * (calibration @ matrix)))
     return found
-
-
-def _fractions(tag: Any, default: NDArray) -> NDArray:
-    if tag is None or tag.dtype not in FRACTIONS:
-        return default
-    values = np.asarray(tag.value, np.float64).reshape(-1, 2)
-    return values[:, 0] / values[:, 1]
-
-
-def _number(value: Any) -> float | None:
-    """Return a number or a fraction; None of anything else."""
-    if isinstance(value, tuple | list):
-        value = value[0] if len(value) != 2 else value[0] / value[1] if value[1] else 0.0
-    return float(value) if isinstance(value, int | float) else None

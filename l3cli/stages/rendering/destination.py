@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from l3cli.errors import RecipeError
-from l3cli.io import images
 from l3cli.io.frame_times import Pacing
 from l3cli.io.numbered import PATTERN, last_number, numbered_files, numbered_name
-from l3cli.io.paged import PAGED, new_pages
+from l3cli.io.pictures.pages import PAGED, new_pages
+from l3cli.io.pictures.registry import FLOAT_BITS, Picture, format_of, holds_linear, holds_raw
 from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.io.video import Y4M, VideoChoice, check_video, is_video, new_video, new_y4m
 from l3cli.stages.claims import OutputGuard, refuse_unwritable
@@ -50,12 +50,12 @@ class Destination:
     @property
     def linear(self) -> bool:
         """Return whether linear values are written rather than codes."""
-        return self.one_by_one and images.is_linear(self.file(0, "frame"), self.bits)
+        return self.one_by_one and holds_linear(self.file(0, "frame"), self.bits)
 
     @property
     def raw(self) -> bool:
         """Return whether files for raw developers are written."""
-        return self.file_suffix is not None and self.file_suffix.lower() == images.RAW
+        return self.one_by_one and holds_raw(self.file(0, "frame"))
 
     @property
     def has_times(self) -> bool:
@@ -93,7 +93,7 @@ class Destination:
 
 def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destination:
     """The destination that a name asks for; RecipeError if nothing of that name can be written."""
-    if choice.bits == images.FLOAT_BITS and (output == STDOUT or is_video(output)):
+    if choice.bits == FLOAT_BITS and (output == STDOUT or is_video(output)):
         raise RecipeError("values of 32 bits are for pictures; name a .tif or .exr, or leave ‹bits› out")
     if output == STDOUT:
         destination = Destination(output, "stream", suffix)
@@ -106,7 +106,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destinatio
     else:
         kind = "file" if output.suffix and not output.is_dir() else "folder"
         destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix, choice.bits)
-        images.check_format(destination.file(0, "frame"), choice.bits)
+        format_of(destination.file(0, "frame"), choice.bits)
         if choice.codec or choice.crf is not None:
             raise RecipeError(f"{output}: ‹codec› and ‹crf› are for videos; name a .mp4, .mov or .mkv")
     return destination
@@ -245,8 +245,8 @@ def open_sink(
 
         yield write, PICTURE_WRITERS
     elif destination.kind == "pages":
-        with new_pages(destination.path, rendition.space, sequence.rendered) as pages:
-            yield timed(lambda made, _: pages.write(made.pixels, made.label)), 1
+        with new_pages(destination.path, sequence.rendered) as pages:
+            yield timed(lambda made, _: pages.write(Picture(made.pixels, rendition.space, made.label))), 1
     elif not destination.has_times:
         with new_y4m(None if destination.kind == "stream" else destination.path, choice) as stream:
             yield timed(lambda made, _: stream.write(made.pixels)), 1

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.frames.frame import RawFrame, upright
-from l3cli.io import images
-from l3cli.io.label import Label
+from l3cli.io.pictures.registry import BY_SUFFIX, Label
 from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.io.sequences import FrameReference
 from l3cli.parallel import WorkerPool
@@ -176,7 +175,7 @@ def while_reading(
         if scheduler is None:
             make_ready(backend, **engine)
         if suffix is not None:
-            images.make_ready(suffix)
+            BY_SUFFIX[suffix.lower()].make_ready()
 
     return BackgroundTask(work)
 

@@ -5,7 +5,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from l3cli.frames.frame import RawFrame
-from l3cli.io.images import FLOAT_BITS
+from l3cli.io.pictures.registry import FLOAT_BITS
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
 from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance

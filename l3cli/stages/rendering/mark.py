@@ -20,7 +20,7 @@ from typing import BinaryIO, NamedTuple
 
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
-from l3cli.io.label import of_file
+from l3cli.io.pictures.registry import file_identity
 from l3cli.io.sequences import FrameReference
 from l3cli.system.files import sha256, write_whole
 from l3cli.system.ledger import fingerprint
@@ -75,7 +75,7 @@ class Mark:
         if pending.origin is None or not self.is_ours(file):
             return False
         made = self._made[file.name]
-        same = made.inode == pending.inode or (pending.source and made.identity == of_file(sha256(pending.source)))
+        same = made.inode == pending.inode or (pending.source and made.identity == file_identity(sha256(pending.source)))
         if made.origin != pending.origin or not same:
             raise RecipeError(f"{file} was made of another input than is given now; leave ‹resume› out")
         return True

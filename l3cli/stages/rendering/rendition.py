@@ -9,9 +9,8 @@ import numpy as np
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
 from l3cli.frames.frame import RawFrame, upright
-from l3cli.io import images
-from l3cli.io.label import NOTHING, Label
-from l3cli.io.raw.developed import MOSAICS, dng_file, raw_values
+from l3cli.io.pictures.dng import MOSAICS, raw_values
+from l3cli.io.pictures.registry import FLOAT_BITS, NOTHING, Label, Picture, picture_file
 from l3cli.io.sequences import FrameReference
 from l3cli.physics.display import exposure_scale
 from l3cli.physics.spaces import REC2020, SPACES, SRGB, XYZ, Space, chromaticity_of
@@ -50,7 +49,7 @@ class Rendition:
         return ("X", "Y", "Z") if self.space and self.space.name == XYZ.name else ("R", "G", "B")
 
 
-OUTPUTS = Rendition(None, None, images.FLOAT_BITS, None)  # as they are
+OUTPUTS = Rendition(None, None, FLOAT_BITS, None)  # as they are
 
 
 def chosen_space(name: str | None, linear: bool) -> Space:
@@ -138,9 +137,5 @@ def shown(
 
 def file_of(path: Path, made: Rendered, rendition: Rendition, outputs: tuple[str, ...]) -> bytes:
     """The content of a frame's file: a picture, or linear values; `outputs`: names of the table's."""
-    if rendition.raw:
-        return dng_file(made.pixels, made.scale, made.label)
-    if not rendition.is_linear:
-        return images.picture_file(path, made.pixels, rendition.space or SRGB, made.label)
     names = outputs if rendition.balance is None else rendition.names
-    return images.linear_file(path, made.pixels, names, rendition.space, made.label)
+    return picture_file(path, Picture(made.pixels, rendition.space, made.label, names, made.scale))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from l3cli.errors import InputFileError, L3Error
 from l3cli.frames.frame import RawFrame, upright
 from l3cli.io.frame_times import Pacing
-from l3cli.io.label import of_file, of_values
+from l3cli.io.pictures.registry import file_identity, values_identity
 from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.io.video import VideoChoice
 from l3cli.parallel.threads import WriteBehind, prefetched
@@ -211,7 +211,7 @@ def _read(
             if by_path and pending.source and destination.one_by_one and not (meters.any or temporal):
                 digest = sha256(pending.source)
                 unread = Unread(pending.source.absolute(), digest)
-                yield _Read(replace(pending, identity=of_file(digest)), unread, kept=kept)
+                yield _Read(replace(pending, identity=file_identity(digest)), unread, kept=kept)
                 continue
             frame = pending.read()
             if frame is None:
@@ -249,8 +249,8 @@ def _filtered(reading: Iterator[_Read], temporal: Chunks) -> Iterator[_Read]:
 def _identity(pending: FrameReference, frame: RawFrame) -> str:
     """Return the identity of the frame that a picture was made from, as the picture states it."""
     if pending.source is not None:
-        return of_file(sha256(pending.source))
-    return of_values(hashlib.sha256(frame.values.astype("<u2", copy=False).tobytes()).hexdigest())
+        return file_identity(sha256(pending.source))
+    return values_identity(hashlib.sha256(frame.values.astype("<u2", copy=False).tobytes()).hexdigest())
 
 
 def _upright_shape(frame: RawFrame) -> tuple[int, ...]:

@@ -35,7 +35,8 @@ def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: 
     factor of Y at which a table shows the same."""
     import numpy as np
 
-    from l3cli.io.images import write_linear, write_mosaic, write_picture
+    from l3cli.io.pictures.openimageio import write_mosaic
+    from l3cli.io.pictures.registry import write_picture
     from l3cli.rendering.display import encode, make_display
 
     scales = {}
@@ -44,7 +45,7 @@ def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: 
         write_mosaic(folder / f"{name}{RAW}", frame.raw, frame.dark_time)
         if run.target.outputs != ("X", "Y", "Z"):
             planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
-            write_linear(folder / f"{name}_ideal.exr", planes, run.target.outputs)
+            write_picture(folder / f"{name}_ideal.exr", planes, run.target.outputs)
             continue
         display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
         write_picture(folder / f"{name}{IDEAL}", encode(frame.target, display))
@@ -57,7 +58,7 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> 
     number of its first."""
     import numpy as np
 
-    from l3cli.io.images import write_linear
+    from l3cli.io.pictures.registry import write_picture
     from l3cli.stages.simulation.clips import known_motion
 
     lengths = {}
@@ -67,7 +68,7 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> 
         moved = known_motion(wanted, run)
         for shot in shots:
             name = frame_name(shot.index, wanted.name)
-            write_linear(folder / f"{name}{MOTION}", np.moveaxis(moved(shot.moment), 0, -1), CHANNELS)
+            write_picture(folder / f"{name}{MOTION}", np.moveaxis(moved(shot.moment), 0, -1), CHANNELS)
             if shot.moment == 0:
                 lengths[shot.index] = wanted.source.motion.frames
     return lengths
@@ -75,14 +76,14 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> 
 
 def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> None:
     """Each raw frame as DNG, with the white balance of its light where that is known."""
-    from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+    from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
     from l3cli.simulation.light import colour_matrix, make_light, neutral
 
     camera = run.camera
     lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHT_CODES}
-    colour = RawColour({name: colour_matrix(camera, light) for name, light in lights.items()})
+    matrices = {name: colour_matrix(camera, light) for name, light in lights.items()}
     for index, frame in enumerate(frames):
         light = run.lights.get(frame.illuminant)
         grey = None if light is None else neutral(camera, light)
         path = folder / f"{frame_name(index, frame.scene)}.dng"
-        write_dng(path, frame.raw, camera, colour, grey, frame.exposure)
+        write_dng(path, frame.raw, camera, matrices, grey, frame.exposure)

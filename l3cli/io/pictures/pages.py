@@ -7,12 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
-from l3cli.io.icc import icc_profile
-from l3cli.io.label import Label
-from l3cli.io.raw.shot import entries_of
-from l3cli.physics.spaces import Space
+from l3cli.io.pictures.icc import icc_profile
+from l3cli.io.pictures.registry import Picture
+from l3cli.io.tags import shot_entries
 from l3cli.system.files import atomic_output
 
 PAGED = (".tif", ".tiff")
@@ -22,30 +19,31 @@ ROOM = 4_000_000_000  # bytes of pixels in a file of 32-bit offsets
 class Pages:
     """The pages of a file that is being written."""
 
-    def __init__(self, path: Path, space: Space | None, count: int | None) -> None:
-        """`space`: of the values; `count`: pages that there will be, None: unknown."""
-        self._path, self._space, self._count = path, space, count
+    def __init__(self, path: Path, count: int | None) -> None:
+        """`count`: pages that there will be, None: unknown."""
+        self._path, self._count = path, count
         self._file: Any = None
 
-    def write(self, pixels: NDArray[Any], label: Label) -> None:
-        """Append a page (row, col, value), with what it says of itself."""
+    def write(self, picture: Picture) -> None:
+        """Append a page."""
         import tifffile
 
+        pixels, label = picture.pixels, picture.label
         if self._file is None:
             is_big = self._count is None or self._count * pixels.nbytes > ROOM
             self._file = tifffile.TiffWriter(self._path, bigtiff=is_big, byteorder="<")
         rows, _, values = pixels.shape
         try:
             self._file.write(
-                pixels,
+                pixels if values > 1 else pixels[..., 0],
                 photometric="rgb" if values == 3 else "minisblack",
-                planarconfig="contig",
+                planarconfig="contig" if values > 1 else None,
                 rowsperstrip=rows,
                 metadata=None,
                 software=label.software,
                 description=label.description,
-                iccprofile=icc_profile(self._space) if self._space else None,
-                extratags=entries_of(label.shot, label.exposure),
+                iccprofile=icc_profile(picture.space) if picture.space else None,
+                extratags=shot_entries(label.shot, label.exposure),
                 contiguous=False,
             )
         except OSError as error:
@@ -58,7 +56,7 @@ class Pages:
 
 
 @contextlib.contextmanager
-def new_pages(path: Path, space: Space | None, count: int | None) -> Iterator[Pages]:
+def new_pages(path: Path, count: int | None) -> Iterator[Pages]:
     """Yield the pages of a new file, which appears whole or not at all."""
-    with atomic_output(path) as temporary, contextlib.closing(Pages(temporary, space, count)) as pages:
+    with atomic_output(path) as temporary, contextlib.closing(Pages(temporary, count)) as pages:
         yield pages

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.io.decoded_video import FORMATS, DecodedVideo, InTurn
-from l3cli.io.images import PICTURES, picture_size, read_image
+from l3cli.io.images import picture_size, read_image
 from l3cli.io.isolated import isolated
 from l3cli.io.numbered import IDEAL, MOTION, PATTERN, natural_order, numbered_files
+from l3cli.io.pictures.registry import suffixes
 from l3cli.io.scenes import rgb
 from l3cli.io.video import is_video, pyav
 from l3cli.physics.display import srgb_decoded
 
+PICTURES = suffixes("codes")
 Linear = NDArray[np.float32]  # (row, col, 3) linear sRGB
 GIVE = 'give a folder of pictures, a pattern such as "out/%04d.png", or a video'
 KNOWN_MOTION = ("down", "right", "seen")

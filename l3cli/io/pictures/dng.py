@@ -1,0 +1,180 @@
+"""DNG 1.4 files that raw developers open.
+
+Rendered frames are linear, and taken for a camera's own: three channels at every pixel, or one of them at each in a Bayer
+mosaic (docs/method.md#display). The channels are those of Rec. 2020, in which the scene's white is equal in all three.
+Exposure is left to the developer: the file states what ours would be.
+
+Raw mosaics have any colour filter array, and matrices of any number of channels.
+"""
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import log2
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli import __version__
+from l3cli.artifacts.camera import CameraModel
+from l3cli.frames.frame import Shot
+from l3cli.io.pictures.icc import D50
+from l3cli.io.pictures.registry import Label, Picture
+from l3cli.io.raw.cfa_codes import channel_codes
+from l3cli.io.tags import (
+    BYTE,
+    COLOUR_FILTER_ARRAY,
+    DOUBLE,
+    LINEAR_RAW,
+    LONG,
+    RATIONAL,
+    RECTANGULAR,
+    SHORT,
+    SRATIONAL,
+    UPRIGHT,
+    Entry,
+    entry,
+    shot_entries,
+    text_entry,
+)
+from l3cli.physics.spaces import REC2020, adaptation_matrix
+from l3cli.system.files import write_whole
+
+
+def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: str) -> bytes:
+    """Return the file of a mosaic (row, col) or of three channels (row, col, 3), with the tags that every one has."""
+    import tifffile
+
+    rows, cols, *channels = values.shape
+    tags = [
+        entry("NewSubfileType", LONG, [0]),  # the full picture
+        entry("Orientation", SHORT, [UPRIGHT]),
+        entry("BlackLevelRepeatDim", SHORT, [1, 1]),
+        entry("DefaultScale", RATIONAL, [1, 1]),
+        entry("DefaultCropOrigin", LONG, [0, 0]),
+        entry("DefaultCropSize", LONG, [cols, rows]),
+        entry("ActiveArea", LONG, [0, 0, rows, cols]),
+        entry("DNGVersion", BYTE, [1, 4, 0, 0]),
+        entry("DNGBackwardVersion", BYTE, [1, 1, 0, 0]),
+        text_entry("Make", "l3cli"),
+        text_entry("UniqueCameraModel", camera),
+        *tags,
+    ]
+    content = io.BytesIO()  # not the file: tifffile leaves the reason out where a disk is full
+    tifffile.imwrite(
+        content,
+        values,
+        byteorder="<",
+        photometric=LINEAR_RAW if channels else COLOUR_FILTER_ARRAY,
+        planarconfig="contig" if channels else None,
+        rowsperstrip=rows,
+        metadata=None,
+        software=software,
+        extratags=sorted(tags),
+    )
+    return content.getvalue()
+
+
+def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[Entry]:
+    """Return the tags of a colour filter array: (row, col) codes, and those of the colour planes."""
+    return [
+        entry("CFARepeatPatternDim", SHORT, pattern.shape),
+        entry("CFAPattern", BYTE, pattern.ravel()),
+        entry("CFAPlaneColor", BYTE, planes),
+        entry("CFALayout", SHORT, [RECTANGULAR]),
+    ]
+
+
+# ------------------------------------------------------------------------------------------------ rendered frames
+
+MOSAICS = ("bayer",)
+RGGB = np.array([[0, 1], [1, 2]])
+BLACK_LEVEL, WHITE_LEVEL = 0, 65535  # DN; LibRaw takes another black level off pixels of three channels, but not off white
+HEADROOM = 2.0  # value at white level: clipped areas are estimated to be brighter than 1, which is full scale of the sensor
+D65_CODE = 21  # of CalibrationIlluminant
+CAMERA = "linear Rec. 2020"
+
+
+def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.uint16]:
+    """Return DN (row, col, 3) of linear Rec. 2020 values (row, col, 3), or (row, col) of a `mosaic` of them."""
+    if mosaic is not None:
+        sites = np.tile(RGGB, [-(-length // 2) for length in linear.shape[:2]])[: linear.shape[0], : linear.shape[1]]
+        linear = np.take_along_axis(linear, sites[..., None], axis=2)[..., 0]
+    return np.clip(np.rint(linear * (WHITE_LEVEL / HEADROOM)), BLACK_LEVEL, WHITE_LEVEL).astype(np.uint16)
+
+
+def encode(path: Path, picture: Picture) -> bytes:
+    """Return the file of `raw_values`."""
+    values = picture.pixels
+    channels = 1 if values.ndim == 2 else values.shape[2]
+    to_connection_space = adaptation_matrix(REC2020.neutral_xyz, D50) @ REC2020.to_xyz
+    tags = [
+        entry("BlackLevel", LONG, [BLACK_LEVEL] * channels),
+        entry("WhiteLevel", LONG, [WHITE_LEVEL] * channels),
+        entry("ColorMatrix1", SRATIONAL, REC2020.from_xyz.ravel()),
+        entry("ForwardMatrix1", SRATIONAL, to_connection_space.ravel()),
+        entry("CalibrationIlluminant1", SHORT, [D65_CODE]),
+        entry("AsShotNeutral", RATIONAL, [1, 1, 1]),
+        entry("BaselineExposure", SRATIONAL, [log2(picture.exposure_scale * HEADROOM)]),
+        *(_mosaic_tags(RGGB, range(3)) if values.ndim == 2 else []),
+        *_label_tags(picture.label),
+    ]
+    return _file(values, picture.label.software, tags, f"l3cli {CAMERA}")
+
+
+def _label_tags(label: Label) -> list[Entry]:
+    """Return the tags of the shot. The camera is another one: developers would use its matrices for these channels."""
+    shot = label.shot
+    description = ", ".join(filter(None, (" ".join(filter(None, (shot.make, shot.model))), label.description)))
+    tags = [text_entry("Model", CAMERA), *shot_entries(replace(shot, make="", model=""), label.exposure)]
+    return tags + ([text_entry("ImageDescription", description)] if description else [])
+
+
+# --------------------------------------------------------------------------------------------------- raw mosaics
+
+LIGHT_CODES = {"A": 17, "D65": 21}  # of CalibrationIlluminant (EXIF LightSource), in the order of the matrices
+
+
+def write_dng(
+    path: Path,
+    values: NDArray[np.uint16],
+    camera: CameraModel,
+    matrices: Mapping[str, NDArray[np.floating]],
+    neutral: NDArray[np.floating] | None,
+    exposure: float,
+) -> None:
+    """Write a mosaic (row, col) in DN, CFA phase (0, 0), exposed for `exposure` s. `matrices` (channel, 3) lead from XYZ to
+    channels under each of LIGHT_CODES; `neutral` (channel): what grey gives, if known.
+
+    The file appears whole or not at all.
+    """
+    name, planes, codes = camera.name, _planes(camera), channel_codes(camera.channels)
+    full_scale = camera.white_level - camera.black_level
+    constant, linear, _ = camera.noise_terms()
+    noise = (linear / full_scale, constant / full_scale**2)  # variance = S · x + O of values x between black and white level
+    shot = Shot(model=name, f_number=camera.optics.f_number, focal_length=camera.optics.focal_length * 1e3)
+    tags = [
+        entry("BlackLevel", RATIONAL, [camera.black_level]),
+        entry("WhiteLevel", LONG, [camera.white_level]),
+        *_mosaic_tags(codes[camera.cfa], codes[planes].tolist()),
+        entry("NoiseProfile", DOUBLE, noise),
+        *shot_entries(shot, exposure),
+    ]
+    for number, (light, code) in enumerate(LIGHT_CODES.items(), 1):
+        tags.append(entry(f"ColorMatrix{number}", SRATIONAL, matrices[light][planes].ravel()))
+        tags.append(entry(f"CalibrationIlluminant{number}", SHORT, [code]))
+    if neutral is not None:
+        tags.append(entry("AsShotNeutral", RATIONAL, neutral[planes]))
+    write_whole(path, _file(values, f"l3cli {__version__}", tags, name))
+
+
+def _planes(camera: CameraModel) -> list[int]:
+    """Return the channels in the order of the colour planes: of three, what most pixels have in the middle, for most
+    developers interpolate the second plane on the quincunx that green has in a Bayer array."""
+    planes = list(range(len(camera.channels)))
+    if len(planes) == 3:
+        commonest = int(np.bincount(camera.cfa.ravel(), minlength=3).argmax())
+        planes.remove(commonest)
+        planes.insert(1, commonest)
+    return planes

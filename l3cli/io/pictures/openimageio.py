@@ -1,0 +1,109 @@
+"""Pictures (PNG, TIFF, JPEG) and linear values (EXR, TIFF) as OpenImageIO writes them."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+from numpy.typing import NDArray
+
+from l3cli.errors import L3Error
+from l3cli.io.images import EXPOSURE_TIME
+from l3cli.io.pictures.icc import icc_profile
+from l3cli.io.pictures.registry import Label, Picture
+from l3cli.io.tags import SHOT
+from l3cli.physics.spaces import SRGB, Space
+from l3cli.system.files import write_whole
+from l3cli.system.signals import uninterrupted
+
+EXR, PNG = ".exr", ".png"
+# Noise hardly shrinks: what packs tightest takes seven times as long for a tenth of the size.
+COMPRESSION: dict[str, dict[str, str | int]] = {
+    # Differences to the mean of two neighbours: hardly any of their strings come again, and to look for them takes long.
+    PNG: {"compression": "rle", "png:compressionLevel": 1, "png:filter": 64},
+    ".jpg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
+    ".jpeg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
+    ".jxl": {"compression": "lossless", "jpegxl:effort": 1},
+}
+EXIF_SRGB, EXIF_OTHER = 1, 65535  # values of Exif's ColorSpace
+
+
+def encode(path: Path, picture: Picture) -> bytes:
+    """Return the file of a picture, which carries the profile of its space and its label."""
+    pixels, space, suffix = picture.pixels, picture.space, path.suffix.lower()
+    spec = _spec(pixels)
+    if pixels.dtype.kind == "f":
+        spec.channelnames, spec.alpha_channel = picture.names, -1
+    if space is not None and suffix == EXR:
+        chromaticities = [value for point in (*space.primaries, space.white) for value in point]
+        spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), chromaticities)
+        if space.neutral:
+            spec.attribute("adoptedNeutral", oiio.TypeDesc("float[2]"), space.neutral)
+    elif space is not None:
+        is_named = space == SRGB and suffix != PNG  # a PNG file has a profile or a name
+        spec.attribute("oiio:ColorSpace", "sRGB" if is_named else "data")  # else it is taken for sRGB
+        _add_profile(spec, space)
+    _add_label(spec, picture.label)
+    for name, value in COMPRESSION.get(suffix, {"compression": "none"}).items():
+        spec.attribute(name, value)
+    return encoded(path.name, spec, pixels)
+
+
+def _spec(pixels: NDArray[Any]) -> Any:
+    rows, cols, values = pixels.shape
+    return oiio.ImageSpec(cols, rows, values, "float" if pixels.dtype.kind == "f" else str(pixels.dtype))
+
+
+def _add_profile(spec: Any, space: Space) -> None:
+    spec.attribute("Exif:ColorSpace", EXIF_SRGB if space == SRGB else EXIF_OTHER)
+    profile = icc_profile(space)
+    spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, np.uint8))
+
+
+def _add_label(spec: Any, label: Label) -> None:
+    stated: dict[str, Any] = {EXPOSURE_TIME: label.exposure}
+    stated |= {other: getattr(label.shot, name) for name, (_, other) in SHOT.items() if name != "iso"}
+    stated |= {"Software": label.software, "ImageDescription": label.description}
+    for name, value in stated.items():
+        if value:
+            spec.attribute(name, value)
+    if iso := round(label.shot.iso):
+        spec.attribute("Exif:PhotographicSensitivity", min(iso, 65535))  # of 16 bits, as Exif has it
+        spec.attribute("Exif:ISOSpeed", iso)  # OpenImageIO writes the other one into no TIFF
+
+
+def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None = None) -> None:
+    """A raw mosaic (row, col) in DN as an uncompressed 16-bit mono TIFF, with its exposure time (s) if that is known."""
+    spec = _spec(values[..., None])
+    spec.attribute("compression", "none")
+    if exposure:
+        spec.attribute(EXPOSURE_TIME, exposure)
+    write_whole(path, encoded(path.name, spec, values[..., None]))
+
+
+def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
+    """Return the bytes of a JPEG file of sRGB codes (row, col, 3), `quality` 1…100, colour at full resolution."""
+    spec = _spec(picture)
+    spec.attribute("oiio:ColorSpace", "sRGB")
+    spec.attribute("Compression", f"jpeg:{quality}")
+    spec.attribute("jpeg:subsampling", "4:4:4")
+    return encoded("picture.jpg", spec, picture)
+
+
+@uninterrupted
+def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
+    """Return the bytes of a file of this name; L3Error if it cannot be encoded.
+
+    They are made in memory: on a full disk the JPEG library ends the whole program, and the PNG library says nothing. Left
+    half through by a signal, that one complains on stderr.
+    """
+    spec.attribute("DateTime", "")  # else the clock is written into the file: the same input must give the same bytes
+    with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
+        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # names need not be text
+        if sink is None:
+            raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}")
+        written = sink.open(f"/proc/self/fd/{memory.fileno()}", spec) and sink.write_image(np.ascontiguousarray(pixels))
+        if not (sink.close() and written):
+            raise L3Error(f"{name} cannot be encoded: {sink.geterror().strip()}")
+        return memory.read()

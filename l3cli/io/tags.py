@@ -1,0 +1,184 @@
+"""Tags of TIFF 6, TIFF/EP, Exif and DNG 1.7, by the names that tifffile gives them: read from its pages, and written. Those
+of the camera and of the settings of a shot are read and written by every format alike."""
+
+import re
+import struct
+from collections.abc import Iterable, Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from l3cli.errors import InputFileError
+from l3cli.frames.frame import Shot
+
+BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # types of values
+FRACTIONS = (RATIONAL, SRATIONAL)
+COLOUR_FILTER_ARRAY, LINEAR_RAW = 32803, 34892  # values of PhotometricInterpretation
+REDUCED, ONE_OF_MANY = 1, 2  # bits of NewSubfileType: a smaller copy of another image, a page of several
+RECTANGULAR = 1  # value of CFALayout
+UNSIGNED = 1  # value of SampleFormat
+UPRIGHT = 1  # value of Orientation
+LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # of the values 0…8 of Orientation
+# what reading damaged tags raises
+BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
+LONGEST_NAME = 80  # characters of a camera's name that are used
+FINE = 10**9  # denominator at most
+LARGEST = 2**31 - 1  # of numerator and denominator
+Entry = tuple[int, int, int, object, bool]  # of a directory, as tifffile takes it
+
+
+def flip_of(path: Path, orientation: object) -> int:
+    """Return LibRaw's flip code of a file's Orientation. InputFileError if TIFF does not know its value."""
+    if not (isinstance(orientation, int | np.integer) and 0 <= orientation < len(LIBRAW_FLIP)):
+        raise InputFileError(
+            f"{path}: its orientation is {orientation}, TIFF knows 1…{len(LIBRAW_FLIP) - 1}; "
+            "mend the tag Orientation, 1 if it is upright"
+        )
+    return LIBRAW_FLIP[orientation]
+
+
+# ------------------------------------------------------------------------------------------------------- reading
+
+
+def numbers(page: Any, name: str, default: Any) -> Any:
+    """Return the numbers of a tag, fractions divided out."""
+    tag = page.tags.get(name)
+    if tag is None:
+        return default
+    values = list(tag.value) if isinstance(tag.value, tuple | bytes) else [tag.value]
+    if tag.dtype in FRACTIONS:
+        return [above / below for above, below in zip(values[::2], values[1::2], strict=True)]
+    return values
+
+
+def number(value: Any) -> float | None:
+    """Return a number of a directory's value: of several the first, of two their quotient; None where there is none."""
+    if isinstance(value, tuple | list | np.ndarray) and len(value):
+        value = value[0] / value[1] if len(value) == 2 and value[1] else value[0]
+    return float(value) if isinstance(value, int | float | np.number) else None
+
+
+def exif_of(page: Any) -> dict[str, Any]:
+    """Return the Exif directory of a page, empty where it has none."""
+    exif = page.tags.valueof("ExifTag")
+    return exif if isinstance(exif, dict) else {}
+
+
+def exposure_time(page: Any) -> float | None:
+    """Return the exposure time (s) of the first page of a TIFF file or DNG, by its tags (TIFF/EP) or by its Exif tags."""
+    seconds = page.tags.valueof("ExposureTime") or exif_of(page).get("ExposureTime")
+    if not (isinstance(seconds, tuple) and len(seconds) == 2 and seconds[1]):
+        return None  # not stated, or no time
+    return float(seconds[0] / seconds[1])
+
+
+def camera_names(page: Any) -> list[str]:
+    """Make, model and other names of the camera, as the first page of a TIFF file or DNG states them; nothing without a
+    model."""
+    texts = [page.tags.valueof(tag) for tag in ("Model", "Make", "UniqueCameraModel", "LocalizedCameraModel")]
+    written = [text.decode("utf-8", "replace") if isinstance(text, bytes) else text for text in texts]
+    model, make, *others = [text.strip("\0 ")[:LONGEST_NAME] if isinstance(text, str) else "" for text in written]
+    return [make, model, *filter(None, others)] if model else []
+
+
+# ------------------------------------------------------------------------------------------------------- writing
+
+
+def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
+    """Return a tag of numbers, as tifffile takes it."""
+    if kind == DOUBLE:
+        parts: list[float] = [float(value) for value in values]
+    elif kind in FRACTIONS:
+        fractions = [_fraction(float(value)) for value in values]
+        parts = [part for fraction in fractions for part in (fraction.numerator, fraction.denominator)]
+    else:
+        parts = [int(value) for value in values]
+    count = len(parts) // (2 if kind in FRACTIONS else 1)
+    return _code(name), kind, count, tuple(parts) if len(parts) > 1 else parts[0], True
+
+
+def _fraction(value: float) -> Fraction:
+    """Return the nearest fraction whose parts fit into 32 bits."""
+    return Fraction(value).limit_denominator(min(FINE, int(LARGEST / max(1.0, abs(value)))))
+
+
+def text_entry(name: str, text: str) -> Entry:
+    """Return a tag of text in ASCII; other letters become question marks."""
+    return _code(name), ASCII, 0, text.encode("ascii", "replace").decode(), True
+
+
+def _code(name: str) -> int:
+    import tifffile
+
+    return int(tifffile.TIFF.TAGS[name])
+
+
+# ------------------------------------------------------------------------------------------- settings of a shot
+
+LONGEST_TEXT = 100  # letters
+MOST = 1e7  # of a number: ISO speeds go to 4 million
+DATE = re.compile(r"\d{4}:\d\d:\d\d \d\d:\d\d:\d\d", re.ASCII)
+SHOT = {  # field of Shot → its names in tifffile, as a tag or in the Exif directory, and in OpenImageIO
+    "f_number": ("FNumber", "FNumber"),
+    "focal_length": ("FocalLength", "Exif:FocalLength"),
+    "make": ("Make", "Make"),
+    "model": ("Model", "Model"),
+    "lens": ("LensModel", "Exif:LensModel"),
+    "date": ("DateTimeOriginal", "Exif:DateTimeOriginal"),
+    "iso": ("ISOSpeedRatings", "Exif:PhotographicSensitivity"),
+}
+
+
+def believable_shot(stated: Mapping[str, Any]) -> Shot:
+    """Return the shot that a file states, of untrusted values: short printable texts, dates that are dates, positive
+    numbers."""
+    usual, fields = Shot(), dict[str, Any]()
+    for name in stated.keys() & SHOT.keys():
+        wanted, value = type(getattr(usual, name)), stated[name]
+        if wanted is str and isinstance(value, str):
+            text = "".join(letter for letter in value if letter.isprintable()).strip()[:LONGEST_TEXT]
+            fields[name] = text if name != "date" or DATE.fullmatch(text) else ""
+        elif wanted is float and isinstance(value, int | float) and 0 < value <= MOST:
+            fields[name] = float(value)
+    return Shot(**fields)
+
+
+def shot_of_page(page: Any) -> dict[str, str | float]:
+    """Return the settings stated by tifffile's page, in its tags or in its Exif directory."""
+    exif = exif_of(page)
+    stated = {name: page.tags.valueof(tag, exif.get(tag)) for name, (tag, _) in SHOT.items()}
+    plain = {name: value if isinstance(value, str) else number(value) for name, value in stated.items()}
+    return {name: value for name, value in plain.items() if value is not None}
+
+
+def shot_of_file(path: Path) -> dict[str, str | float]:
+    """Return the settings stated by a camera raw; none if it is no TIFF, or a damaged one."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as file:
+            return shot_of_page(file.pages[0])
+    except Exception:  # the frame has been read: a library that stumbles over tags is no reason to refuse it
+        return {}
+
+
+def shot_of_spec(spec: Any) -> dict[str, str | float]:
+    """Return the settings stated by OpenImageIO's description of a picture."""
+    stated = {name: spec.getattribute(other) for name, (_, other) in SHOT.items()}
+    return {name: value for name, value in stated.items() if isinstance(value, str | float | int)}
+
+
+def shot_entries(shot: Shot, exposure: float | None) -> list[Entry]:
+    """Return the tags (TIFF/EP) that state how a frame was taken, its exposure time in s."""
+    entries = [entry("ExposureTime", RATIONAL, [exposure])] if exposure else []
+    for name, (tag, _) in SHOT.items():
+        value = getattr(shot, name)
+        if value and isinstance(value, str):
+            entries.append(text_entry(tag, value))
+        elif value and name == "iso":
+            entries.append(entry(tag, SHORT, [min(round(value), 65535)]))
+        elif value:
+            entries.append(entry(tag, RATIONAL, [value]))
+    return entries
