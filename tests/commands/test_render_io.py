@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
-from l3cli.io.raw.tiff_tags import LIBRAW_FLIP
+from l3cli.io.tags import LIBRAW_FLIP
 
 from l3cli.api import Renderer
 from l3cli.artifacts.store import save
