@@ -142,7 +142,7 @@ def test_an_evaluation_killed_among_its_pictures_is_finished(folder: Path, l3: C
     assert len(whole) >= 3 * 4
     assert "is not empty; add --force" in refused(1, *EVALUATE.split())
     shutil.rmtree("out")
-    left = kill(EVALUATE, "io.pictures.registry", "write_picture", 6)
+    left = kill(EVALUATE, "stages.evaluation", "write_picture", 6)
     assert {name for name in left if name.endswith(".png")} < whole.keys()
     other = "is not empty; add --force"
     assert other in l3(*EVALUATE.replace("set.h5", "training.h5").split())[2]
