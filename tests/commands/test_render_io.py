@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
-from l3cli.io.tags import LIBRAW_FLIP
 
 from l3cli.api import Renderer
 from l3cli.artifacts.store import save
@@ -17,6 +16,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.io.pictures.registry import write_picture
 from l3cli.io.raw.files import RawOverrides, read_raw
+from l3cli.io.tags import LIBRAW_FLIP
 from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, scene_white, srgb_from_xyz_matrix
 from l3cli.rendering import renderer
