@@ -16,8 +16,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
 from l3cli.evaluation.basic import develop, develop_bands, fit_colour, light_of
-from l3cli.evaluation.quality import band_figures, band_quality, cropped
-from l3cli.evaluation.similarity import psnr
+from l3cli.evaluation.quality import band_figures, band_quality, cropped, psnr
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import displayed, displayed_delta_e, srgb_curve, white_luminance
 from l3cli.rendering.renderer import make_renderer

@@ -25,8 +25,7 @@ from seconds import core_seconds
 
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.evaluation.bands import bilinear, ppi_difference, spectral_difference
-from l3cli.evaluation.demosaic import interpolate, malvar, menon
+from l3cli.evaluation.demosaic import bilinear, interpolate, malvar, menon, ppi_difference, spectral_difference
 from l3cli.system.files import write_whole
 
 FOLDER = Path(__file__).parent

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.evaluation import scielab as eye
-from l3cli.evaluation import similarity
+from l3cli.evaluation import quality
 from l3cli.physics.display import LUMA, daylight, displayed_delta_e, displayed_xyz, srgb_decoded
 
 Array = NDArray[np.floating]
@@ -22,23 +21,23 @@ def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Array:
     return displayed_delta_e(ours, ideal)
 
 
-def scielab(one: ArrayLike, other: ArrayLike, viewing: float = eye.VIEWING) -> Array:
+def scielab(one: ArrayLike, other: ArrayLike, viewing: float = quality.VIEWING) -> Array:
     """Return S-CIELAB (row, col), CIEDE2000 after the eye's blur (Zhang and Wandell 1996), of two sRGB pictures
     (row, col, 3) seen at `viewing` samples a degree. InputFileError unless both are pictures of one shape."""
     ours, ideal = (displayed_xyz(srgb_decoded(picture)) for picture in _colours(one, other))
-    return eye.scielab(ours, ideal, daylight(), viewing)
+    return quality.scielab(ours, ideal, daylight(), viewing)
 
 
 def psnr(one: ArrayLike, other: ArrayLike) -> float:
     """Return the peak signal-to-noise ratio in dB of two pictures, as they are encoded; 120 dB where they are equal.
     InputFileError unless both are pictures of one shape."""
-    return similarity.psnr(*_pictures(one, other))
+    return quality.psnr(*_pictures(one, other))
 
 
 def ssim(one: ArrayLike, other: ArrayLike) -> float:
     """Return the mean structural similarity (Wang et al. 2004) of two grey pictures (row, col), or of the luma of two sRGB
     pictures (row, col, 3). InputFileError unless both are pictures of one shape."""
-    return similarity.ssim(*(picture @ LUMA if picture.ndim == 3 else picture for picture in _pictures(one, other)))
+    return quality.ssim(*(picture @ LUMA if picture.ndim == 3 else picture for picture in _pictures(one, other)))
 
 
 def _colours(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:

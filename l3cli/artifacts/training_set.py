@@ -1,6 +1,7 @@
 """The training set: simulated frames with what the sensor saw and what the picture should be."""
 
 import contextlib
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -143,6 +144,11 @@ class TrainingSet(Artifact):
     outputs: tuple[str, ...] = data("str", "output", doc="names of the outputs")
     target_description: str = data("str", doc="what the target is")
     target_light: LightSpectrum | None = group(default=None)  # that the target is wanted under; None: that of each frame
+
+
+def frame_name(index: int, scene: str) -> str:
+    """Return the stem of the files of one frame: its number and its scene, without odd characters."""
+    return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from l3cli.cli.terminal import show, show_table, width
 from l3cli.system.text import printable
 
 if TYPE_CHECKING:
-    from l3cli.stages.comparison import Comparison
+    from l3cli.evaluation.comparison import Comparison
     from l3cli.stages.console import Console
 
 

@@ -113,7 +113,7 @@ def evaluate(
 
 def _evaluate_sequence(sequence: Path, ideal: Path | None, border: int | None, console: "Console") -> Result:
     from l3cli.cli.quality_tables import print_sequence
-    from l3cli.stages.sequence_evaluation import document, evaluate_sequence
+    from l3cli.stages.evaluation import document, evaluate_sequence
 
     figures = evaluate_sequence(sequence, console, ideal=ideal, border=border)
     return Result(document(figures), lambda: print_sequence(figures))

@@ -4,6 +4,7 @@ Clipped channels are left as they are: cutting all of them where the first clips
 over faces at three light levels, and what a table is compared with should be the stronger of the two.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,11 +13,14 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.evaluation.demosaic import Demosaic, tiled
-from l3cli.evaluation.exposures import Merge
+from l3cli.evaluation.demosaic import Demosaic, interpolate
 from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
+# Balanced planes (channel, row, col) of a frame and what each channel was balanced by (channel) → the same for each filter
+Merge = Callable[[Array, TrainingPair, CameraModel, Array], Array]
+CLIPPED = 0.985  # share of full scale from which a sample is clipped
+TOUCHED = 0.02  # share of clipped samples among those that a pixel was interpolated from, above which it is clipped, too
 RIDGE = (
     0.05  # of the matrix, relative to the mean square of the channels' differences: noise against colour (ΔE 1.7 of a chart)
 )
@@ -87,7 +91,7 @@ def develop(
     `merge` is what is made of the exposures of a camera that has several."""
     electrons = _electrons(frame, camera)
     balance = colour.balance / (frame.luminance * frame.exposure)
-    balanced = electrons * balance[tiled(camera.cfa, frame.raw.shape)]
+    balanced = electrons * balance[camera.channel_map(frame.raw.shape)]
     channels = demosaic(balanced, camera.cfa)
     if merge is not None:
         channels = merge(channels, frame, camera, balance)
@@ -111,7 +115,7 @@ def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosai
         raise InputFileError(f"camera {camera.name} sees nothing of a frame's light; simulate it under another")
     seen = white > BLIND * white.max()
     balance = np.where(seen, share * camera.channel_gains / np.where(seen, white, 1.0), 0.0) / frame.exposure
-    balanced = _electrons(frame, camera) * balance[tiled(camera.cfa, frame.raw.shape)]
+    balanced = _electrons(frame, camera) * balance[camera.channel_map(frame.raw.shape)]
     return demosaic(balanced, camera.cfa) * frame.white[:, None, None]
 
 
@@ -127,13 +131,17 @@ def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
     """Return the light of a frame; where it does not hold it, that of its name, or the common light nearest to its white."""
+
+    def distance(white: Array) -> float:
+        return float(np.hypot(*(white / white.sum() - frame.white / frame.white.sum())[:2]))
+
     if frame.light is not None:
         return frame.light
     try:
         spectra.illuminant(frame.illuminant, np.array([550.0]))
         name = frame.illuminant
     except RecipeError:
-        name = min(UNNAMED, key=lambda each: _distance(spectra.white_point(each), frame.white))
+        name = min(UNNAMED, key=lambda each: distance(spectra.white_point(each)))
     return named_light(name, camera)
 
 
@@ -145,6 +153,53 @@ def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
     return LightSpectrum(grid, light.astype(np.float32))
 
 
-def _distance(one: Array, other: Array) -> float:
-    """Return the distance between the chromaticities of two whites (3)."""
-    return float(np.hypot(*(one / one.sum() - other / other.sum())[:2]))
+# -------------------------------------------------------------------------------------------- several exposures or gains
+
+
+def merges(camera: CameraModel) -> dict[str, Merge | None]:
+    """Return the ways to merge the exposures of a camera, by name, "basic" the best of them; nothing where all are alike."""
+    if camera.readout is None or np.ptp(camera.sensitivity) == 0:
+        return {"basic": None}
+    names = ("long", "short") if np.ptp(camera.readout.channel_exposure) else ("high gain", "low gain")
+    return {"basic": merged, names[0]: most_sensitive, names[1]: least_sensitive}
+
+
+def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
+    """Return all channels of a filter weighed by the inverse of their noise, without those clipped about a pixel; where all
+    are, the least sensitive."""
+    span, channels = camera.white_level - camera.black_level, np.arange(len(camera.channels))
+    clipped = interpolate((frame.raw >= camera.black_level + CLIPPED * span).astype(np.float64), camera.cfa) > TOUCHED
+    in_dn = (camera.gain * camera.channel_gains / np.where(balance > 0, balance, np.inf))[:, None, None]
+    variance = camera.noise_variance(np.minimum(planes * in_dn, span), channel=channels[:, None, None])
+    weight = np.where(clipped, 0.0, in_dn**2 / variance)
+    least = least_sensitive(planes, frame, camera, balance)
+    whole = np.empty_like(planes)
+    for group in _groups(camera):
+        total = weight[group].sum(axis=0)
+        mean = (weight[group] * planes[group]).sum(axis=0) / np.where(total > 0, total, 1.0)
+        whole[group] = np.where(total > 0, mean, least[group[0]])
+    return whole
+
+
+def most_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
+    """Return the longest exposure or highest gain of each filter alone."""
+    return _chosen(planes, camera, np.argmax)
+
+
+def least_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
+    """Return the shortest exposure or lowest gain of each filter alone."""
+    return _chosen(planes, camera, np.argmin)
+
+
+def _chosen(planes: Array, camera: CameraModel, which: Callable[[Array], np.intp]) -> Array:
+    whole = np.empty_like(planes)
+    for group in _groups(camera):
+        whole[group] = planes[group[which(camera.sensitivity[group])]]
+    return whole
+
+
+def _groups(camera: CameraModel) -> list[NDArray[np.intp]]:
+    """Return the channels of each filter."""
+    assert camera.readout is not None
+    first = camera.readout.same_filter
+    return [np.flatnonzero(first == one) for one in np.unique(first)]

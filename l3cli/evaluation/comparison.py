@@ -14,6 +14,10 @@ from l3cli.frames.scene import shown_alike
 
 LARGEST = 1e12  # of a figure, of a luminance in cd/m²
 CLIPPING = 0.05  # of all pixels at full scale, from which on a camera is said to clip: highlights are fewer
+OTHER_SCENES = (
+    "the evaluations are of other scenes or lights, and not compared in words; simulate all with one recipe and seed"
+)
+UNKNOWN_SCENES = "not every frame says what it shows: that scenes and lights are the same is not known; simulate them again"
 UNITS = {"delta_e": " ΔE00", "scielab": " ΔE00", "psnr": " dB", "angle": "°"}  # by the end of a figure's name
 
 
@@ -26,6 +30,50 @@ class Curve:
     value: tuple[float, ...]
     clipped: tuple[float, ...] = ()  # share of the pixels at full scale; none: evaluated by an older version
     exposure: tuple[float, ...] = ()  # s, the longest at each luminance
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Each figure of every camera over the light, and of every two cameras where the better one changes."""
+
+    curves: dict[str, list[Curve]]  # by figure, in the order of the evaluations
+    alike: bool | None  # whether all cameras were shown the same; None: not known
+
+    @property
+    def cameras(self) -> list[Curve]:
+        """Return the curves of the first figure, one of each camera."""
+        return next(iter(self.curves.values()))
+
+    def sentences(self, figure: str) -> list[str]:
+        """Return which camera is the better by a figure, where, and by how much; none of cameras that were shown other
+        scenes."""
+        pairs = [] if self.alike is False else itertools.combinations(self.curves[figure], 2)
+        return [verdict(one, other, figure) for one, other in pairs]
+
+    @property
+    def doubt(self) -> str | None:
+        """Return why several cameras may not be comparable."""
+        return {False: OTHER_SCENES, None: UNKNOWN_SCENES}.get(self.alike) if len(self.cameras) > 1 else None
+
+    @property
+    def clipping(self) -> list[str]:
+        """Return from which luminance on each camera clips."""
+        return list(filter(None, map(clipping, self.cameras)))
+
+    def document(self) -> dict[str, Any]:
+        """Return all of it, ready for JSON."""
+        cameras = [
+            {"camera": camera.name, "luminance": list(camera.luminance)}
+            | {figure: list(curves[index].value) for figure, curves in self.curves.items()}
+            for index, camera in enumerate(self.cameras)
+        ]
+        changes = [
+            {"figure": figure, "one": one.name, "other": other.name, "luminances": tuple(crossings(one, other, figure))}
+            for figure, curves in self.curves.items()
+            for one, other in itertools.combinations(curves, 2)
+        ]
+        verdicts = [*itertools.chain(*map(self.sentences, self.curves)), *self.clipping]
+        return {"curves": cameras, "crossings": changes, "same_scenes": self.alike, "verdicts": verdicts}
 
 
 def curve_of(document: Mapping[str, Any], figure: str) -> Curve:

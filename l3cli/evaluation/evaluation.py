@@ -11,13 +11,10 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.classes.names import AXES
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, light_of
+from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, light_of, merges
 from l3cli.evaluation.classes import ClassErrors
 from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
-from l3cli.evaluation.exposures import merges
-from l3cli.evaluation.quality import band_figures, band_quality, cropped, quality
-from l3cli.evaluation.scielab import VIEWING
-from l3cli.evaluation.similarity import spectral_angle
+from l3cli.evaluation.quality import VIEWING, band_figures, band_quality, cropped, quality, spectral_angle
 from l3cli.physics.display import XYZ, displayed, displayed_delta_e, white_luminance
 
 Array = NDArray[np.floating]

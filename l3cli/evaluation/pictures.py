@@ -1,13 +1,20 @@
-"""Pictures of an evaluated frame: every pipeline beside the ideal, and where ours errs."""
+"""Pictures of an evaluated frame, every pipeline beside the ideal, where ours errs, and the patches of a chart in it."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.training_set import TrainingPair
+from l3cli.artifacts.training_set import LightSpectrum, TrainingPair
+from l3cli.physics import spectra
 from l3cli.physics.display import displayed, displayed_delta_e, scene_xyz, srgb_codes, white_luminance
 
 Array = NDArray[np.floating]
 Picture = NDArray[np.uint8]
+Region = tuple[slice, slice]  # rows and columns of a patch
+INNER = 0.5  # of a patch's side, about its middle: what lies nearer to its edges is mixed with what is beside it
+EVEN = 0.01  # of white: largest standard deviation of the target within a patch
+ALIKE = 0.02  # of white: largest difference of a patch's mean from that of the chart
 ERROR_WHITE = 10.0  # ΔE00 shown white in an error map; 0 is black
 RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])  # sRGB, each 2.5 ΔE00 further
 
@@ -39,3 +46,56 @@ def error_map(difference: Array) -> Picture:
     place = np.clip(difference / ERROR_WHITE, 0.0, 1.0) * (len(RAMP) - 1)
     stops = np.arange(len(RAMP))
     return np.stack([np.interp(place, stops, RAMP[:, part]) for part in range(3)], axis=-1).round().astype(np.uint8)
+
+
+# ---------------------------------------------------------------------------------------------------- patches of a chart
+
+
+@dataclass(frozen=True)
+class PatchColours:
+    """Patches as displayed: linear sRGB (patch, 3) of the ideal and of every pipeline, and ΔE00 (patch) of these."""
+
+    ideal: Array
+    shown: dict[str, Array]
+    delta_e: dict[str, Array]
+
+
+def holds_chart(frame: TrainingPair, light: LightSpectrum | None, regions: list[Region]) -> bool:
+    """Return whether the target (XYZ) shows a ColorChecker's patches in `regions` under `light`, under which it is
+    wanted."""
+    if light is None or any(min(rows.stop - rows.start, cols.stop - cols.start) < 4 for rows, cols in regions):
+        return False
+    wavelength = light.wavelength
+    _, reflectance = spectra.colorchecker(wavelength)
+    weights = spectra.xyz_weights(wavelength) * light.radiance
+    expected = reflectance @ weights.T / weights[1].sum()
+    patches = [frame.target[:, rows, cols].astype(np.float64) / frame.white[1] for rows, cols in map(inner, regions)]
+    even = max(float(patch.std(axis=(1, 2)).max()) for patch in patches) < EVEN
+    means = np.array([patch.mean(axis=(1, 2)) for patch in patches])
+    return even and bool(np.abs(means - expected).max() < ALIKE)
+
+
+def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[Region]) -> PatchColours:
+    """Return the mean of each patch in the target and in `planes` (XYZ (3, row, col) in the target's unit), shown on the
+    target's scale."""
+    scale = white_luminance(frame.target[1])
+    ideal = displayed(_means(frame.target, regions), frame.white, scale)
+    shown = {name: displayed(_means(of, regions), frame.white, scale) for name, of in planes.items()}
+    errors = {name: displayed_delta_e(of, ideal)[0] for name, of in shown.items()}
+    return PatchColours(ideal[0], {name: of[0] for name, of in shown.items()}, errors)
+
+
+def inner(region: Region) -> Region:
+    """Return the middle of a patch."""
+    rows, cols = (
+        slice(each.start + round(cut), each.stop - round(cut))
+        for each in region
+        for cut in [(each.stop - each.start) * (1 - INNER) / 2]
+    )
+    return rows, cols
+
+
+def _means(planes: Array, regions: list[Region]) -> Array:
+    """(3, 1, patch)"""
+    means = [planes[:, rows, cols].mean(axis=(1, 2), dtype=np.float64) for rows, cols in map(inner, regions)]
+    return np.array(means).T[:, None]

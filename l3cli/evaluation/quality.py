@@ -7,20 +7,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.evaluation.scielab import VIEWING, scielab
-from l3cli.evaluation.similarity import psnr, spectral_angle, ssim
 from l3cli.physics.display import (
     LUMA,
     daylight,
+    delta_e_2000,
     displayed,
     displayed_delta_e,
     displayed_xyz,
+    lab,
     srgb_curve,
     white_luminance,
 )
 
 Array = NDArray[np.floating]
 CODES = 255  # of a white, in PSNR of codes
+LEAST_ERROR = 1e-12  # mean square, of equal pictures: 120 dB
+WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels, of the 11 × 11 Gaussian window of SSIM
+FAINTEST = float(np.finfo(np.float32).eps)  # spectra as much shorter than the picture's longest are rounding errors
+STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values in 0…1
+VIEWING = 50.0  # samples a degree: a monitor of 110 dots an inch at 66 cm
+OPPONENT_FROM_XYZ = np.array(
+    [[0.2885613, 0.6597617, -0.1305654], [-0.4648864, 0.3262702, 0.0624200], [0.0798787, -0.5547976, 0.4814746]]
+)
+FILTERS = (  # (half width at half maximum in degrees, weight) of the Gaussians of light–dark, red–green, blue–yellow
+    ((0.05, 1.00327), (0.225, 0.114416), (7.0, -0.117686)),
+    ((0.0685, 0.616725), (0.826, 0.383275)),
+    ((0.0920, 0.567885), (0.6451, 0.432115)),
+)
 
 
 @dataclass(frozen=True)
@@ -73,45 +86,37 @@ def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewi
 
 def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:
     """Compare planes of any outputs (output, row, col) in one unit; `white` (output) and `border` as in `quality`."""
-    peaks = _peaks(target, white)
-    rendered, target = cropped(rendered, border), cropped(target, border)
-    angle = spectral_angle(rendered, target)
+    angle = spectral_angle(cropped(rendered, border), cropped(target, border))
     angle = angle[np.isfinite(angle)] if np.isfinite(angle).any() else np.zeros(1)  # all of the target is black
-    shares = [_shares(planes, white) for planes in (rendered, target)]
+    linear, shares = _linear_and_shares(rendered, target, white, border)
     return BandQuality(
         mean_angle=float(angle.mean()),
         median_angle=float(np.median(angle)),
         p95_angle=float(np.percentile(angle, 95)),
         psnr=psnr(*map(_rounded, shares)),
-        output_psnr=psnr(rendered / peaks, target / peaks),
+        output_psnr=psnr(*linear),
         ssim=float(np.mean([ssim(*of_band) for of_band in zip(*shares, strict=True)])),
     )
 
 
 def band_figures(rendered: Array, target: Array, white: Array, border: int = 0) -> list[dict[str, float]]:
-    """psnr, output_psnr and ssim of each output, as in BandQuality; arguments as in `band_quality`."""
-    peaks = _peaks(target, white)
-    rendered, target = cropped(rendered, border), cropped(target, border)
-    linear = zip(rendered / peaks, target / peaks, strict=True)
-    shares = zip(*(_shares(planes, white) for planes in (rendered, target)), strict=True)
+    """Return psnr, output_psnr and ssim of each output, as in BandQuality; arguments as in `band_quality`."""
+    linear, shares = _linear_and_shares(rendered, target, white, border)
     return [
         {"psnr": psnr(*map(_rounded, share)), "output_psnr": psnr(*of_band), "ssim": ssim(*share)}
-        for of_band, share in zip(linear, shares, strict=True)
+        for of_band, share in zip(zip(*linear, strict=True), zip(*shares, strict=True), strict=True)
     ]
 
 
-def _peaks(target: Array, white: Array) -> Array:
-    """Return the value of each output (output, 1, 1) that a linear PSNR takes for 1."""
-    return white_luminance(target.mean(axis=0)) * (_positive(white) / white.mean())[:, None, None]
-
-
-def _shares(planes: Array, white: Array) -> Array:
-    """Return the outputs as shares of white, cut to 0…1."""
-    return np.clip(planes / _positive(white)[:, None, None], 0.0, 1.0)
-
-
-def _positive(white: Array) -> Array:
-    return np.where(white > 0, white, white.max())
+def _linear_and_shares(
+    rendered: Array, target: Array, white: Array, border: int
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return both pictures over what a linear PSNR takes for 1, and as shares of white, cut to 0…1."""
+    positive = np.where(white > 0, white, white.max())[:, None, None]
+    peaks = white_luminance(target.mean(axis=0)) * (positive / white.mean())
+    rendered, target = cropped(rendered, border), cropped(target, border)
+    shares = np.clip(rendered / positive, 0.0, 1.0), np.clip(target / positive, 0.0, 1.0)
+    return (rendered / peaks, target / peaks), shares
 
 
 def _rounded(share: Array) -> Array:
@@ -121,3 +126,84 @@ def _rounded(share: Array) -> Array:
 def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
     """Return the planes (…, row, col) without a margin of `border` pixels."""
     return planes[..., border : planes.shape[-2] - border, border : planes.shape[-1] - border]
+
+
+# ----------------------------------------------------------------------------------------------------- figures of arrays
+
+
+def psnr(one: Array, other: Array) -> float:
+    """Return the peak signal-to-noise ratio in dB of two arrays of one shape whose peak is 1; 120 dB where they are
+    equal."""
+    return float(-10.0 * np.log10(max(float(np.mean((one - other) ** 2)), LEAST_ERROR)))
+
+
+def ssim(one: Array, other: Array) -> float:
+    """Return the mean structural similarity of two pictures (row, col) in 0…1 (Wang et al. 2004: 11 × 11 Gaussian window of
+    σ 1.5).
+
+    Only whole windows count, unless the picture is smaller than one.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    def mean(values: Array) -> Array:
+        return gaussian_filter(values, WINDOW_SIGMA, radius=WINDOW_REACH)
+
+    mean_one, mean_other = mean(one), mean(other)
+    variances = mean(one**2) - mean_one**2 + mean(other**2) - mean_other**2
+    covariance = mean(one * other) - mean_one * mean_other
+    luminance_term = (2 * mean_one * mean_other + STABILISERS[0]) / (mean_one**2 + mean_other**2 + STABILISERS[0])
+    similarity = luminance_term * (2 * covariance + STABILISERS[1]) / (variances + STABILISERS[1])
+    if min(similarity.shape) > 2 * WINDOW_REACH:
+        similarity = similarity[WINDOW_REACH:-WINDOW_REACH, WINDOW_REACH:-WINDOW_REACH]
+    return float(similarity.mean())
+
+
+def spectral_angle(rendered: Array, target: Array) -> Array:
+    """Return the angle in degrees (row, col) between the spectra of two cubes (band, row, col).
+
+    NaN where the target has no direction, since its spectrum is zero, or shorter than float32 resolves beside the longest of
+    the picture; 90 where only the rendered spectrum is zero (docs/method.md#quality-figures).
+    """
+    cubes = [cube.astype(np.float64) for cube in (rendered, target)]
+    lengths = [np.sqrt((cube**2).sum(axis=0)) for cube in cubes]
+    units = [cube / np.where(length > 0, length, 1.0) for cube, length in zip(cubes, lengths, strict=True)]
+    chord = np.sqrt(((units[0] - units[1]) ** 2).sum(axis=0))  # 2 sin(angle / 2): exact for small angles, unlike arccos
+    angle = np.where(lengths[0] > 0, np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))), 90.0)
+    return np.where(lengths[1] > FAINTEST * lengths[1].max(), angle, np.nan)
+
+
+# -------------------------------------------------------------------------------------------------------------- S-CIELAB
+
+
+def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) -> Array:
+    """Return CIEDE2000 (row, col) of two pictures of XYZ (row, col, 3) seen at `viewing` samples a degree under `white` (3):
+    S-CIELAB (Zhang and Wandell 1996), as ISETCam computes it.
+
+    Each picture goes to opponent colours (Poirson and Wandell), each of them is blurred by a sum of Gaussians, and CIEDE2000
+    is taken of what comes back. The constants are ISETCam's defaults: the transform of the 10° observer and the
+    "distribution" widths of Johnson and Fairchild. ISETCam wraps pictures around, drops a row and a column where that makes
+    them odd, and returns maps displaced by a pixel; here pictures are mirrored at their edges and stay in place.
+    """
+    labs = [lab(np.maximum(blurred(picture, viewing), 0.0), white) for picture in (one, other)]
+    return delta_e_2000(*labs)
+
+
+def blurred(xyz: Array, viewing: float) -> Array:
+    """Return XYZ (row, col, 3) as blurred by the eye's three opponent filters, each a degree wide in all."""
+    from scipy.ndimage import correlate1d
+
+    opponent = np.einsum("oc,rkc->ork", OPPONENT_FROM_XYZ, xyz)
+    reach = np.arange(-half_size(viewing), half_size(viewing) + 1)
+    total = np.zeros_like(opponent)
+    for plane, seen, terms in zip(opponent, total, FILTERS, strict=True):
+        for half_width, weight in terms:
+            sigma = half_width * viewing / np.sqrt(2.0 * np.log(2.0))
+            kernel = np.exp(-0.5 * (reach / sigma) ** 2)
+            kernel /= kernel.sum()
+            seen += weight * correlate1d(correlate1d(plane, kernel, axis=0), kernel, axis=1)
+    return np.einsum("co,ork->rkc", np.linalg.inv(OPPONENT_FROM_XYZ), total)
+
+
+def half_size(viewing: float) -> int:
+    """Return the samples from the centre to the end of a filter: a degree in all, made odd downwards as in ISETCam."""
+    return (int(np.ceil(viewing)) - 1) // 2

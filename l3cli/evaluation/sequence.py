@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.evaluation.block_motion import estimated_motion
-from l3cli.evaluation.quality import cropped
-from l3cli.evaluation.similarity import psnr
+from l3cli.evaluation.quality import cropped, psnr
 from l3cli.physics.display import displayed_delta_e, lightness, srgb_curve
 
 Array = NDArray[np.floating]

@@ -2,12 +2,12 @@
 
 import itertools
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.evaluation.comparison import Curve, clipping, crossings, curve_of, require_comparable, same_scenes, verdict
+from l3cli.evaluation.comparison import Comparison, Curve, curve_of, require_comparable, same_scenes
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
@@ -16,67 +16,6 @@ from l3cli.system.limits import read_bounded
 from l3cli.system.text import short_names
 
 GIVE = 'give what "l3 evaluate --json" prints'
-
-
-OTHER_SCENES = (
-    "the evaluations are of other scenes or lights, and not compared in words; simulate all with one recipe and seed"
-)
-UNKNOWN_SCENES = "not every frame says what it shows: that scenes and lights are the same is not known; simulate them again"
-
-
-@dataclass(frozen=True)
-class Change:
-    """Point at which the better of two cameras changes."""
-
-    figure: str
-    one: str
-    other: str
-    luminances: tuple[float, ...]  # cd/m² of a perfect white, rising
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Each figure of every camera over the light, and of every two cameras where the better one changes."""
-
-    curves: dict[str, list[Curve]]  # by figure, in the order of the evaluations
-    alike: bool | None  # whether all cameras were shown the same; None: not known
-
-    @property
-    def changes(self) -> list[Change]:
-        """Return the points at which the better of any two cameras changes, by each figure."""
-        return [
-            Change(figure, one.name, other.name, tuple(crossings(one, other, figure)))
-            for figure, cameras in self.curves.items()
-            for one, other in itertools.combinations(cameras, 2)
-        ]
-
-    def sentences(self, figure: str) -> list[str]:
-        """Which camera is the better by a figure, where, and by how much; none of cameras that were shown other scenes."""
-        if self.alike is False:
-            return []
-        return [verdict(one, other, figure) for one, other in itertools.combinations(self.curves[figure], 2)]
-
-    @property
-    def doubt(self) -> str | None:
-        """Why several cameras may not be comparable."""
-        several = len(next(iter(self.curves.values()))) > 1
-        return {False: OTHER_SCENES, None: UNKNOWN_SCENES}.get(self.alike) if several else None
-
-    @property
-    def clipping(self) -> list[str]:
-        """From which luminance on each camera clips."""
-        return list(filter(None, map(clipping, next(iter(self.curves.values())))))
-
-    def document(self) -> dict[str, Any]:
-        """All of it, ready for JSON."""
-        cameras = [
-            {"camera": camera.name, "luminance": list(camera.luminance)}
-            | {figure: list(curves[index].value) for figure, curves in self.curves.items()}
-            for index, camera in enumerate(next(iter(self.curves.values())))
-        ]
-        verdicts = [*itertools.chain(*map(self.sentences, self.curves)), *self.clipping]
-        changes = [asdict(each) for each in self.changes]
-        return {"curves": cameras, "crossings": changes, "same_scenes": self.alike, "verdicts": verdicts}
 
 
 def compare(
@@ -139,7 +78,7 @@ def _write_page(comparison: Comparison, page: Path) -> None:
     from l3cli.report.evaluation import luminance_section  # only where a page is wanted: drawing takes long to load
     from l3cli.report.page import render_page
 
-    names = " and ".join(curve.name for curve in next(iter(comparison.curves.values())))
+    names = " and ".join(curve.name for curve in comparison.cameras)
     values = {
         figure: [(curve.name, curve.luminance, curve.value) for curve in curves]
         for figure, curves in comparison.curves.items()

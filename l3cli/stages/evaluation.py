@@ -1,12 +1,14 @@
-"""The evaluation stage: a table and frames with known targets → figures, and pictures if they are wanted."""
+"""The evaluation stage: a table and frames with known targets → figures, and pictures if they are wanted; or a rendered
+sequence, beside the ideal one or without it → figures over time."""
 
 import contextlib
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,36 +16,44 @@ from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader, open_training_set
+from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader, frame_name, open_training_set
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures, planes_of
+from l3cli.evaluation.sequence import CELL, SequenceEvaluation, SequenceFigures
 from l3cli.frames.frame import RawFrame
-from l3cli.io.picture_sequences import picture_files
+from l3cli.io.picture_sequences import PictureSequence, find_pictures, picture_files, read_motion
 from l3cli.io.pictures.registry import write_picture
 from l3cli.io.scenes import rgb
+from l3cli.physics import spectra
 from l3cli.rendering.display import require_xyz
+from l3cli.rendering.renderer import Renderer, make_renderer
+from l3cli.rendering.white.lights import Mix, described, mix_for, mixed
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
-from l3cli.stages.frame_names import frame_name
-from l3cli.stages.frame_renderers import FrameRenderers
 from l3cli.stages.input_warnings import warn_if_trained_on, warn_if_unlike, warn_of_kernels
 from l3cli.stages.plan import Made, before_work
 from l3cli.system.files import sha256
+from l3cli.system.limits import read_bounded
 from l3cli.system.locks import finished_together, refuse_other_run
+
+MOST_KEPT = 8  # renderers: frames of one scene under several lights follow one another
+Planes = NDArray[np.float32]
+UNLIKE = 1.05  # times as bright: figures of lightness would compare two exposures
+GIVE = 'give what "l3 evaluate --sequence … --json" prints'
 
 
 def evaluate(
     table: Path, frames: Path, console: Console, *, backend: str = "opencl", viewing: float = 50.0,
     border: int | None = None, pictures: Path | None = None, rivals: Sequence[Path] = (), force: bool = False,
 ) -> dict[str, Any]:  # fmt: skip
-    """The document of `l3 evaluate` on the frames of a training set: figures of the table, its baselines and its rivals.
+    """Return the document of `l3 evaluate` on the frames of a training set: figures of the table, its baselines and its
+    rivals.
 
     `viewing`: samples a degree that S-CIELAB sees the pictures at. `border`: pixels left out at each edge of a frame; None:
     those whose patch is not inside it. `pictures`: folder for those of every frame, which with `force` may hold something.
     `rivals`: folders, patterns or globs of sRGB pictures of the same frames by other pipelines, in the frames' order.
-    InputFileError or RecipeError if table, frames and rivals cannot be
-    compared, L3Error if the folder cannot be written.
+    InputFileError or RecipeError if table, frames and rivals cannot be compared, L3Error if the folder cannot be written.
     """
     transforms = load(TransformTable, table)
     others = {_name_of(path): (path, picture_files(path)) for path in rivals}
@@ -84,6 +94,35 @@ def evaluate(
         return evaluation.document()
 
 
+class FrameRenderers:
+    """Renderers of a backend for a training set's frames: a table, mixed for the light of each frame where it has several
+    (docs/method.md#several-lights). The last ones are cached."""
+
+    def __init__(self, backend: str, table: TransformTable, console: Console) -> None:
+        self._backend, self._table, self._console = backend, table, console
+        self._made: dict[Mix | None, Renderer] = {}
+        self._said: set[str] = set()
+
+    def of(self, frame: TrainingPair) -> Renderer:
+        """Return the renderer of a frame."""
+        mix = mix_for(self._table, _white_of(frame)) if self._table.lights else None
+        if mix and frame.illuminant not in self._said:
+            self._said.add(frame.illuminant)
+            self._console.info(f"frames under {frame.illuminant}: transforms of {described(self._table, mix)}")
+        if mix not in self._made:
+            if len(self._made) == MOST_KEPT:
+                del self._made[next(iter(self._made))]
+            self._made[mix] = make_renderer(self._backend, mixed(self._table, mix))
+        return self._made[mix]
+
+
+def _white_of(frame: TrainingPair) -> NDArray[np.floating]:
+    """Return XYZ (3) of the light of a frame; of its target where the light is not known."""
+    if frame.light is None:
+        return frame.white[:3]
+    return spectra.xyz_weights(frame.light.wavelength) @ frame.light.radiance
+
+
 def evaluate_frame(
     evaluation: Evaluation,
     renderers: FrameRenderers,
@@ -101,7 +140,8 @@ def evaluate_frame(
 
 
 def _planes(path: Path, frame: TrainingPair) -> NDArray[np.floating]:
-    """XYZ planes (3, row, col) in the target's unit of a rival's picture; InputFileError if its size is not the frame's."""
+    """Return XYZ planes (3, row, col) in the target's unit of a rival's picture; InputFileError if its size is not the
+    frame's."""
     picture = rgb.read(path)
     if picture.shape[:2] != frame.raw.shape:
         sizes = "×".join(map(str, picture.shape[:2])), "×".join(map(str, frame.raw.shape))
@@ -110,15 +150,98 @@ def _planes(path: Path, frame: TrainingPair) -> NDArray[np.floating]:
 
 
 def _name_of(rival: Path) -> str:
-    """The name of a folder of pictures, or of that which a pattern or glob leads into."""
+    """Return the name of a folder of pictures, or of that which a pattern or glob leads into."""
     return (rival if rival.is_dir() else rival.parent).absolute().name
 
 
 def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
-    """Frame number `index` of a training set as its camera gave it; InputFileError if it is none that a camera gives."""
+    """Return frame number `index` of a training set as its camera gave it; InputFileError if it is none that a camera
+    gives."""
     try:
         return RawFrame(
             frame.scene, frame.raw, camera.black_level, camera.white_level, dark=camera.dark_signal(frame.dark_time)
         )
     except ValueError as error:
         raise InputFileError(f"frame {index} of the training set, {error}; make the training set again") from error
+
+
+# ------------------------------------------------------------------------------------------------------ sequences
+
+
+def evaluate_sequence(
+    rendered: Path, console: Console, *, ideal: Path | None = None, border: int | None = None
+) -> SequenceFigures:
+    """Return the figures of a sequence of pictures or a video, beside an ideal one if there is one, with the known motion
+    that lies beside its pictures.
+
+    `border`: pixels left out at each edge; None: none. InputFileError if a sequence cannot be read, or they differ in size
+    or number; RecipeError if nothing is left within the border.
+    """
+    ours = find_pictures(rendered)
+    wanted = None if ideal is None else find_pictures(ideal)
+    _require_alike(ours, wanted)
+    margin = border or 0
+    if min(ours.shape) - 2 * margin < CELL:
+        rows, cols = ours.shape
+        raise RecipeError(f"{rendered}: a border of {margin} leaves no patch of {CELL}×{CELL} pixels of {rows}×{cols}")
+    before_work({"pictures": ours.files, "ideal": wanted.files if wanted else (), "motion": wanted.motion if wanted else ()})
+    evaluation = SequenceEvaluation(str(rendered), None if ideal is None else str(ideal), margin)
+    light = np.zeros(2)
+    for ours_now, ideal_now, motion in console.progress(_frames(ours, wanted), ours.count, "frames"):
+        evaluation.add(ours_now, ideal_now, motion)
+        light += [ours_now.mean(), 0.0 if ideal_now is None else ideal_now.mean()]
+    if wanted is not None and not 1 / UNLIKE <= light[0] / max(light[1], 1e-9) <= UNLIKE:
+        ratio = light[0] / max(light[1], 1e-9)
+        console.warn(
+            f"{rendered} is {ratio:.3g} times as bright as {ideal}; render it with ‹exposure› {1 / ratio:.3g} times as large"
+        )
+    try:
+        return evaluation.figures()
+    except ValueError as error:
+        raise InputFileError(f"{rendered}: {error}") from error
+
+
+def read_sequence_figures(path: Path) -> SequenceFigures:
+    """Return the figures that `l3 evaluate --sequence` printed as JSON; InputFileError if a file holds something else."""
+    try:
+        printed = msgspec.json.decode(read_bounded(path, GIVE), type=dict[str, Any])
+        printed.pop("run", None)  # how the command ran
+        figures = msgspec.convert(printed, SequenceFigures)
+    except (OSError, msgspec.MsgspecError, RecursionError) as error:
+        raise InputFileError(f"{path} is no evaluation of a sequence; {GIVE}") from error
+    if len(figures.frames) < 2:
+        raise InputFileError(f"{path} holds fewer than two frames; {GIVE}")
+    return figures
+
+
+def document(figures: SequenceFigures) -> dict[str, Any]:
+    """Return the figures, ready for JSON."""
+    return dict(msgspec.to_builtins(figures))
+
+
+def _require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None:
+    if ours.count == 1:
+        raise InputFileError(f"{ours.name} holds one picture; a sequence has two or more")
+    if wanted is None:
+        return
+    if ours.shape != wanted.shape:
+        sizes = " and ".join(f"{rows}×{cols}" for rows, cols in (ours.shape, wanted.shape))
+        raise InputFileError(f"{ours.name} and {wanted.name} are of {sizes} pixels; give pictures of the same frames")
+    if ours.count is not None and wanted.count is not None and ours.count != wanted.count:
+        counts = f"{ours.count} and {wanted.count} pictures"
+        raise InputFileError(f"{ours.name} and {wanted.name} hold {counts}; give pictures of the same frames")
+
+
+def _frames(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tuple[Planes, Planes | None, Planes | None]]:
+    """Yield rendered picture, ideal one and known motion of each frame; InputFileError if one sequence ends before the
+    other."""
+    ideals: Iterator[Planes | None] = wanted.pictures() if wanted else itertools.repeat(None)
+    motions = iter(wanted.motion) if wanted else iter(())
+    for number, picture in enumerate(ours.pictures()):
+        ideal = next(ideals, None)
+        if wanted is not None and ideal is None:
+            raise InputFileError(f"{wanted.name} ends after {number} pictures, {ours.name} goes on; give the same frames")
+        motion = next(motions, None)
+        yield picture, ideal, None if motion is None else read_motion(motion, ours.shape)
+    if wanted is not None and next(ideals, None) is not None:
+        raise InputFileError(f"{ours.name} ends before {wanted.name}; give pictures of the same frames")

@@ -31,11 +31,9 @@ from l3cli.report.transforms import transform_section
 from l3cli.simulation.procedural import chart_places
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console, Silent
-from l3cli.stages.evaluation import evaluate_frame, raw_of
-from l3cli.stages.frame_renderers import FrameRenderers
+from l3cli.stages.evaluation import FrameRenderers, document, evaluate_frame, raw_of, read_sequence_figures
 from l3cli.stages.input_warnings import warn_if_unlike, warn_of_kernels
 from l3cli.stages.plan import Made, before_work
-from l3cli.stages.sequence_evaluation import document, read_sequence_figures
 from l3cli.system.files import sha256, write_whole
 from l3cli.system.text import counted, short_names
 
@@ -353,7 +351,7 @@ def _pixels(
 def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray], head: TrainingSet) -> Subsection | None:
     """Return the patches of the ColorChecker in frame `number` of a training set and in `planes`, those of every pipeline;
     None where its target shows none."""
-    from l3cli.evaluation.patches import holds_chart, patch_colours
+    from l3cli.evaluation.pictures import holds_chart, patch_colours
 
     light = head.target_light or frame.light
     size = frame.raw.shape[0], frame.raw.shape[1]

@@ -15,9 +15,16 @@ from l3cli.evaluation.basic import develop, fit_colour, light_of, white_preservi
 from l3cli.evaluation.demosaic import band_baselines, baselines, bayer_roles, interpolate, tiled
 from l3cli.evaluation.evaluation import higher_is_better
 from l3cli.evaluation.pictures import error_map
-from l3cli.evaluation.quality import band_figures, band_quality, quality
-from l3cli.evaluation.scielab import OPPONENT_FROM_XYZ, scielab
-from l3cli.evaluation.similarity import psnr, spectral_angle, ssim
+from l3cli.evaluation.quality import (
+    OPPONENT_FROM_XYZ,
+    band_figures,
+    band_quality,
+    psnr,
+    quality,
+    scielab,
+    spectral_angle,
+    ssim,
+)
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 

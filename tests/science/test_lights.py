@@ -18,8 +18,7 @@ from l3cli.physics.near_lights import mired_of
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.white.lights import Mix, described, mix_for, mixed, nearest_for
 from l3cli.stages.console import Silent
-from l3cli.stages.evaluation import raw_of
-from l3cli.stages.frame_renderers import FrameRenderers
+from l3cli.stages.evaluation import FrameRenderers, raw_of
 from l3cli.stages.rendering.executors import Renderers, RenderSetup
 from l3cli.stages.rendering.rendition import OUTPUTS
 from tests.helpers.cameras import BAYER

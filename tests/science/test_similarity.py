@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
 
-from l3cli.evaluation.similarity import ssim
+from l3cli.evaluation.quality import ssim
 
 RNG = np.random.default_rng(5)
 

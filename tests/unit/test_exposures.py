@@ -20,7 +20,7 @@ from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.classes.saturation import choose_cases, spared_cases
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.evaluation.exposures import least_sensitive, merged, merges, most_sensitive
+from l3cli.evaluation.basic import least_sensitive, merged, merges, most_sensitive
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.measurement import Body
 from l3cli.physics import spectra

@@ -9,7 +9,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet
-from l3cli.evaluation.patches import holds_chart, inner, patch_colours
+from l3cli.evaluation.pictures import holds_chart, inner, patch_colours
 from l3cli.frames.measurement import PATCH_NAMES
 from l3cli.physics import spectra
 from l3cli.report.parts import Figures, Table

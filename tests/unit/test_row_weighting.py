@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from l3cli.evaluation.similarity import spectral_angle
+from l3cli.evaluation.quality import spectral_angle
 from l3cli.training.row_weighting import DARKEST, ERROR_FLOOR, SpectralWeighting
 
 TAPS, OUTPUTS, COUNT = 9, 6, 40

@@ -3,11 +3,10 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from l3cli.artifacts.training_set import TrainingPair
+from l3cli.artifacts.training_set import TrainingPair, frame_name
 from l3cli.io.numbered import IDEAL, MOTION, RAW
 from l3cli.simulation.recipe import shots as asked
 from l3cli.stages.console import Console
-from l3cli.stages.frame_names import frame_name
 from l3cli.stages.simulation.run import SimulationRun
 
 CHANNELS = ("down", "right", "seen")  # of a file of motion
