@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.errors import RecipeError
 from l3cli.physics.display import (
     LUMA,
     daylight,
@@ -26,6 +27,7 @@ WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels, of the 11 × 11 Gaussian window o
 FAINTEST = float(np.finfo(np.float32).eps)  # spectra as much shorter than the picture's longest are rounding errors
 STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values in 0…1
 VIEWING = 50.0  # samples a degree: a monitor of 110 dots an inch at 66 cm
+VIEWED = 2, 1000  # samples a degree that the filters are made for
 OPPONENT_FROM_XYZ = np.array(
     [[0.2885613, 0.6597617, -0.1305654], [-0.4648864, 0.3262702, 0.0624200], [0.0798787, -0.5547976, 0.4814746]]
 )
@@ -183,7 +185,10 @@ def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) ->
     is taken of what comes back. The constants are ISETCam's defaults: the transform of the 10° observer and the
     "distribution" widths of Johnson and Fairchild. ISETCam wraps pictures around, drops a row and a column where that makes
     them odd, and returns maps displaced by a pixel; here pictures are mirrored at their edges and stay in place.
+    RecipeError unless `viewing` is within VIEWED.
     """
+    if not VIEWED[0] <= viewing <= VIEWED[1]:
+        raise RecipeError(f"‹viewing› {viewing:g} is not within {VIEWED[0]}…{VIEWED[1]} samples a degree")
     labs = [lab(np.maximum(blurred(picture, viewing), 0.0), white) for picture in (one, other)]
     return delta_e_2000(*labs)
 

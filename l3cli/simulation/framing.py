@@ -73,7 +73,7 @@ def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
     if rows > size[0] or cols > size[1]:
         raise ValueError(
             f"the camera sees {rows}×{cols} samples in the {motion.frames} frames of its motion, more than the "
-            f"{size[0]}×{size[1]} that there are; make the scene larger, or motion.size or the motion smaller"
+            f"{size[0]}×{size[1]} of the scene; make the scene larger, or motion.size or the motion smaller"
         )
 
 

@@ -105,8 +105,6 @@ class L3Render(GstBase.BaseTransform):
         if not self.table:
             raise RecipeError("table names no file; give the one written by l3 train")
         asked = Asked(
-            self.exposure or None,
-            self.white or None,
             None if self.black_level < 0 else self.black_level,
             None if self.white_level < 0 else self.white_level,
             pair(self.phase, ",", "phase"),

@@ -20,16 +20,13 @@ from l3cli.stages.rendering.corrections import CameraFile, correction_in
 from l3cli.system.files import sha256
 from l3cli.system.numbers import NoSuchNumber, Quantity
 
-MOST, LEAST = 1e9, 1e-9  # times Y, of an exposure
 PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
 
 
 @dataclass(frozen=True)
 class Asked:
-    """Options that the user of a host gives, each as the option of `l3 render`; None: the default there."""
+    """Options of a host that concern its frames, each as the option of `l3 render`; None: the default there."""
 
-    exposure: float | None = None  # times Y
-    white: str | None = None
     black_level: float | None = None  # DN
     white_level: float | None = None  # DN
     phase: tuple[int, int] | None = None  # CFA row and column of pixel (0, 0)
@@ -37,10 +34,6 @@ class Asked:
     camera: str | None = None  # file of a model whose defects and flat field are corrected
     backend: str = "opencl"
     device: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.exposure is not None and not LEAST <= self.exposure <= MOST:
-            raise RecipeError(f"exposure {self.exposure:g} is not within {LEAST:g}…{MOST:g} times Y")
 
 
 class Mosaics:

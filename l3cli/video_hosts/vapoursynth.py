@@ -45,13 +45,11 @@ def render(
     vapoursynth.Error, one line, for a clip, file or value that does not fit.
     """
     try:
-        if bits not in FORMATS:
-            raise L3Error(f"{bits} bits is not a depth of pictures; ask for 8, 16 or 32")
         _require_mosaics(clip)
         phase = pair(phase, ",", "phase") if isinstance(phase, str) else phase
         size = pair(size, "x", "size") if isinstance(size, str) else size
         asked = Asked(
-            exposure, white, black_level, white_level, phase, size or (clip.height, clip.width),
+            black_level, white_level, phase, size or (clip.height, clip.width),
             None if camera is None else os.fspath(camera), backend, device,
         )  # fmt: skip
         mosaics = Mosaics(os.fspath(table), asked)

@@ -171,6 +171,23 @@ def test_an_array_that_is_no_frame_is_described(wrong: Any, described: str) -> N
             call(wrong)
 
 
+@pytest.mark.parametrize(
+    ("options", "described"),
+    [
+        ({"exposure": 0}, r"exposure 0 is not within 1e-09…1e\+09 times Y"),
+        ({"exposure": float("nan")}, "exposure nan is not within"),
+        ({"exposure": "auto"}, 'exposure "auto" is not within .*; leave it out: automatic'),
+        ({"bits": 12}, "12 bits is not a depth of pictures; ask for 8, 16 or 32"),
+    ],
+)
+def test_an_option_that_no_picture_has_is_described(options: dict[str, Any], described: str) -> None:
+    renderer = l3.Renderer(RGGB, backend="reference")
+    with pytest.raises(RecipeError, match=described):
+        renderer.picture(np.zeros((20, 20), np.uint16), **options)
+    with pytest.raises(RecipeError, match=described):
+        renderer.sequence(None, **options)
+
+
 def test_figures_of_two_pictures_are_those_of_evaluations() -> None:
     rng = np.random.default_rng(4)
     planes = rng.uniform(0.02, 1.0, (2, 3, 40, 48))
@@ -203,6 +220,12 @@ def test_arrays_that_are_no_pictures_are_described(one: np.ndarray, other: np.nd
     for figure in (l3.delta_e_2000, l3.scielab):
         with pytest.raises(InputFileError, match=said):
             figure(one, other)
+
+
+@pytest.mark.parametrize("viewing", [0, -1, float("nan"), 1e9])
+def test_a_distance_that_no_eye_is_at_is_described(viewing: float) -> None:
+    with pytest.raises(RecipeError, match="is not within 2…1000 samples a degree"):
+        l3.scielab(np.zeros((8, 9, 3)), np.zeros((8, 9, 3)), viewing)
 
 
 def test_the_interface_is_imported_when_it_is_used() -> None:

@@ -197,6 +197,14 @@ def test_raw_files_of_cameras_state_their_array_and_times(lab: Path, bayer: Came
     assert "cfa.pattern" in err
 
 
+def test_what_all_bands_lack_is_asked_once(l3_data: Path, tmp_path: Path, l3: L3) -> None:
+    code, _, err = l3("calibrate", "--draft", l3_data / "calibration/flea3_bandpass", "-o", tmp_path / "M.toml")
+    assert (code, err.count("missing: radiance of "), err.count("missing: unit of ")) == (0, 1, 1)
+    text = (tmp_path / "M.toml").read_text()
+    bands = text.partition("\n[[band]]")[2].partition("# TODO [datasheet]")[0]
+    assert (bands.count("[[band]]"), bands.count("TODO"), bands.count('radiance = "spectra/700nm.csv"')) == (48, 1, 7)
+
+
 def test_names_alone_tell_exposure_times(lab: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
     folder = renamed(lab, tmp_path / "captures", flat, timed=False)
     assert l3("calibrate", "--draft", folder, "--camera", bayer_recipe, "-o", folder / "M.toml", "--quiet")[0] == 0
@@ -336,8 +344,11 @@ def test_a_folder_of_finished_curves_gives_its_measurement_file(
 
 
 def test_published_results_are_drafted(l3_data: Path, tmp_path: Path, l3: L3) -> None:
+    """With the measurement beside them, which has no wavelengths, named as what to give instead."""
     folder = l3_data / "calibration/ssftool_D7000"
-    assert l3("calibrate", "--draft", folder, "-o", tmp_path / "M.toml", "--quiet")[0] == 0
+    err = l3("calibrate", "--draft", folder, "-o", tmp_path / "M.toml")[2]
+    measured = "if D7000_calibration.dat, D7000_spectrum.dat measured them, give a [sweep] of those with wavelengths"
+    assert f'published_result.csv": finished curves; {measured}' in err
     (tmp_path / "M.toml").write_text(completed((tmp_path / "M.toml").read_text()))
     assert l3("calibrate", tmp_path / "M.toml", "-o", tmp_path / "camera.h5", "--quiet")[::2] == (0, "")
 

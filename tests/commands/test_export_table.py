@@ -140,9 +140,21 @@ def test_c_source_shows_what_l3_render_shows(
     scale = float(exposure) * shows.luminance if exposure else eye.eye_2_auto_scale(of[3], rows, columns)
     eye.eye_2_picture(of[3], rows, columns, ctypes.c_float(scale), ctypes.byref(shows), of[4])
     assert np.abs(picture.astype(int) - expected).max() <= 1
-    assert np.abs(picture.astype(int) - expected).mean() < 0.01
+    # 1 % of the values differ by dark current, a fraction of a DN that codes cannot take off, 0.5 % by the kernels' curve.
+    assert np.abs(picture.astype(int) - expected).mean() < 0.02
     texts = [path.read_text() for path in (tmp_path / "c").glob("*.[ch]")]
     assert not re.search(r"\bl3_|\bL3[_A-Z]", "".join(re.sub('(?m)^".*$', "", text) for text in texts))
+
+
+@needs_compiler
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no CMake")
+def test_c_source_builds_by_cmake_for_any_processor(table: Path, tmp_path: Path, l3: L3) -> None:
+    assert l3("export", table, "-o", tmp_path / "c", "--prefix", "eye", "--quiet")[0] == 0
+    subprocess.run(["cmake", "-S", tmp_path / "c", "-B", tmp_path / "b"], check=True, capture_output=True)
+    subprocess.run(["cmake", "--build", tmp_path / "b"], check=True, capture_output=True)
+    assert subprocess.run(["ctest", "--test-dir", tmp_path / "b"], capture_output=True).returncode == 0
+    for name in ("CMakeLists.txt", "Makefile"):
+        assert "-march" not in re.sub("(?m)^#.*", "", (tmp_path / "c" / name).read_text())
 
 
 def test_a_white_far_from_training_is_said_as_by_l3_render(table: Path, tmp_path: Path, l3: L3) -> None:

@@ -48,7 +48,7 @@ class _Composer:
     def __init__(self, seen: Survey, camera: CameraModel | None, folder: str) -> None:
         self.seen, self.camera, self.folder = seen, camera, folder
         self.out = DraftText()
-        self.shared: set[str] = set()  # keys that [common] has for all steps or bands
+        self.shared: set[str] = set()  # keys that [common] or the first capture explains for all steps or bands
         self.steps, self.bands = seen.groups_of("mono"), seen.groups_of("band")
         self.charts = seen.groups_of("chart", "structured")
         self.whites, self.darks = seen.groups_of("white"), seen.groups_of("dark")
@@ -140,14 +140,21 @@ class _Composer:
             out.todo("unit", unit, what, unitless[0])
 
     def _wanted_spectrum(self, number: int, step: Group) -> None:
-        """Add the spectrum of a step as a column of a table that is still to be made; that is said of the first alone."""
-        out, nm = self.out, step.first.name.nm
-        if number == 1:
-            what = "make this table of the measured radiance of every [[mono]], a column each, or name yours"
-            out.fill("spectrum", EXAMPLE_SPECTRUM, what, step.first.name.path)
+        """Add the spectrum of a step as a column of a table that is still to be made."""
+        nm, what = (
+            step.first.name.nm,
+            "make this table of the measured radiance of every [[mono]], a column each, or name yours",
+        )
+        self._wanted("spectrum", EXAMPLE_SPECTRUM, what, step.first.name.path)
+        self.out.key("column", number if nm is None else f"{nm:g}nm")
+
+    def _wanted(self, key: str, example: str, what: str, where: str) -> None:
+        """Add a table that is still to be made; the first capture that lacks one says what it holds."""
+        if key in self.shared:
+            self.out.key(key, example, "as above")
         else:
-            out.key("spectrum", EXAMPLE_SPECTRUM, "as above")
-        out.key("column", number if nm is None else f"{nm:g}nm")
+            self.out.fill(key, example, what, where)
+            self.shared.add(key)
 
     def _unit(self, table: CurveTable, column: int | None) -> None:
         """Add the unit of radiances, where their heading states none."""
@@ -222,8 +229,8 @@ class _Composer:
                 out.key("radiance", by_band[nm].path)
                 self._unit(by_band[nm].table, None)
             else:
-                what = f"CSV: light of the {nm:g} nm band times reflectance, a column for each of the 24 patches"
-                out.todo("radiance", f"spectra/{nm:g}nm.csv", what, path)
+                what = "make a table for each band, light times reflectance, a column for each of 24 patches, or name yours"
+                self._wanted("radiance", f"spectra/{nm:g}nm.csv", what, path)
                 if "unit" not in self.shared:
                     out.todo("unit", "relative power", "of these radiances, where the heading states none", path)
 

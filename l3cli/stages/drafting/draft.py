@@ -48,7 +48,7 @@ def draft(folder: Path, output: Path, console: Console, *, camera: Path | None =
             before_work(inputs, Made(output, f"draft of a measurement file of {contents}"))
         notes, name = list[str](), folder.absolute().name
         if not listing.frames and (tables := spectra_of(listing, output, notes)):
-            text, contents = compose_tables(tables, known, name), f"{counted(len(tables), 'table')}, no frames"
+            text, contents = compose_tables(tables, known, name, notes), f"{counted(len(tables), 'table')}, no frames"
         else:
             seen = survey(folder, output, known, console)
             text, notes = compose(seen, known, name, named_from(folder, output)), seen.notes

@@ -24,9 +24,10 @@ SENSOR = (
 SHEET = (("black_level_dn", 64), ("white_level_dn", 4095), ("well_capacity_e", 10000), ("read_noise_e", 5.0))
 
 
-def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: str) -> DraftText:
+def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: str, left_out: Sequence[str]) -> DraftText:
     """Return the draft of a measurement file by the tables of a folder: a sweep with its photodiode, or finished curves.
-    Sensor, array and optics are those of `camera`. InputFileError if no table holds either."""
+    Sensor, array and optics are those of `camera`; `left_out`: notes of files that are no tables of spectra. InputFileError
+    if no table holds either."""
     out = DraftText()
     sweep = next((table for table in tables if channels_of_sweep(table)), None)
     curves = _finished(tables)
@@ -46,7 +47,13 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
         _photodiode(out, sweep, tables)
     else:
         out.table("[curves]")
-        out.key("file", used.path)
+        if left_out:
+            files = ", ".join(note.partition(":")[0] for note in left_out)
+            out.assume(
+                "file", used.path, f"finished curves; if {files} measured them, give a [sweep] of those with wavelengths"
+            )
+        else:
+            out.key("file", used.path)
         for other in curves[1:]:
             out.comment(f"or {other.path}")
         _per_energy(out, used)

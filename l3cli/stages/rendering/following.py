@@ -2,8 +2,10 @@
 
 import itertools
 from fractions import Fraction
+from numbers import Real
 from typing import TYPE_CHECKING
 
+from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.io.pictures.registry import FLOAT_BITS
 from l3cli.rendering.display import require_xyz
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from l3cli.rendering.temporal.chunks import Chunks
 
 ANY_RATE = Fraction(30)  # frames/s, where only one frame is measured
+LEAST, MOST = 1e-9, 1e9  # times Y, of an exposure
+DEPTHS = (8, 16, FLOAT_BITS)
 
 
 def shown_as(
@@ -27,8 +31,13 @@ def shown_as(
     estimated_by: "TransformTable | None" = None,
 ) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
     """Return the rendition of pictures, and the source of the frames' white; None: all have that of the rendition.
-    `estimated_by`: as of source_of. RecipeError if there is no such white or space, or the table's outputs are not X, Y,
-    Z."""
+    `estimated_by`: as of source_of. RecipeError if there is no such exposure, white, space or depth, or the table's outputs
+    are not X, Y, Z."""
+    if exposure is not None and not (isinstance(exposure, Real) and LEAST <= exposure <= MOST):
+        given_as = f"{exposure:g}" if isinstance(exposure, Real) else f'"{exposure}"'
+        raise RecipeError(f"exposure {given_as} is not within {LEAST:g}…{MOST:g} times Y; leave it out: automatic")
+    if bits not in DEPTHS:
+        raise RecipeError(f"{bits} bits is not a depth of pictures; ask for 8, 16 or {FLOAT_BITS}")
     require_xyz(table.outputs)
     source = source_of(white, table, estimated_by) if white is not None else None
     given = None if source else given_white(white, table)
