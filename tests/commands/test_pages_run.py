@@ -99,26 +99,8 @@ def raw_files(folder: Path, mosaic: np.ndarray, chart: np.ndarray) -> None:
     large = np.tile(mosaic, (7, 4))[:960, :864]  # of no more pixels than a grey's place on a page needs
     large[900:960, 800:850] = 2000  # the grey
     large[100 : 100 + chart.shape[0], 100 : 100 + chart.shape[1]] = chart
-    matrix = [
-        9000,
-        10000,
-        -2000,
-        10000,
-        -800,
-        10000,
-        -4000,
-        10000,
-        12000,
-        10000,
-        2000,
-        10000,
-        -500,
-        10000,
-        1500,
-        10000,
-        6000,
-        10000,
-    ]
+    parts = (9000, -2000, -800, -4000, 12000, 2000, -500, 1500, 6000)
+    matrix = [number for part in parts for number in (part, 10000)]
     colour = {50721: (10, matrix), 50778: (3, [21]), 50728: (5, [60, 100, 100, 100, 70, 100]), 33434: (5, [1, 100])}
     write_dng(folder / "large.dng", large, rggb, tags=colour)
     write_dng(folder / "frame.dng", np.tile(mosaic, (2, 2))[:192, :256], rggb, tags=colour)

@@ -206,14 +206,8 @@ def test_a_report_plots_sequences_over_their_frames(
         section = page.read_text().partition(">Sequences over time</h2>")[2].partition("</section>")[0]
         plots = re.findall(r"<svg viewBox.*?</svg></svg>", section)
         assert len(plots) == 6
-        assert [plot.count('stroke-linejoin="round"') for plot in plots] == [
-            2,
-            2,
-            1,
-            1,
-            1,
-            2,
-        ]  # what has no ideal has no error
+        lines = [plot.count('stroke-linejoin="round"') for plot in plots]
+        assert lines == [2, 2, 1, 1, 1, 2]  # what has no ideal has no error
         assert all('class="mark"' not in plot for plot in plots)  # names stand in the legend, not on the curves
         assert "with.json" in section
         assert "temporal σ" in section
