@@ -20,11 +20,7 @@ from tests.helpers.tables import random_table
 LIST_1, LIST_2, LIST_3 = 51008, 51009, 51022
 ROWS, COLS = 40, 60
 ACTIVE, CROP = (2, 4, 38, 58), (1, 3, 30, 48)  # top, left, bottom, right; row, column, rows, columns within it
-TAGS: Tags = {
-    50829: (LONG, list(ACTIVE)),
-    50719: (LONG, [CROP[1], CROP[0]]),
-    50720: (LONG, [CROP[3], CROP[2]]),
-}
+TAGS: Tags = {50829: (LONG, list(ACTIVE)), 50719: (LONG, [CROP[1], CROP[0]]), 50720: (LONG, [CROP[3], CROP[2]])}
 PATTERN = np.array(BAYER)
 
 

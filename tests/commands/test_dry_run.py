@@ -34,10 +34,7 @@ SENTENCES = {  # a call that works, and what its dry run says
     "render table.h5 unseen/*_raw.tif -o {out}/p/####.tif": ("makes {out}/p/####.tif: numbered pictures of ",),
     "evaluate table.h5 unseen.h5 --pictures {out}/p": ("reads frames: {in}/unseen.h5, ", "makes {out}/p: pictures of "),
     "report camera.h5 table.h5 -o {out}/r.html": ("reads artifacts: 2 files, ", "makes {out}/r.html: page\n"),
-    "lab camera.toml -o {out}/lab": (
-        "reads camera: {in}/camera.toml, ",
-        "frames of 192×256, ",
-    ),
+    "lab camera.toml -o {out}/lab": ("reads camera: {in}/camera.toml, ", "frames of 192×256, "),
     "init bayer {out}/demo": ("makes {out}/demo/Makefile: copy, ",),
 }
 
@@ -93,11 +90,7 @@ def test_a_dry_run_refuses_wrong_inputs(pipeline: Path, tmp_path: Path, refused:
     for call, code, says in (
         (("train", pipeline / "table.h5", "-o", tmp_path / "t.h5"), 3, "table.h5"),
         (("render", pipeline / "table.h5", pipeline / "none.tif", "-o", tmp_path / "p.png"), 3, "none.tif"),
-        (
-            ("simulate", pipeline / "classes.toml", "--camera", "bayer", "-o", tmp_path / "t.h5"),
-            2,
-            "classes.toml",
-        ),
+        (("simulate", pipeline / "classes.toml", "--camera", "bayer", "-o", tmp_path / "t.h5"), 2, "classes.toml"),
         (("calibrate", pipeline / "camera.toml", "-o", tmp_path / "c.h5"), 2, "camera.toml"),
         (("report", pipeline / "scenes.toml", "-o", tmp_path / "r.html"), 3, "scenes.toml"),
     ):

@@ -102,16 +102,8 @@ class Numbers:
 
     def recipe(self) -> str:
         """The whole recipe with every key that takes a number."""
-        recipes = {
-            "camera.toml": whole.CAMERA,
-            "scenes.toml": whole.SCENES,
-            "classes.toml": whole.CLASSES,
-        }
-        recipes |= {
-            "lab.toml": whole.LAB,
-            "table.toml": whole.TABLE,
-            "lab/MEASUREMENTS.toml": _MEASURED[0],
-        }
+        recipes = {"camera.toml": whole.CAMERA, "scenes.toml": whole.SCENES, "classes.toml": whole.CLASSES}
+        recipes |= {"lab.toml": whole.LAB, "table.toml": whole.TABLE, "lab/MEASUREMENTS.toml": _MEASURED[0]}
         return with_keys(recipes[self.name], KEYS.get(self.name, ""))
 
     def judge(self, shop: Workshop, call: Call) -> str | None:
