@@ -2,8 +2,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --disable-pip-version-check
-EXTRAS := test lint docs snakemake peers fuzz
+# Python compiles what it imports, a fifth of what pip would.
+INSTALL := python -m pip install --disable-pip-version-check --no-compile
+WITH ?= test lint docs
 PYTHON312 ?= python3.12
 NEWER := build/vapoursynth
 DEMO := build/demo
@@ -19,6 +20,7 @@ PORT ?= 8000
 PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help install demo demo-steps snakemake docs docs-build gallery peers notebooks wheels test vapoursynth study soak video fuzz kernels curve lint format bench clean
 .DEFAULT_GOAL := help
@@ -27,19 +29,20 @@ TIMED := bash -c 'time "$$0" "$$@"'
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
-$(VENV)/runtime: pyproject.toml
+$(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) -e .
-	touch $@
 
-# An extra of pyproject.toml each.
-$(EXTRAS:%=$(VENV)/%): $(VENV)/%: $(VENV)/runtime
-	$(PIP) -e ".[$*]"
-	touch $@
+# One call of pip for the runtime and the extras that a target needs, if one of them is not there as pyproject.toml says.
+install: $(BIN)/python ## a .venv with l3, PoCL and the development tools (WITH="test lint docs", extras of pyproject.toml)
+	@for each in runtime $(WITH); do [ $(VENV)/$$each -nt pyproject.toml ] || missing=1; done; [ -z "$$missing" ] || \
+	{ set -x; $(BIN)/$(INSTALL) -e ".$(if $(WITH),[$(subst $() ,$(comma),$(strip $(WITH)))])" && \
+	  touch $(addprefix $(VENV)/,runtime $(WITH)); }
 
-install: $(VENV)/test $(VENV)/lint $(VENV)/docs ## a .venv with l3, PoCL and the development tools
+comma := ,
+needs = @$(MAKE) --no-print-directory install WITH="$(1)"
 
-demo: $(VENV)/runtime ## a five-band camera from virtual lab to rendered picture
+demo: ## a five-band camera from virtual lab to rendered picture
+	$(call needs,)
 	$(MAKE) --no-print-directory demo-steps
 
 demo-steps:
@@ -55,12 +58,14 @@ demo-steps:
 	$(TIMED) $(L3) report $(DEMO)/camera.h5 $(DEMO)/training.h5 $(DEMO)/table.h5 $(DEMO)/unseen.h5 -o $(DEMO)/report.html
 	@ls "$$PWD"/$(DEMO)/report.html "$$PWD"/$(DEMO)/rendered.png "$$PWD"/$(DEMO)/unseen/*_ideal.png
 
-# One process more than there are cores: many tests wait for processes that they start. These start sooner if Python may keep
-# what it has compiled. Files go in their order, small ones last: none is begun late that takes long.
-test: $(VENV)/test ## the test suite
-	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n $$(( $(JOBS) + 1 )) --dist loadfile --no-loadscope-reorder
+# One process more than there are cores: many tests wait for processes that they start. Files go in their order, small ones
+# last: none is begun late that takes long.
+test: ## the test suite
+	$(call needs,test)
+	$(BIN)/python -m pytest -n $$(( $(JOBS) + 1 )) --dist loadfile --no-loadscope-reorder
 
-snakemake: $(VENV)/test $(VENV)/snakemake ## the tests of the Snakefile that l3 init lays beside recipes (one minute)
+snakemake: ## the tests of the Snakefile that l3 init lays beside recipes (one minute)
+	$(call needs,test snakemake)
 	$(BIN)/python -m pytest tests/commands/test_pipelines.py -k snakemake
 
 docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until Ctrl-C (PORT=…)
@@ -69,52 +74,60 @@ docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until
 docs-build: notebooks ## the same without serving (DOCS=folder); fails on any warning and any link that leads nowhere
 	$(BIN)/python docs/site/build.py "$(DOCS)"
 
-gallery: $(VENV)/runtime ## docs/gallery.md and its pictures, two arrays at a time (eight minutes of two quiet cores); ARRAYS="bayer xtrans" for some
+gallery: ## docs/gallery.md and its pictures, two arrays at a time (eight minutes of two quiet cores); ARRAYS="bayer xtrans" for some
+	$(call needs,)
 	PYTHONPATH="$$PWD" $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
 
-peers: $(VENV)/peers ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some, PARTS="noise --seconds" for times alone
+peers: ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some, PARTS="noise --seconds" for times alone
+	$(call needs,peers)
 	PYTHONPATH="$$PWD" $(BIN)/python docs/peers/peers.py $(PARTS) --jobs $(JOBS)
 
-notebooks: $(VENV)/docs $(VENV)/test ## the notebooks of docs/ are run, and written as pages of code and outputs (half a minute)
+notebooks: ## the notebooks of docs/ are run, and written as pages of code and outputs (half a minute)
+	$(call needs,test docs)
 	rm -rf $(NOTEBOOKS)
 	$(BIN)/python -m pytest tests/unit/test_notebooks.py
 	$(BIN)/python docs/site/execute_notebooks.py $(NOTEBOOKS)
 
 wheels: ## dist/: source distribution, the wheel built from it, both checked, and the wheel tried alone
 	$(PYTHON) -m venv --clear $(RELEASE)
-	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check build twine
+	$(RELEASE)/bin/$(INSTALL) --quiet build twine
 	rm -rf dist && $(RELEASE)/bin/python -m build --outdir dist .
 	$(RELEASE)/bin/python -m twine check --strict dist/*
 	$(PYTHON) -m venv --clear $(RELEASE)
-	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check dist/*.whl
+	$(RELEASE)/bin/$(INSTALL) --quiet dist/*.whl
 	cd $(RELEASE) && bin/python -I -m l3cli info --version && bin/python -I -m l3cli init bayer camera && \
 	  ! bin/python -I -c "import tests" 2>/dev/null
 
 # VapourSynth has wheels for Python ≥ 3.12 alone.
 $(NEWER)/installed: pyproject.toml
 	$(PYTHON312) -m venv $(NEWER)
-	$(NEWER)/bin/python -m pip install --quiet --disable-pip-version-check -e ".[vapoursynth,video]" vapoursynth-bestsource pytest hypothesis
+	$(NEWER)/bin/$(INSTALL) --quiet -e ".[vapoursynth,video]" vapoursynth-bestsource pytest hypothesis
 	touch $@
 
 vapoursynth: $(NEWER)/installed ## the tests of the VapourSynth filter, under PYTHON312=python3.12 or newer
 	$(NEWER)/bin/python -m pytest tests/commands/test_vapoursynth.py
 
-study: $(VENV)/test ## calibration over 21 seeds, quality, time and memory of large inputs (ten minutes)
+study: ## calibration over 21 seeds, quality, time and memory of large inputs (ten minutes)
+	$(call needs,test)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/studies/test_video_rate.py
 
-soak: $(VENV)/test ## every stage killed forty times, full disks, endurance (half an hour)
+soak: ## every stage killed forty times, full disks, endurance (half an hour)
+	$(call needs,test)
 	$(BIN)/python -m pytest -m soak -s
 
-video: $(VENV)/test ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
+video: ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
+	$(call needs,test)
 	$(BIN)/python -m pytest -m slow -s tests/studies/test_video_rate.py
 
-fuzz: $(VENV)/fuzz $(VENV)/test ## 20 000 corrupted inputs, 2 000 guided by coverage, 500 environments (a quarter of an hour); failures are kept in build/fuzz
+fuzz: ## 20 000 corrupted inputs, 2 000 guided by coverage, 500 environments (a quarter of an hour); failures are kept in build/fuzz
+	$(call needs,test fuzz)
 	PYTHONPATH="$$PWD" nice $(BIN)/python -m tests.helpers.fuzz --inputs $(INPUTS) --jobs $(JOBS)
 	PYTHONPATH="$$PWD" nice $(BIN)/python -m tests.helpers.fuzz --inputs 2000 --guided
 	PYTHONPATH="$$PWD" nice $(BIN)/python -m tests.helpers.fuzz --environments $(PLACES) --jobs $(JOBS)
 
 # Oclgrind 21.10 knows no intrinsic of prefetching, and none that inlining leaves: kernels are compiled as they are written.
-kernels: $(VENV)/test ## kernels under Oclgrind, for accesses out of bounds and races, and on Intel's OpenCL (a quarter of an hour)
+kernels: ## kernels under Oclgrind, for accesses out of bounds and races, and on Intel's OpenCL (a quarter of an hour)
+	$(call needs,test)
 	@test -e $(OCLGRIND) || { echo "Oclgrind is missing: apt-get install oclgrind, or name its liboclgrind-rt-icd.so by OCLGRIND=" >&2; exit 1; }
 	rm -rf $(KERNELS) && mkdir -p $(KERNELS)/oclgrind $(KERNELS)/intel
 	echo $(OCLGRIND) > $(KERNELS)/oclgrind/oclgrind.icd
@@ -122,13 +135,14 @@ kernels: $(VENV)/test ## kernels under Oclgrind, for accesses out of bounds and 
 	  OCLGRIND_BUILD_OPTIONS="-cl-opt-disable -Dalways_inline=unused -Drestrict= -D__builtin_prefetch(p)=(void)0" \
 	  $(BIN)/python -m pytest -m slow tests/studies/test_kernels.py
 	$(PYTHON) -m venv $(KERNELS)/packages
-	$(KERNELS)/packages/bin/python -m pip install --quiet --disable-pip-version-check intel-opencl-rt intel-cmplr-lib-rt
+	$(KERNELS)/packages/bin/$(INSTALL) --quiet intel-opencl-rt intel-cmplr-lib-rt
 	echo $(KERNELS)/packages/lib/libintelocl.so > $(KERNELS)/intel/intel.icd
 	OCL_ICD_VENDORS=$(KERNELS)/intel $(BIN)/l3 info --version | grep "0: .*Intel(R) OpenCL"
 	OCL_ICD_VENDORS=$(KERNELS)/intel L3_DEVICE=0 $(BIN)/python -m pytest tests/unit/test_render.py tests/unit/test_encoder.py \
 	  tests/unit/test_smoothing.py tests/unit/test_temporal.py tests/science/test_corrections.py tests/science/test_trees.py
 
-curve: $(VENV)/runtime ## Bayer and RGBW over luminance: which is better where (ten minutes)
+curve: ## Bayer and RGBW over luminance: which is better where (ten minutes)
+	$(call needs,)
 	rm -rf $(CURVE) && mkdir -p $(CURVE)
 	for camera in bayer rgbw; do \
 	  $(L3) simulate configs/scenes/default.toml --camera configs/cameras/$$camera.toml -o $(CURVE)/$$camera.training.h5 \
@@ -140,7 +154,8 @@ curve: $(VENV)/runtime ## Bayer and RGBW over luminance: which is better where (
 	done
 	$(L3) compare $(CURVE)/bayer.json $(CURVE)/rgbw.json --figure mean_delta_e --figure scielab --figure psnr -o $(CURVE)/curve.html
 
-lint: $(VENV)/lint $(VENV)/test $(VENV)/docs ## ruff format and check, mypy
+lint: ## ruff format and check, mypy
+	$(call needs,test lint docs)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -148,11 +163,13 @@ lint: $(VENV)/lint $(VENV)/test $(VENV)/docs ## ruff format and check, mypy
 	$(BIN)/mypy docs/gallery
 	$(BIN)/mypy docs/peers
 
-format: $(VENV)/lint ## format the sources, fix what ruff can
+format: ## format the sources, fix what ruff can
+	$(call needs,lint)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: $(VENV)/test ## frame times by stage; beside the bare multiply-adds, a naive kernel, Menon; simulation and training
+bench: ## frame times by stage; beside the bare multiply-adds, a naive kernel, Menon; simulation and training
+	$(call needs,test)
 	$(L3) bench
 	$(BIN)/python -m pytest -m slow -s tests/studies/test_speed_study.py
 
