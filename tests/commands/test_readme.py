@@ -138,27 +138,49 @@ def test_the_worked_example_prints_what_is_shown(small: Path, l3: Callable, monk
 # ------------------------------------------------------------------------------------------------- files and links
 
 
-def test_files_named_exist() -> None:
+def anchors(page: str) -> set[str]:
+    """The anchor that GitHub gives each heading of a page."""
+    headings = re.findall(r"^#+ (.+)$", re.sub(r"^```.*?^```$", "", page, flags=re.MULTILINE | re.DOTALL), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+def cited_page(citing: Path, name: str) -> Path:
+    """The page that is meant: pages link relative to themselves, all else cites from the top."""
+    if (ROOT / "docs/site") in citing.parents:  # what makes pages of docs/reference
+        return ROOT / "docs" / Path(name).name
+    return (citing.parent / name).resolve() if citing.suffix == ".md" and (citing.parent / name).exists() else ROOT / name
+
+
+def test_links_and_citations_lead_somewhere() -> None:
+    front = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")]
+    known = {page: anchors(page.read_text()) for page in (*front, *(ROOT / "docs").glob("*.md"))}
+    code = [path for name in ("l3cli", "opencl", "configs", "docs") for path in (ROOT / name).rglob("*")]
+    for path in (*known, *(path for path in code if path.suffix in (".py", ".cl", ".c", ".toml", ".sh"))):
+        text = path.read_text(encoding="utf-8")
+        for page, anchor in re.findall(r"(?<![\w/.:-])((?:docs/|\.\./)?[\w-]+\.md)#([\w-]*)", text):
+            assert anchor in known.get(cited_page(path, page), set()), f"{path}: {page}#{anchor}"
+        for link, anchor in re.findall(r"\]\(([^)#\s]*)(#[^)]*)?\)", text) if path in known else ():
+            assert "://" in link or (path.parent / link).exists(), f"{path}: {link}"
+            assert link or anchor[1:] in known[path], f"{path}: {anchor}"
+
+
+def test_the_headline_figures_of_readme_are_those_of_the_benchmarks() -> None:
+    table = README.partition("## Figures")[2].partition("\n## ")[0]
+    rows = [row.split("|")[2:4] for row in table.splitlines() if row[:1] == "|"][2:]
+    assert rows
+    for ours, rival in rows:
+        for figure in re.findall(r"\d+(?:\.\d+)?", re.sub(r"\(\d{4}\)", "", ours + rival)):
+            assert re.search(rf"(?<![\d.]){re.escape(figure)}(?![\d.]*\d)", PAGES["benchmarks.md"]), figure
+
+
+def test_files_and_make_targets_named_exist() -> None:
     named = set(re.findall(r"(?<![\w/.])((?:configs|tests|opencl|l3cli|\.ci)/[\w./-]*\w)", ALL))
     assert named
-    for name in sorted(named):
-        assert (ROOT / name).exists(), name
-    for module in re.findall(r"`([a-z_]+)\.(?:py|html|css)`", ALL):
-        assert [*(ROOT / "l3cli").rglob(f"{module}.*"), *(ROOT / "tests").rglob(f"{module}.py")], module
-
-
-def test_make_targets_named_exist() -> None:
-    texts = (ROOT / "Makefile").read_text() + (CONFIGS / "pipelines/Makefile").read_text()
-    targets = set(re.findall(r"^([a-z-]+):", texts, re.MULTILINE))
-    named = set(re.findall(r"`make ([a-z]+)`", ALL)) | set(re.findall(r"^    make ([a-z]+)", ALL, re.MULTILINE))
-    assert named >= {"demo", "test", "bench"}
-    assert named <= targets
-
-
-def test_the_architecture_names_every_module_of_the_lower_floors() -> None:
-    for path in (ROOT / "l3cli").glob("*.py"):
-        if path.stem != "__init__":
-            assert path.name in PAGES["architecture.md"], path.name
+    assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
+    makefiles = (ROOT / "Makefile").read_text() + (CONFIGS / "pipelines/Makefile").read_text()
+    targets = set(re.findall(r"^([a-z-]+):", makefiles, re.MULTILINE))
+    asked = set(re.findall(r"`make ([a-z]+)`", ALL)) | set(re.findall(r"^    make ([a-z]+)", ALL, re.MULTILINE))
+    assert {"demo", "test", "bench"} <= asked <= targets
 
 
 # -------------------------------------------------------------------------------------------------------- recipes

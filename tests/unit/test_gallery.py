@@ -1,4 +1,4 @@
-"""The gallery is what its figures say, of bounded size, and only of arrays that `l3 init` knows."""
+"""The gallery is what its figures say, and only of arrays that `l3 init` knows."""
 
 import importlib
 import json
@@ -12,7 +12,6 @@ import pytest
 from tests.helpers.paths import ROOT
 
 FOLDER = ROOT / "docs/gallery"
-MOST, FRONT_MOST = 4_000_000, 300_000  # bytes
 
 
 @pytest.fixture
@@ -32,18 +31,19 @@ def test_the_page_is_that_of_its_figures(gallery: ModuleType, entries: dict[str,
     assert (ROOT / "docs/gallery.md").read_text(encoding="utf-8") == gallery.page(entries, gallery.SCENES)
 
 
-def test_pictures_are_all_shown_and_small(gallery: ModuleType) -> None:
+def test_pictures_are_all_shown() -> None:
     pages = (ROOT / "docs/gallery.md").read_text(encoding="utf-8") + (ROOT / "README.md").read_text(encoding="utf-8")
     shown = set(re.findall(r"gallery/([\w.]+\.(?:jpg|png|svg))\)", pages))
-    held = {path.name: path.stat().st_size for path in FOLDER.iterdir() if path.suffix in (".jpg", ".png", ".svg")}
-    assert shown == set(held)
-    assert sum(held.values()) <= MOST
-    assert held[gallery.FRONT_FILE] <= FRONT_MOST
+    assert shown == {path.name for path in FOLDER.iterdir() if path.suffix in (".jpg", ".png", ".svg")}
 
 
-def test_an_array_begun_at_another_pixel_is_shown_once(gallery: ModuleType) -> None:
+def test_an_array_begun_at_another_pixel_is_shown_once_and_a_wrong_name_makes_nothing(
+    gallery: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert sorted(gallery.arrays()["bayer"][1]) == ["bayer_bggr", "bayer_gbrg", "bayer_rggb"]
     assert "bayer_rggb" not in gallery.arrays()
+    assert gallery.main(["bayre"], 1) == 2
+    assert 'no array "bayre"' in capsys.readouterr().err
 
 
 def test_the_page_says_where_it_loses(gallery: ModuleType, entries: dict[str, dict[str, Any]]) -> None:
@@ -75,8 +75,3 @@ def test_the_largest_arrays_are_begun_first_and_each_by_one_process(
     assert gallery.main(["bayer", "xtrans", "snapshot16", "bayer"], 2) == 0
     assert made == [("snapshot16", 1), ("xtrans", 1), ("bayer", 1)]
     assert list(json.loads((tmp_path / "figures.json").read_text())) == ["bayer", "snapshot16", "xtrans"]
-
-
-def test_a_wrong_name_makes_nothing(gallery: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
-    assert gallery.main(["bayre"], 1) == 2
-    assert 'no array "bayre"' in capsys.readouterr().err

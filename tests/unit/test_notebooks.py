@@ -29,56 +29,23 @@ def execution(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("execute_notebooks")
 
 
-def code(notebook: Any) -> ast.Module:
-    return ast.parse("\n".join(cell.source for cell in notebook.cells if cell.cell_type == "code"))
-
-
 @pytest.mark.parametrize("name", NOTEBOOKS)
-def test_a_notebook_is_stripped(name: str, execution: ModuleType) -> None:
-    nbformat.validate(NOTEBOOKS[name])
-    assert NOTEBOOKS[name] == execution.stripped(NOTEBOOKS[name]), "python docs/site/execute_notebooks.py --strip mends it"
-
-
-@pytest.mark.parametrize("name", NOTEBOOKS)
-def test_a_notebook_is_short_and_begins_with_its_title(name: str) -> None:
-    cells = NOTEBOOKS[name].cells
-    assert 8 <= len(cells) <= 17
-    assert cells[0].source.startswith(f"# {title(name)}\n")
-    assert max(len(line) for cell in cells for line in cell.source.splitlines()) <= 140
-
-
-def title(name: str) -> str:
-    """What the page of notebooks calls one."""
-    (found,) = re.findall(rf"\[([^]]+)\]\(notebooks/{re.escape(name)}\)", PAGES["python.md"])
-    return str(found)
-
-
-def test_every_notebook_is_listed() -> None:
-    assert len(NOTEBOOKS) == 6
-    assert sorted(re.findall(r"\(notebooks/([\w-]+\.ipynb)\)", PAGES["python.md"])) == sorted(NOTEBOOKS)
-
-
-@pytest.mark.parametrize("name", NOTEBOOKS)
-def test_a_notebook_uses_the_public_face_alone(name: str) -> None:
-    for node in ast.walk(code(NOTEBOOKS[name])):
-        if isinstance(node, ast.Import):
-            modules = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            modules = [node.module or ""]
-        else:
-            modules = []
-        for module in modules:
+def test_a_notebook_is_stripped_listed_and_of_the_public_face_alone(name: str, execution: ModuleType) -> None:
+    notebook = NOTEBOOKS[name]
+    nbformat.validate(notebook)
+    assert notebook == execution.stripped(notebook), "python docs/site/execute_notebooks.py --strip mends it"
+    (title,) = re.findall(rf"\[([^]]+)\]\(notebooks/{re.escape(name)}\)", PAGES["python.md"])
+    assert notebook.cells[0].source.startswith(f"# {title}\n")
+    for link in re.findall(r"\]\(([^)#\s]+)", "\n".join(cell.source for cell in notebook.cells)):
+        assert "://" in link or (ROOT / "docs/notebooks" / link).is_file(), link
+    code = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
+    for node in ast.walk(ast.parse(code)):
+        modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        for module in [node.module or ""] if isinstance(node, ast.ImportFrom) else modules:
             assert module.split(".")[0] in LIBRARIES | sys.stdlib_module_names, module
             assert not module.startswith("l3cli."), module
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "l3":
             assert node.attr in l3cli.__all__
-
-
-@pytest.mark.parametrize("name", NOTEBOOKS)
-def test_links_of_a_notebook_lead_somewhere(name: str) -> None:
-    text = "\n".join(cell.source for cell in NOTEBOOKS[name].cells if cell.cell_type == "markdown")
-    for link in re.findall(r"\]\(([^)#\s]+)", text):
-        assert "://" in link or (ROOT / "docs/notebooks" / link).is_file(), link
 
 
 def test_outputs_are_stripped(execution: ModuleType) -> None:

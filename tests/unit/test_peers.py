@@ -27,6 +27,7 @@ RUN = {"date": "2026-01-02", "source": "abc", "machine": "a processor, 2 cores"}
 PLAIN = {"run": RUN, "trained": {"o": RUN}, "missing": [], "absent": []}
 SHAPE = (120, 160)
 COLOUR = np.array([0.9, 0.5, 0.25])
+NOISE = [f"{level} {key}" for level in ("0.2", "0.02") for key in ("psnr", "delta_e")]
 
 
 @pytest.fixture
@@ -56,40 +57,30 @@ def test_the_page_is_that_of_its_figures(peers: Callable[[str], ModuleType], par
     assert (ROOT / "docs/peers.md").read_text(encoding="utf-8") == peers("peers_page").page(parts)
 
 
-def test_the_page_says_where_ours_is_beaten(peers: Callable[[str], ModuleType]) -> None:
-    page = peers("peers_page")
-    lost = page.section(
-        "bands", PLAIN | {"rows": [row("x", 41.5), row("o", 40, ours=True)], "missing": ["y"], "absent": ["z"]}
-    )
+def test_the_page_says_where_ours_is_beaten_what_is_missing_and_of_which_run_it_is(
+    peers: Callable[[str], ModuleType],
+) -> None:
+    page, ours = peers("peers_page"), row("o", 40, ours=True)
+    lost = page.section("bands", PLAIN | {"rows": [row("x", 41.5), ours], "missing": ["y"], "absent": ["z"]})
     assert "Better than ours: x of p in PSNR (dB), by 1.50; x of p in SAM (°), by 1.50." in lost
     assert "Not installed: y." in lost
     assert "are not there: z." in lost
-    won = page.section("bands", PLAIN | {"rows": [row("o", 40, ours=True), row("x", 39)]})
+    won = page.section("bands", PLAIN | {"rows": [ours, row("x", 39)]})
     assert "Nothing measured here is better" in won
     assert "| **o** | p | **40.00** | **0.9000** | **10.00** | 0.1 |" in won
-
-
-def test_a_part_that_was_not_measured_is_named(peers: Callable[[str], ModuleType]) -> None:
-    page = peers("peers_page").page({"bands": PLAIN | {"rows": [row("o", 40, ours=True)]}})
-    assert "**Not measured for this page**: Bayer, as published (`make peers PARTS=bayer`), X-Trans (" in page
-    assert "## Sixteen bands" in page
-    assert "## X-Trans" not in page
-
-
-def test_the_page_says_of_which_run_each_part_is(peers: Callable[[str], ModuleType]) -> None:
-    page, rows = peers("peers_page").page, {"rows": [row("o", 40, ours=True)]}
-    one = page({"bands": PLAIN | rows})
+    one = page.page({"bands": PLAIN | {"rows": [ours]}})
+    assert "**Not measured for this page**: Bayer, as published (`make peers PARTS=bayer`), X-Trans (" in one
+    assert "## Sixteen bands" in one
+    assert "## X-Trans" not in one
     assert "All of it is of one run: 2026-01-02, source `abc`, a processor, 2 cores." in one
-    assert "was trained" not in one
-    figures = {f"{level} {key}": 1.0 for level in ("0.2", "0.02") for key in ("psnr", "delta_e")}
-    noise = {"rows": [row("o", 40, ours=True, figures=figures)]}
-    older = {"o": RUN | {"source": "def"}, "p": None}
-    several = page(
-        {"bands": PLAIN | rows | {"trained": older}, "noise": PLAIN | {"run": RUN | {"date": "2026-01-03"}} | noise}
-    )
+    noise = {"rows": [row("o", 40, ours=True, figures=dict.fromkeys(NOISE, 1.0))], "run": RUN | {"date": "2026-01-03"}}
+    trained = {"trained": {"o": RUN | {"source": "def"}, "p": None}}
+    several = page.page({"bands": PLAIN | {"rows": [ours]} | trained, "noise": PLAIN | noise})
     assert "Parts are of several runs" in several
     assert "The table of o was trained on 2026-01-02, source `def`." in several
     assert "The table of p was trained by a run that was not noted." in several
+    published = page.section("bayer", PLAIN | {"rows": [row("o", 0, ours=True, figures={"Kodak psnr": 41.0})]})
+    assert "| CDM-CNN (Tan and others 2017) | published | — | — | *42.04* | *38.98* |" in published.splitlines()
 
 
 def test_a_source_is_known_by_what_it_holds(peers: Callable[[str], ModuleType], tmp_path: Path) -> None:
@@ -106,13 +97,6 @@ def test_a_source_is_known_by_what_it_holds(peers: Callable[[str], ModuleType], 
     assert provenance.stamped(table) is None
     provenance.stamp(table)
     assert provenance.stamped(table) == provenance.origin()
-
-
-def test_published_figures_stand_in_columns_of_their_own(peers: Callable[[str], ModuleType]) -> None:
-    part = PLAIN | {"rows": [row("o", 0, ours=True, figures={"Kodak psnr": 41.0})]}
-    lines = peers("peers_page").section("bayer", part).splitlines()
-    assert "| **o** | p | **41.00** | 0.1 | — | — |" in lines
-    assert "| CDM-CNN (Tan and others 2017) | published | — | — | *42.04* | *38.98* |" in lines
 
 
 def test_the_best_setting_counts_by_figure(peers: Callable[[str], ModuleType]) -> None:
@@ -188,11 +172,7 @@ def test_seconds_are_those_of_more_pixels(peers: Callable[[str], ModuleType], mo
         return call
 
     assert seconds.per_megapixel({"m": prepared}) == pytest.approx({"m": 0.3})
-
-
-def test_repetitions_keep_the_array(peers: Callable[[str], ModuleType]) -> None:
-    plane = tiled(GRBG, (7, 9))
-    np.testing.assert_array_equal(peers("seconds").tiled_to(plane, 20, GRBG.shape), tiled(GRBG, (20, 20)))
+    np.testing.assert_array_equal(seconds.tiled_to(tiled(GRBG, (7, 9)), 20, GRBG.shape), tiled(GRBG, (20, 20)))
 
 
 def test_the_same_recipe_for_another_array(
@@ -265,14 +245,11 @@ def test_seconds_are_measured_again_without_the_figures(
     assert "| — |" in page.section("bands", PLAIN | {"rows": [row("o", 1, ours=True), rows[0]]})
 
 
-def test_a_wrong_part_measures_nothing(peers: Callable[[str], ModuleType], capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_calls_measure_nothing(
+    peers: Callable[[str], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert peers("peers").main(["bayre"], Path("nowhere"), 1) == 2
     assert 'no part "bayre"' in capsys.readouterr().err
-
-
-def test_missing_pictures_are_named(
-    peers: Callable[[str], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.setenv("L3_DATA", str(tmp_path))
     with pytest.raises(SystemExit, match="demosaicking/kodak is missing; give the folder of the real data in L3_DATA"):
         peers("making").data_folder()
