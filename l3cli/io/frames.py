@@ -15,7 +15,9 @@ from l3cli.io.isolated import isolated
 from l3cli.io.photos import raw_content
 from l3cli.io.raw.cfa_codes import FilterArray, find_phase
 from l3cli.io.raw.registry import BY_SUFFIX, format_of
+from l3cli.io.raw.tiff import read_plain
 
+TIFF = (".tif", ".tiff")
 PICTURES = (".tif", ".png")  # of formats whose depth is checked before their pixels are read
 
 
@@ -44,6 +46,8 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
         values, pattern = content["values"], content.get("pattern")
         if array is not None and pattern is not None:
             _check_array(path, pattern, array)
+    elif bits > 8 and path.suffix.lower() in TIFF and (plain := read_plain(path, (16,))) is not None:
+        values = plain["values"]
     else:
         values = _read_picture(path, *shape, bits)
     _check(path, str(values.dtype), 1, values.shape, shape, bits)

@@ -83,6 +83,9 @@ def test_other_files_are_left_to_the_isolated_process(tmp_path: Path, monkeypatc
     for path in (coloured, empty, pipe, tmp_path, tmp_path / "missing.tif"):
         assert not tiff.is_plain(path)
         assert registry.needs_isolation(path) == bool(path.suffix)
+    write_mosaic(tmp_path / "eight.tif", mosaic(20, 30).astype(np.uint8))
+    assert tiff.is_plain(tmp_path / "eight.tif")
+    assert tiff.read_plain(tmp_path / "eight.tif", (16,)) is None
     monkeypatch.setenv(MEGAPIXELS, "0.0001")
     assert not tiff.is_plain(plain)  # whoever reads all kinds says that it is too large
     monkeypatch.setenv(MEGAPIXELS, "many")

@@ -174,12 +174,15 @@ def is_plain(path: Path) -> bool:
     return True
 
 
-def read_plain(path: Path) -> RawContent | None:
-    """Return the frame of a plain mosaic; None if the file is of another kind, or damaged. OSError if its storage fails."""
+def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | None:
+    """Return the frame of a plain mosaic of one of the `depths` in bits; None if the file is of another kind, or damaged.
+    OSError if its storage fails."""
     with open_regular(path) as stream:
         try:
             plain = _parsed(stream)
         except _NotPlain:
+            return None
+        if 8 * plain.dtype.itemsize not in depths:
             return None
         values = np.empty((plain.rows, plain.cols), plain.dtype)
         rest = values.reshape(-1).view(np.uint8).data
