@@ -4,6 +4,7 @@ A message that names a parameter marks it ‹force›, by its name in Python; th
 """
 
 from collections.abc import Iterable
+from itertools import accumulate
 
 
 class L3Error(Exception):
@@ -42,7 +43,7 @@ def shortened(text: str) -> str:
 def listed(lines: Iterable[str]) -> str:
     """Several names, as many as can be read, and how many more there are."""
     lines = list(lines)
-    shown = [line for number, line in enumerate(lines) if number < 1 or sum(map(len, lines[: number + 1])) < 2 * MOST]
+    shown = [line for line, length in zip(lines, accumulate(map(len, lines)), strict=True) if length < 2 * MOST] or lines[:1]
     return ", ".join(shown) + (f" and {len(lines) - len(shown)} more" if len(shown) < len(lines) else "")
 
 

@@ -108,6 +108,8 @@ class _Judge:
 
     def value(self, kind: Any, value: Any, path: KeyPath) -> Any:
         """Return a value as it is or, where it is wrong, one of its type."""
+        if path in self._faulty:
+            return example(kind)
         table, entries = _table(kind, value), _entries(kind, value)
         if table is not None:
             return self.table(table, value, path)

@@ -9,14 +9,14 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_ori
 
 import msgspec
 
-from l3cli.errors import InputFileError, RecipeError, shortened, suggestion
+from l3cli.errors import MOST_SHOWN, InputFileError, RecipeError, shortened, suggestion
 from l3cli.recipes.toml_lines import STRING, KeyPath, key_lines, line_of
 from l3cli.system.limits import read_bounded
 from l3cli.system.numbers import LARGEST_WHOLE
 
 LARGEST = 1e24  # of any number in a recipe: beyond lies what no lamp gives and floats run over at
 DEEPEST = 100  # tables and lists in one another
-TOKEN = re.compile(rf"{STRING.pattern}|#[^\n]*|[^\"'#.\[\]{{}}=\n]+|.|\n", re.DOTALL)  # of TOML, as far as depth goes
+TOKEN = re.compile(rf"{STRING.pattern}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.|\n", re.DOTALL)  # of TOML, as far as depth goes
 PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # of a place as msgspec writes it, `$.scene[1].size`: a key or a number
 MOST = 1_000_000  # of anything that can be counted
 Count = Annotated[int, msgspec.Meta(ge=1, le=MOST)]
@@ -98,7 +98,7 @@ def _refuse_deep_keys(text: str, name: str) -> None:
         found = token.group()
         if found == ".":
             parts += 1
-        elif found in ("=", "\n", "[", "]", "{", "}"):
+        elif found in ("=", ",", "\n", "[", "]", "{", "}"):
             parts = 0
         if parts > DEEPEST:
             line, column = text.count("\n", 0, token.start()) + 1, token.start() - text.rfind("\n", 0, token.start())
@@ -133,7 +133,8 @@ def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
         for number, item in enumerate(value):
             yield from refusals(item, (*key, number))
     elif isinstance(value, int) and not -LARGEST_WHOLE <= value <= LARGEST_WHOLE:
-        yield key, f"{_named(key)} is {shortened(str(value))}; a whole number has at most 64 bits"
+        written = str(value) if abs(value) < 10**MOST_SHOWN else hex(value)  # Python writes no long number in decimals
+        yield key, f"{_named(key)} is {shortened(written)}; a whole number has at most 64 bits"
     elif isinstance(value, float) and not abs(value) <= LARGEST:
         yield key, f"{_named(key)} is {value:g}; give a number within ±{LARGEST:g}"
     elif isinstance(value, str) and "\0" in value:
@@ -154,11 +155,14 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     what = what.replace("Object missing required field", "missing key").replace(
         "Object contains unknown field", "unknown key"
     )
-    place = f"[{table}]" if table else "the top level"
-    line = f"{what} {'in' if table else 'at'} {place}"
-    wrong = re.fullmatch(r"unknown key `(.*)`|Invalid(?: enum)? value '(.*)'", what)
-    known = (_keys(recipe, table) if wrong[2] is None else _values(recipe, table)) if wrong else ()
-    return f"{line}; {suggestion(wrong[1] or wrong[2] or '', known)}" if wrong and known else line
+    where = f"in [{table}]" if table else "at the top level"
+    wrong = re.fullmatch(r"(unknown key|Invalid(?: enum)? value) ([`'])(.*)\2", what, re.DOTALL)
+    if wrong is None:
+        return f"{what} {where}"
+    name = shortened(wrong[3])
+    known = _keys(recipe, table) if wrong[1] == "unknown key" else _values(recipe, table)
+    line = f"{wrong[1]} {wrong[2]}{name}{wrong[2]} {where}"
+    return f"{line}; {suggestion(name, known)}" if known else line
 
 
 def place(message: str) -> KeyPath:

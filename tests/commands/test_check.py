@@ -405,15 +405,29 @@ def test_a_hundred_faults_are_listed_and_the_others_counted(tmp_path: Path, l3: 
     assert (len(file["faults"]), file["more_faults"]) == (100, 4900)
 
 
-def test_keys_are_not_deep_and_dots_in_texts_are_none(tmp_path: Path, l3: L3) -> None:
+def test_keys_are_not_deep_and_dots_in_texts_and_numbers_are_none(tmp_path: Path, l3: L3) -> None:
     (tmp_path / "deep.toml").write_text('name = "x"\n' + "a." * 101 + "a = 1\n")
     code, out, _ = l3("check", tmp_path / "deep.toml")
     assert (code, out.partition(": ")[0]) == (3, f"{tmp_path}/deep.toml:2")
     assert "a key has more than 100 parts" in out
-    dots = "." * 200
-    text = f'# {dots}\nexposure_share = [0.9] # {dots}\n[[scene]]\nsource = "rgb"\nfile = """\n"{dots}""" # {dots}\n'
+    dots, numbers = "." * 200, "0.9, " * 200
+    text = f'# {dots}\nexposure_share = [{numbers}] # {dots}\n[[scene]]\nsource = "rgb"\nfile = """\n"{dots}""" # {dots}\n'
     (tmp_path / "dots.toml").write_text(text)
     assert "parts" not in l3("check", tmp_path / "dots.toml")[1]
+
+
+@pytest.mark.parametrize("name", ["", ".", "/", "a\\u0000b"])
+def test_a_name_of_no_file_is_a_fault(name: str, tmp_path: Path, l3: L3) -> None:
+    head = 'exposure_share = [0.9]\nilluminants = ["D65"]\n[[scene]]\nsource = "rgb"\n'
+    for line, text in enumerate((f'file = "{name}"', f'file = "a"\n[lens]\ntransmittance = "{name}"')):
+        (tmp_path / "scenes.toml").write_text(head + text)
+        code, out, _ = l3("check", tmp_path / "scenes.toml")
+        assert (code, out.splitlines()[-1].partition(": ")[0]) == (3, f"{tmp_path}/scenes.toml:{5 + 2 * line}")
+
+
+def test_a_scene_without_its_file_misses_it_alone(tmp_path: Path, l3: L3) -> None:
+    (tmp_path / "scenes.toml").write_text('exposure_share = [0.9]\nilluminants = ["D65"]\n[[scene]]\nsource = "rgb"\n')
+    assert l3("check", tmp_path / "scenes.toml")[1] == f"{tmp_path}/scenes.toml:3: missing key `file` in [scene[1]]\n"
 
 
 def test_wrong_calls(tmp_path: Path, refused: Refused) -> None:

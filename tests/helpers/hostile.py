@@ -26,6 +26,7 @@ from tests.helpers.hostile_spoiling import Choices, spoiled_bytes, spoiled_hdf5,
 CACHE = str(Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "l3cli"))  # l3's cache of kernels
 SECONDS = 10  # of processor time: an input that takes longer hangs …
 PATIENCE = 12  # … as does one that takes so many times longer by the clock
+LONGEST = 1000  # letters of a line
 MEMORY = 1 << 30  # bytes that an input may take beside what the process had, which is far more than MOST_MEGAPIXELS asks for
 MOST_MEGAPIXELS = 0.25
 
@@ -194,7 +195,7 @@ def verdict(
     lines: int | None = None,
 ) -> str | None:
     """What did not hold of `l3 ARGUMENTS`, or None: one of `codes`, with a line that says why, within `patience` by the
-    clock, and no more than so many `lines` on stdout."""
+    clock, and no more than so many `lines` on stdout, none of them very long."""
     stdout, stderr = io.StringIO(), io.StringIO()
     timers = ((signal.ITIMER_PROF, signal.SIGPROF, SECONDS), (signal.ITIMER_REAL, signal.SIGALRM, patience))
     old = [signal.signal(number, _ring) for _, number, _ in timers]
@@ -219,8 +220,9 @@ def verdict(
         return f"exit code {code} without a word: {said}"
     if len(messages) > 1 and "--skip-bad" not in arguments:
         return f"exit code {code} in {len(messages)} lines: {said}"
-    if lines is not None and stdout.getvalue().count("\n") > lines:
-        return f"exit code {code} with more than {lines} lines"
+    shown = stdout.getvalue().splitlines()
+    if lines is not None and (len(shown) > lines or max(map(len, shown), default=0) > LONGEST):
+        return f"exit code {code} with more than {lines} lines, or one of more than {LONGEST} letters"
     if any(not (letter.isprintable() or letter == "\n") for letter in said):
         return f"exit code {code} with control characters: {said!r}"
     return None

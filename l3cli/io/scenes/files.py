@@ -13,6 +13,8 @@ def find(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
     single = folder / pattern
     if wanted(single):
         return [single]
+    if single.is_dir():
+        raise InputFileError(f"{single} is a folder; name the scene files in it")
     if sum(any(letter in part for letter in "*?[") for part in single.parts) > MOST_WILD:
         raise InputFileError(f"{single} has wildcards in more than {MOST_WILD} folders; name a folder nearer to the files")
     root = Path(single.anchor)  # "" for a relative folder

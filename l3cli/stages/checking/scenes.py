@@ -1,5 +1,6 @@
 """Scene recipes: what they and the files that they name refuse, and how many frames they make."""
 
+import functools
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -75,6 +76,7 @@ def _light_faults(text: str, key: KeyPath, source: Source) -> Iterator[Fault]:
             yield from source.attempt(key, named_light, name)
 
 
+@functools.lru_cache(1000)
 def named_light(name: str) -> None:
     """Raise RecipeError unless a light has that name."""
     spectra.illuminant(name, GRID)

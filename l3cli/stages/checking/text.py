@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
+from l3cli.errors import listed
 from l3cli.stages.checking.check import Finding, Judgement
 from l3cli.stages.checking.kinds import KINDS
 from l3cli.system.text import columns, counted, figure
@@ -83,7 +84,7 @@ def _scenes(scenes: dict[str, Any], width: int | None) -> list[str]:
     exposures = [f"{len(values)} exposures ({unit})" for unit, values in scenes["exposures"].items()]
     factors = [
         f"{scenes['scenes']} scenes" + (f" ({scenes['clips']} of them clips)" if scenes["clips"] else ""),
-        f"{len(scenes['illuminants'])} illuminants ({', '.join(scenes['illuminants'])})",
+        f"{len(scenes['illuminants'])} illuminants ({listed(scenes['illuminants'])})",
     ]
     factors += [f"{len(scenes['luminances_cd_m2'])} luminances", *exposures]
     pairs = f" and {scenes['pairs']} pairs" if scenes["pairs"] else ""

@@ -43,7 +43,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     names = _column_names(path.parent / outputs) if outputs in curves else ()
     target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
     patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
-    files = [find(text, path.parent, is_folder(name_of(source))) if text else [] for source, text in patterns]
+    files = [find(text, path.parent, is_folder(name_of(source))) if text is not None else [] for source, text in patterns]
     return SimulationRun(recipe, fitted, target, lights, recorded, seed, path.parent, "", Path()), files
 
 
