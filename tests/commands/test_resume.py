@@ -6,8 +6,8 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,207 +15,191 @@ import tifffile
 
 from l3cli.artifacts.store import save
 from l3cli.io.pictures.openimageio import write_mosaic
+from l3cli.stages.rendering import destination
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_stack
 from tests.helpers.tables import with_first
 
-# --------------------------------------------------------------------------------------------------- broken and resumed
+ANOTHER = "leave --resume out"  # of a run whose inputs or options are others
 
 
-def test_a_missing_frame_stops_the_run_before_any_work(
-    l3: L3, refused: Refused, tmp_path: Path, table: Path, folder: Path
-) -> None:
-    (folder / "frame_09.tif").unlink()
-    pattern = folder / "frame_%02d.tif"
-    assert "frame 9 is not in" in refused(3, "render", table, pattern, "-o", tmp_path / "out", *FAST)
-    code, out, err = l3("render", table, pattern, "-o", tmp_path / "out", "--skip-bad", *FAST)
-    assert (code, out, err.count("\n")) == (1, "", 2)
-    assert "frame 9 is not in" in err
-    assert "1 of 5 frames left out" in err
-    assert list(pictures(tmp_path / "out")) == [f"frame_{number:02d}.png" for number in (7, 8, 10, 11)]
+class Runs:
+    """`l3 render table.h5 frames/ -o out` in one folder, whole and stopped."""
 
+    def __init__(self, l3: L3, refused: Refused, patch: pytest.MonkeyPatch, folder: Path) -> None:
+        self._l3, self._refused, self._patch, self.folder = l3, refused, patch, folder
+        self.frames, self.out = folder / "frames", folder / "out"
 
-def test_a_broken_frame_stops_the_run_and_is_named(l3: L3, tmp_path: Path, table: Path, folder: Path) -> None:
-    (folder / "frame_09.tif").write_bytes(b"nothing")
-    code, _, err = l3("render", table, folder, "-o", tmp_path / "out", *FAST)
-    assert (code, err.count("\n")) == (3, 1)
-    assert "frame_09.tif" in err
-    code, _, err = l3("render", table, folder, "-o", tmp_path / "out", "--skip-bad", "--resume", *FAST)
-    assert (code, err.count("\n")) == (1, 2)
-    assert len(pictures(tmp_path / "out")) == 4
-    code, _, err = l3("render", table, folder, "-o", tmp_path / "only", "--frames", "9", "--skip-bad", *FAST)
-    assert code == 3
-    assert not (tmp_path / "only").exists()
+    def call(self, *options: object, out: str = "out", source: object = None, table: str = "table.h5") -> tuple:
+        inputs = source if isinstance(source, list) else [source or self.frames]
+        exposure = () if "--exposure" in options else ("--exposure", 0.8)
+        return "render", self.folder / table, *inputs, *exposure, *options, *FAST, "-o", self.folder / out
 
+    def __call__(self, *options: object, **others: Any) -> tuple[int, str, str]:
+        return self._l3(*self.call(*options, **others))
 
-@pytest.mark.parametrize("exposure", ["auto", 0.8])
-def test_resuming_gives_the_same_bytes(l3: L3, tmp_path: Path, table: Path, folder: Path, exposure: float | str) -> None:
-    call = ("render", table, folder, "--exposure", exposure, *FAST)
-    assert l3(*call, "-o", tmp_path / "whole")[0] == 0
-    keep = (folder / "frame_10.tif").read_bytes()
-    (folder / "frame_10.tif").write_bytes(b"")
-    assert l3(*call, "-o", tmp_path / "out")[0] == 3
-    (folder / "frame_10.tif").write_bytes(keep)
-    done = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").glob("*.png")}
-    assert len(done) == 3
-    assert "--force" in l3(*call, "-o", tmp_path / "out")[2]
-    assert "leave --resume out" in l3(*call, "-o", tmp_path / "out", "--resume", "--bits", 16)[2]
-    assert l3(*call, "-o", tmp_path / "out", "--resume") == (0, "", "")
-    assert all(path.stat().st_mtime_ns == then for path, then in done.items())
-    ours, theirs = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("out", "whole"))
-    assert ours == theirs
-    assert "--force" in l3(*call, "-o", tmp_path / "out", "--resume")[2]
+    def refused(self, code: int, *options: object, **others: Any) -> str:
+        return self._refused(code, *self.call(*options, **others))
 
+    def stop(self, after: int, *options: object, **others: Any) -> None:
+        """Run a call that ends, as if killed, when a picture more than `after` is about to get its name."""
 
-def stopped(l3: Callable, monkeypatch: pytest.MonkeyPatch, after: int, *call: object) -> None:
-    """Run a call that ends, as if killed, when a picture more than `after` is about to get its name."""
-    from l3cli.stages.rendering import destination
+        class Killed(BaseException):
+            pass
 
-    class Killed(BaseException):
-        pass
+        rename, named = os.replace, itertools.count(1)
 
-    rename, named = os.replace, itertools.count(1)
+        def renamed(source: Path, path: Path) -> None:
+            if path.suffix == ".png" and next(named) > after:
+                raise Killed
+            rename(source, path)
 
-    def renamed(source: Path, path: Path) -> None:
-        if path.suffix == ".png" and next(named) > after:
-            raise Killed
-        rename(source, path)
+        with self._patch.context() as patch:
+            patch.setattr(destination, "PICTURE_WRITERS", 1)
+            patch.setattr(os, "replace", renamed)
+            with pytest.raises(Killed):
+                self(*options, **others)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(destination, "PICTURE_WRITERS", 1)
-        patch.setattr(os, "replace", renamed)
-        with pytest.raises(Killed):
-            l3(*call)
+    def require_whole(self, *options: object, **others: Any) -> None:
+        """What lies in out/ is what one undisturbed run makes."""
+        assert self(*options, **others, out="whole") == (0, "", "")
+        assert self.made("out") == self.made("whole")
+
+    def made(self, out: str = "out") -> dict[str, bytes]:
+        return {path.name: path.read_bytes() for path in sorted((self.folder / out).iterdir())}
 
 
 @pytest.fixture
-def other(tmp_path: Path) -> Path:
-    """A table whose pictures differ."""
-    save(with_first(RGGB, weights=RGGB.first.weights * np.float32(0.5)), tmp_path / "other.h5")
-    return tmp_path / "other.h5"
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
-
-
-@pytest.mark.parametrize("output", ["out", "out/p_%02d.png"])
-@pytest.mark.parametrize("again", [(), ("--force",)])
-def test_resuming_never_keeps_another_runs_pictures(
-    l3: L3,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    table: Path,
-    other: Path,
-    folder: Path,
-    output: str,
-    again: tuple[str, ...],
-) -> None:
-    options = (folder, "--exposure", 0.8, *FAST, "-o")
-    assert l3("render", table, *options, tmp_path / output)[0] == 0
-    assert l3("render", other, *options, tmp_path / output.replace("out", "whole"))[0] == 0
-    stopped(l3, monkeypatch, 2, "render", other, *options, tmp_path / output, "--force")
-    assert len([path for path in (tmp_path / "out").iterdir() if path.suffix == ".png"]) == COUNT
-    assert l3("render", other, *options, tmp_path / output, "--resume", *again) == (0, "", "")
-    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
-
-
-def test_resuming_replaces_nothing_that_the_run_did_not_make(
-    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
-) -> None:
-    call = ("render", table, folder, "--exposure", 0.8, *FAST, "-o")
-    assert l3(*call, tmp_path / "whole")[0] == 0
-    stopped(l3, monkeypatch, 2, *call, tmp_path / "out")
-    out = tmp_path / "out"
-    (out / "frame_11.png").write_bytes(b"somebody's")  # where one is still to be made
-    assert "frame_11.png exists; add --force" in refused(1, *call, out, "--resume")
-    (out / "frame_11.png").unlink()
-    (out / "frame_07.png").write_bytes(b"retouched")
-    assert "frame_07.png exists; add --force" in refused(1, *call, out, "--resume")
-    assert l3(*call, out, "--resume", "--force") == (0, "", "")
-    assert contents(out) == contents(tmp_path / "whole")
+def runs(l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path) -> Runs:
+    return Runs(l3, refused, monkeypatch, tmp_path)
 
 
 def other_frame(path: Path) -> None:
     """Another mosaic under the same name, as many bytes."""
-    mosaic = tifffile.imread(path)
     size = path.stat().st_size
-    write_mosaic(path, mosaic[::-1])
+    write_mosaic(path, tifffile.imread(path)[::-1])
     assert path.stat().st_size == size
 
 
-@pytest.mark.parametrize("source", ["folder", "pattern", "glob", "names", "stack"])
-def test_resuming_notices_inputs_that_changed(
-    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path, source: str
-) -> None:
-    inputs = {
-        "folder": (folder,),
-        "pattern": (folder / "frame_%02d.tif",),
-        "glob": (folder / "*.tif",),
-        "names": sorted(folder.iterdir()),
-        "stack": (write_stack(tmp_path / "long.npy"),),
-    }[source]
-    call = ("render", table, *inputs, "--exposure", 0.8, *FAST, "-o", tmp_path / "out")
-    stopped(l3, monkeypatch, 2, *call)
-    if source == "stack":
-        np.save(tmp_path / "long.npy", frames()[::-1])
+def test_a_missing_frame_stops_the_run_before_any_work(runs: Runs) -> None:
+    (runs.frames / "frame_09.tif").unlink()
+    pattern = runs.frames / "frame_%02d.tif"
+    assert "frame 9 is not in" in runs.refused(3, source=pattern)
+    code, out, err = runs("--skip-bad", source=pattern)
+    assert (code, out, err.count("\n")) == (1, "", 2)
+    assert "frame 9 is not in" in err
+    assert "1 of 5 frames left out" in err
+    assert list(pictures(runs.out)) == [f"frame_{number:02d}.png" for number in (7, 8, 10, 11)]
+
+
+def test_a_broken_frame_stops_the_run_and_is_named(runs: Runs) -> None:
+    (runs.frames / "frame_09.tif").write_bytes(b"nothing")
+    code, _, err = runs()
+    assert (code, err.count("\n"), "frame_09.tif" in err) == (3, 1, True)
+    code, _, err = runs("--skip-bad", "--resume")
+    assert (code, err.count("\n")) == (1, 2)
+    assert len(pictures(runs.out)) == 4
+    assert runs("--frames", "9", "--skip-bad", out="only")[0] == 3
+    assert not (runs.folder / "only").exists()
+
+
+@pytest.mark.parametrize("exposure", ["auto", 0.8])
+def test_resuming_gives_the_same_bytes(runs: Runs, exposure: float | str) -> None:
+    frame, options = runs.frames / "frame_10.tif", ("--exposure", exposure)
+    whole = frame.read_bytes()
+    frame.write_bytes(b"")
+    assert runs(*options)[0] == 3
+    frame.write_bytes(whole)
+    done = {path: path.stat().st_mtime_ns for path in runs.out.glob("*.png")}
+    assert len(done) == 3
+    assert "--force" in runs(*options)[2]
+    assert ANOTHER in runs(*options, "--resume", "--bits", 16)[2]
+    assert runs(*options, "--resume") == (0, "", "")
+    assert all(path.stat().st_mtime_ns == then for path, then in done.items())
+    runs.require_whole(*options)
+    assert "--force" in runs(*options, "--resume")[2]
+
+
+@pytest.mark.parametrize("output", ["out", "out/p_%02d.png"])
+@pytest.mark.parametrize("again", [(), ("--force",)])
+def test_resuming_never_keeps_another_runs_pictures(runs: Runs, output: str, again: tuple[str, ...]) -> None:
+    save(with_first(RGGB, weights=RGGB.first.weights * np.float32(0.5)), runs.folder / "other.h5")
+    assert runs(out=output)[0] == 0
+    runs.stop(2, "--force", out=output, table="other.h5")
+    assert len(list(runs.out.glob("*.png"))) == COUNT
+    assert runs("--resume", *again, out=output, table="other.h5") == (0, "", "")
+    assert runs(out=output.replace("out", "whole"), table="other.h5")[0] == 0
+    assert runs.made() == runs.made("whole")
+
+
+def test_resuming_replaces_nothing_that_the_run_did_not_make(runs: Runs) -> None:
+    runs.stop(2)
+    (runs.out / "frame_11.png").write_bytes(b"somebody's")  # where one is still to be made
+    assert "frame_11.png exists; add --force" in runs.refused(1, "--resume")
+    (runs.out / "frame_11.png").unlink()
+    (runs.out / "frame_07.png").write_bytes(b"retouched")
+    assert "frame_07.png exists; add --force" in runs.refused(1, "--resume")
+    assert runs("--resume", "--force") == (0, "", "")
+    runs.require_whole()
+
+
+@pytest.mark.parametrize("kind", ["folder", "pattern", "glob", "names", "stack"])
+def test_resuming_notices_inputs_that_changed(runs: Runs, kind: str) -> None:
+    source = {
+        "folder": runs.frames,
+        "pattern": runs.frames / "frame_%02d.tif",
+        "glob": runs.frames / "*.tif",
+        "names": sorted(runs.frames.iterdir()),
+        "stack": write_stack(runs.folder / "long.npy"),
+    }[kind]
+    runs.stop(2, source=source)
+    if kind == "stack":
+        np.save(runs.folder / "long.npy", frames()[::-1])
     else:
-        other_frame(folder / "frame_08.tif")
-    made = contents(tmp_path / "out")
-    assert "leave --resume out" in refused(2, *call, "--resume")
-    assert contents(tmp_path / "out") == made
-    assert l3(*call, "--force") == (0, "", "")
+        other_frame(runs.frames / "frame_08.tif")
+    made = runs.made()
+    assert ANOTHER in runs.refused(2, "--resume", source=source)
+    assert runs.made() == made
+    assert runs("--force", source=source) == (0, "", "")
 
 
-def test_resuming_takes_frames_that_were_mended_since_and_notices_those_that_are_gone(
-    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
-) -> None:
-    call = ("render", table, folder, "--exposure", 0.8, *FAST, "-o")
-    stopped(l3, monkeypatch, 2, *call, tmp_path / "out")
-    other_frame(folder / "frame_09.tif")
-    assert l3(*call, tmp_path / "whole") == (0, "", "")
-    (folder / "frame_07.tif").rename(tmp_path / "frame_07.tif")
-    assert "leave --resume out" in refused(2, *call, tmp_path / "out", "--resume")
-    (tmp_path / "frame_07.tif").rename(folder / "frame_07.tif")
-    assert l3(*call, tmp_path / "out", "--resume") == (0, "", "")
-    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+def test_resuming_takes_frames_that_were_mended_since_and_notices_those_that_are_gone(runs: Runs) -> None:
+    runs.stop(2)
+    other_frame(runs.frames / "frame_09.tif")
+    (runs.frames / "frame_07.tif").rename(runs.folder / "frame_07.tif")
+    assert ANOTHER in runs.refused(2, "--resume")
+    (runs.folder / "frame_07.tif").rename(runs.frames / "frame_07.tif")
+    assert runs("--resume") == (0, "", "")
+    runs.require_whole()
 
 
-def test_resuming_notices_another_frame_of_the_same_size_and_time(
-    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
-) -> None:
-    call = ("render", table, folder, "--exposure", 0.8, *FAST, "-o", tmp_path / "out")
-    stopped(l3, monkeypatch, 2, *call)
-    frame, before = folder / "frame_08.tif", (folder / "frame_08.tif").stat()
-    shutil.copyfile(folder / "frame_11.tif", frame)
+def test_resuming_notices_another_frame_of_the_same_size_and_time(runs: Runs) -> None:
+    runs.stop(2)
+    frame, before = runs.frames / "frame_08.tif", (runs.frames / "frame_08.tif").stat()
+    shutil.copyfile(runs.frames / "frame_11.tif", frame)
     os.utime(frame, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert frame.stat().st_size == before.st_size
-    assert "frame_08.png was made of another input" in refused(2, *call, "--resume")
+    assert "frame_08.png was made of another input" in runs.refused(2, "--resume")
 
 
-def test_resuming_notices_a_frame_that_others_took_their_exposure_from(
-    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
-) -> None:
-    keep = (folder / "frame_07.tif").read_bytes()
-    (folder / "frame_07.tif").write_bytes(b"")
-    call = ("render", table, folder, "--exposure", "auto", "--skip-bad", *FAST, "-o", tmp_path / "out")
-    stopped(l3, monkeypatch, 2, *call)
-    (folder / "frame_07.tif").write_bytes(keep)
-    assert "leave --resume out" in refused(2, *call, "--resume")
+def test_resuming_notices_a_frame_that_others_took_their_exposure_from(runs: Runs) -> None:
+    first, options = runs.frames / "frame_07.tif", ("--exposure", "auto", "--skip-bad")
+    whole = first.read_bytes()
+    first.write_bytes(b"")
+    runs.stop(2, *options)
+    first.write_bytes(whole)
+    assert ANOTHER in runs.refused(2, *options, "--resume")
 
 
-def test_resuming_goes_by_the_files_not_by_how_their_names_are_typed(
-    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
-) -> None:
-    shutil.copytree(folder, tmp_path / "elsewhere/frames")
-    for path in (tmp_path / "elsewhere/frames").iterdir():
+def test_resuming_goes_by_the_files_not_by_how_their_names_are_typed(runs: Runs) -> None:
+    shutil.copytree(runs.frames, runs.folder / "elsewhere/frames")
+    for path in (runs.folder / "elsewhere/frames").iterdir():
         other_frame(path)
-    options = ("--exposure", 0.8, *FAST, "-o", tmp_path / "out")
-    with contextlib.chdir(tmp_path):
-        stopped(l3, monkeypatch, 2, "render", table, "frames", *options)
-    with contextlib.chdir(tmp_path / "elsewhere"):
-        assert "leave --resume out" in refused(2, "render", table, "frames", *options, "--resume")
-    assert l3("render", table, folder, *options, "--resume") == (0, "", "")
+    with contextlib.chdir(runs.folder):
+        runs.stop(2, source="frames")
+    with contextlib.chdir(runs.folder / "elsewhere"):
+        assert ANOTHER in runs.refused(2, "--resume", source="frames")
+    assert runs("--resume") == (0, "", "")
 
 
 def test_a_stream_is_resumed_only_with_the_same_frames(tmp_path: Path, table: Path) -> None:
@@ -237,20 +221,16 @@ def test_a_stream_is_resumed_only_with_the_same_frames(tmp_path: Path, table: Pa
     assert len(list((tmp_path / "out").iterdir())) == COUNT
 
 
-def test_a_mark_that_was_cut_off_costs_no_more_than_its_last_picture(
-    l3: L3, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
-) -> None:
-    call = ("render", table, folder, "--exposure", 0.8, *FAST, "-o")
-    assert l3(*call, tmp_path / "whole")[0] == 0
-    stopped(l3, monkeypatch, 3, *call, tmp_path / "out")
-    mark = tmp_path / "out/.l3-render"
+def test_a_mark_that_was_cut_off_costs_no_more_than_its_last_picture(runs: Runs) -> None:
+    runs.stop(3)
+    mark = runs.out / ".l3-render"
     mark.write_bytes(mark.read_bytes()[:-9])
-    (tmp_path / "out/frame_09.png").unlink()  # not yet renamed
-    assert l3(*call, tmp_path / "out", "--resume") == (0, "", "")
-    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+    (runs.out / "frame_09.png").unlink()  # not yet renamed
+    assert runs("--resume") == (0, "", "")
+    runs.require_whole()
 
 
-def test_what_is_there_is_refused_before_any_work(refused: Refused, tmp_path: Path, table: Path, folder: Path) -> None:
-    write_mosaic(tmp_path / "out/frame_09.png", frames()[0])
-    assert "frame_09.png exists" in refused(1, "render", table, folder, "-o", tmp_path / "out")
-    assert "frame_09.png exists" in refused(1, "render", table, "-", "-o", tmp_path / "out", "--size", "20x28")
+def test_what_is_there_is_refused_before_any_work(runs: Runs) -> None:
+    write_mosaic(runs.out / "frame_09.png", frames()[0])
+    assert "frame_09.png exists" in runs.refused(1)
+    assert "frame_09.png exists" in runs.refused(1, "--size", "20x28", source="-")
