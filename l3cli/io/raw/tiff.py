@@ -110,13 +110,15 @@ def _count(path: Path) -> int:
     one. Libraries take the end of a broken chain for the end of the file: what would be the next page tells."""
     import tifffile
 
+    broken = InputFileError(f"{path}: the chain of its pages is broken; it is damaged, copy it again")
     with tifffile.TiffFile(path) as file:
         with contextlib.suppress(IndexError):
             file.pages.get(MOST_PAGES)  # no further: a chain may lead back
+            raise broken
         file.filehandle.seek(file.pages.next_page_offset)
         following = file.filehandle.read(file.tiff.offsetsize)
         if len(following) < file.tiff.offsetsize or any(following):
-            raise InputFileError(f"{path}: the chain of its pages is broken; it is damaged, copy it again")
+            raise broken
         for page in file.pages:
             flip_of(path, page.tags.valueof("Orientation", UPRIGHT))
             if not all(below.is_reduced for below in page.pages or ()):
@@ -128,8 +130,12 @@ def _refuse_orientation(path: Path) -> None:
     """Raise InputFileError if a TIFF's first page has an orientation that TIFF does not know: OpenImageIO passes over it."""
     import tifffile
 
-    with contextlib.suppress(tifffile.TiffFileError), tifffile.TiffFile(path) as file:
-        flip_of(path, file.pages.first.tags.valueof("Orientation", UPRIGHT))
+    try:
+        with tifffile.TiffFile(path) as file:
+            orientation = file.pages.first.tags.valueof("Orientation", UPRIGHT)
+    except Exception:  # of a file that is damaged or no TIFF, of which OpenImageIO says what is wrong
+        return
+    flip_of(path, orientation)
 
 
 # ------------------------------------------------------------------------------------------------- plain mosaics
