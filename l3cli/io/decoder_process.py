@@ -1,4 +1,4 @@
-"""The process that decodes foreign files (apart.py): its limits, its workers, and the answers they give."""
+"""The process that decodes foreign files (isolated.py): its limits, its workers, and the answers they give."""
 
 import contextlib
 import importlib
@@ -12,9 +12,7 @@ from typing import Any
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.io.confinement import confine
-from l3cli.io.ipc import MOST_TALK, READY, ArrayWriter, plain_of, receive, send
-from l3cli.io.isolated import MORE_MEMORY, isolated, too_much
-from l3cli.io.names import linked
+from l3cli.io.isolated import MORE_MEMORY, MOST_TALK, READY, ArrayWriter, isolated, linked, plain_of, receive, send, too_much
 
 MOST_WORKERS = 8  # that live at a time: files may be read in turn, frame by frame
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.isolated import isolated
-from l3cli.io.names import named_in_utf8
+from l3cli.io.isolated import isolated, named_in_utf8
 from l3cli.io.tags import UPRIGHT, flip_of
 from l3cli.system.limits import VALUE_BYTES, require_picture
 

@@ -16,8 +16,7 @@ from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.measurement import Body, Chart, PhotoCapture
 from l3cli.io.measurement_recipe import BodyRecipe, MeasurementRecipe, PhotoRecipe, is_table
 from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, find_phase
-from l3cli.io.raw.content import RawContent, Request
-from l3cli.io.raw.registry import format_of
+from l3cli.io.raw.registry import RawContent, format_of
 from l3cli.physics import charts, spectra
 from l3cli.spectra.file import read_table
 from l3cli.system.files import require_regular, write_whole
@@ -102,7 +101,7 @@ def raw_content(path: Path) -> RawContent:
     if not kind.holds_frame or kind.wants_geometry:
         raise InputFileError(f"{path} is no raw file of a camera; {RAW_FILE}, or a picture of one channel")
     try:
-        content = kind.read(path, Request())
+        content = kind.read(path)
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror or error}") from error
     if content["values"].ndim != 2 or content["values"].size == 0:

@@ -16,9 +16,8 @@ from l3cli.frames.dark import DarkFrame, average_dark
 from l3cli.frames.frame import RawFrame
 from l3cli.io.frame_times import Stated, unit_of
 from l3cli.io.numbered import IDEAL, PATTERN, RAW, last_number, natural_order, numbered_files, numbered_name
-from l3cli.io.raw.content import MultiFrameFile
 from l3cli.io.raw.files import RawOverrides, frame_of, read_raw, read_stack, read_stdin
-from l3cli.io.raw.registry import format_of, is_frame
+from l3cli.io.raw.registry import MultiFrameFile, format_of, is_frame
 from l3cli.system.files import STDIN
 
 STDIN_NAME = "stdin"  # in messages

@@ -15,7 +15,7 @@ from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image
 from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.io.raw.fits import INSTALL
-from l3cli.io.raw.packed import PACKED, PACKINGS, make_layout, row_bytes
+from l3cli.io.raw.headerless import PACKED, PACKINGS, make_layout, row_bytes
 from l3cli.io.sequences import find_frames
 from tests.helpers.calls import L3, Refused
 from tests.helpers.raw_files import RGGB

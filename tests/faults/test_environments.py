@@ -14,7 +14,7 @@ import pytest
 
 from l3cli.errors import RecipeError
 from l3cli.io.pictures.registry import write_picture
-from l3cli.io.raw.libraw import read_camera_raw
+from l3cli.io.raw import libraw
 from l3cli.recipes.toml import Recipe, load_recipe
 from l3cli.system.limits import MEGAPIXELS, SECONDS, TRUST, trusted
 from tests.helpers.calls import Refused
@@ -99,7 +99,7 @@ def test_camera_raws_and_scenes_are_named_by_any_bytes(tmp_path: Path, l3: Calla
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/in\xff"))
     folder.mkdir()
     write_dng(folder / "a\udcff.dng", np.full((64, 64), 500, np.uint16), np.array([[0, 1], [1, 2]]))
-    assert read_camera_raw(folder / "a\udcff.dng")["values"].shape == (64, 64)
+    assert libraw.read(folder / "a\udcff.dng")["values"].shape == (64, 64)
     write_picture(folder / "b\udcff.png", np.full((24, 32, 3), 120, np.uint8))
     (folder / "s.toml").write_text('exposure_share = [0.9]\n[[scene]]\nsource = "rgb"\nfile = "*.png"\n')
     call = (

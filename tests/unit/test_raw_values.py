@@ -7,7 +7,7 @@ import pytest
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
-from l3cli.io.raw.packed import make_layout
+from l3cli.io.raw.headerless import make_layout
 from l3cli.rendering.raw_checks import mistaken
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table

@@ -46,7 +46,7 @@ def test_every_source_of_files_has_a_format() -> None:
 
 def test_a_raw_format_is_a_module_and_a_line(fiveband: CameraModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     module = ModuleType("l3cli.io.raw.text")
-    module.read = lambda path, _: {"values": np.loadtxt(path, np.uint16), "exposure": 0.5}  # type: ignore[attr-defined]
+    module.read = lambda path: {"values": np.loadtxt(path, np.uint16), "exposure": 0.5}  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setitem(raw.BY_SUFFIX, ".txt", raw.RawFormat((".txt",), "text", isolated=False))
     values = np.random.default_rng(0).integers(64, 1000, (8, 12))

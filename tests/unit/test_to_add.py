@@ -170,9 +170,9 @@ DECIMAL = '''
 
 import numpy as np
 
-from l3cli.io.raw.content import RawContent
+from l3cli.io.raw.registry import RawContent
 
-def read(path, request):
+def read(path):
     """Values (row, col) in DN."""
     return {"values": np.loadtxt(path, dtype=np.uint16, ndmin=2)}
 '''

@@ -19,9 +19,9 @@ from l3cli.frames.correction import plan_correction
 from l3cli.frames.frame import with_one_black_level
 from l3cli.io.isolated import isolated
 from l3cli.io.raw.cfa_codes import LETTERS
-from l3cli.io.raw.content import RawContent, Request
 from l3cli.io.raw.libraw import opened
 from l3cli.io.raw.opcodes import Opcodes, bad_pixels, gain_of_pixels, read_opcodes
+from l3cli.io.raw.registry import RawContent
 from l3cli.io.tags import (
     BROKEN,
     COLOUR_FILTER_ARRAY,
@@ -83,13 +83,9 @@ class Mosaic:
     notes: tuple[str, ...]  # on tags that are not carried out
 
 
-def read(path: Path, _: Request) -> RawContent:
-    """Return the frame of a DNG within its default crop."""
-    return _read(path)
-
-
 @isolated("rawpy", "tifffile")
-def _read(path: Path) -> RawContent:
+def read(path: Path) -> RawContent:
+    """Return the frame of a DNG within its default crop."""
     mosaic = _read_tags(path)  # first: LibRaw says less of what is wrong with them
     with opened(path) as raw:
         if raw.raw_image.shape != mosaic.shape:

@@ -17,9 +17,8 @@ from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.hot_pixels import HotTest
 from l3cli.frames.shading import shading_of_gain
 from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
-from l3cli.io.raw.content import MultiFrameFile, RawContent, Request
-from l3cli.io.raw.headerless import layout_of, stdin
-from l3cli.io.raw.registry import CAMERA_RAW, RawFormat, format_of
+from l3cli.io.raw.headerless import Layout, layout_of, stdin
+from l3cli.io.raw.registry import CAMERA_RAW, MultiFrameFile, RawContent, RawFormat, format_of
 from l3cli.io.tags import believable_shot
 from l3cli.system.files import STDIN, require_regular
 from l3cli.system.limits import require_picture
@@ -52,7 +51,7 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
     kind = format_of(path)
     kind = kind if kind.holds_frame else CAMERA_RAW  # LibRaw says what is wrong
     try:
-        return frame_of(str(path), kind.read(path, _request(kind, path, table, known)), table, known)
+        return frame_of(str(path), kind.read(path, _layout(kind, path, table, known)), table, known)
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror or error}") from error
 
@@ -61,7 +60,7 @@ def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | No
     """Return the frames in `path`, the HDF5 file's array `dataset` of them; None if it holds one frame, or is of a format
     that can hold no more."""
     kind = format_of(path)
-    return kind.stack(path, _request(kind, path, table, known, dataset)) if kind.stackable else None
+    return kind.stack(path, _layout(kind, path, table, known), dataset) if kind.stackable else None
 
 
 def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides) -> bool:
@@ -70,11 +69,9 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
     kind = format_of(path)
     if not kind.stackable:
         return False
-    layout = None
-    if kind.wants_geometry:
-        layout = _request(kind, path, sensor(), known).layout
+    layout = _layout(kind, path, sensor(), known) if kind.wants_geometry else None
     try:
-        return kind.stack(path, Request(layout)) is not None
+        return kind.stack(path, layout) is not None
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror or error}") from error
 
@@ -84,9 +81,9 @@ def read_stdin(table: Sensor, known: RawOverrides) -> MultiFrameFile:
     return stdin(layout_of(STDIN, known.size or (table.rows, table.cols), known.packing, known.stride))
 
 
-def _request(kind: RawFormat, path: Path, table: Sensor, known: RawOverrides, dataset: str | None = None) -> Request:
+def _layout(kind: RawFormat, path: Path, table: Sensor, known: RawOverrides) -> Layout | None:
     size = known.size or (table.rows, table.cols)
-    return Request(layout_of(path, size, known.packing, known.stride) if kind.wants_geometry else None, dataset)
+    return layout_of(path, size, known.packing, known.stride) if kind.wants_geometry else None
 
 
 def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:

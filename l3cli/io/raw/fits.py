@@ -16,7 +16,7 @@ import numpy as np
 from l3cli.errors import InputFileError, L3Error
 from l3cli.io.isolated import isolated
 from l3cli.io.raw.cfa_codes import codes_of
-from l3cli.io.raw.content import MultiFrameFile, RawContent, Request
+from l3cli.io.raw.registry import MultiFrameFile, RawContent
 from l3cli.system.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
@@ -25,26 +25,21 @@ ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
 BROKEN = (TypeError, ValueError, KeyError, IndexError, AttributeError)  # what astropy raises over a damaged file
 
 
-def read(path: Path, _: Request) -> RawContent:
-    """Return the frame of a file that holds one."""
-    return read_fits(path)
-
-
-def stack(path: Path, _: Request) -> MultiFrameFile | None:
+def stack(path: Path) -> MultiFrameFile | None:
     """Return the frames of an image of three axes."""
-    shape = fits_shape(path)
-    return MultiFrameFile(shape[0], lambda number: read_fits(path, number)) if len(shape) == 3 else None
+    shape = _shape(path)
+    return MultiFrameFile(shape[0], lambda number: read(path, number)) if len(shape) == 3 else None
 
 
 @isolated("astropy.io.fits")
-def fits_shape(path: Path) -> tuple[int, ...]:
+def _shape(path: Path) -> tuple[int, ...]:
     """(row, col) or (frame, row, col) of the first image."""
     with _first_image(path) as image:
         return tuple(image.shape)
 
 
 @isolated("astropy.io.fits")
-def read_fits(path: Path, number: int | None = None) -> RawContent:
+def read(path: Path, number: int | None = None) -> RawContent:
     """Return the pixels (row, col) in DN, of frame `number` where there are several, the colours BAYERPAT names, and the
     exposure time (s) of EXPTIME or EXPOSURE.
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.stored import datasets, require_within_file
 from l3cli.errors import InputFileError
 from l3cli.io.isolated import isolated
-from l3cli.io.raw.content import MultiFrameFile, RawContent, Request
+from l3cli.io.raw.registry import MultiFrameFile, RawContent
 from l3cli.system.limits import require_picture
 
 CHUNK_CACHE = 128 << 20  # bytes at most: chunks of many frames are unpacked once, not once a frame
@@ -17,9 +17,9 @@ CHUNK_CACHE = 128 << 20  # bytes at most: chunks of many frames are unpacked onc
 _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change if it were another one
 
 
-def stack(path: Path, request: Request) -> MultiFrameFile:
+def stack(path: Path, dataset: str | None) -> MultiFrameFile:
     """Return the frames of a dataset."""
-    name, count = find_stack(path, request.dataset)
+    name, count = find_stack(path, dataset)
     return MultiFrameFile(count, lambda number: RawContent(values=stack_frame(path, name, number)), numbered=False)
 
 

@@ -10,21 +10,15 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import with_one_black_level
-from l3cli.io.isolated import isolated
-from l3cli.io.names import named_in_utf8
+from l3cli.io.isolated import isolated, named_in_utf8
 from l3cli.io.raw.cfa_codes import codes_of
-from l3cli.io.raw.content import RawContent, Request
+from l3cli.io.raw.registry import RawContent
 from l3cli.io.tags import BROKEN, camera_names, shot_of_file
 from l3cli.system.limits import require_picture
 
 
-def read(path: Path, _: Request) -> RawContent:
-    """Return the content of a camera raw within its visible area."""
-    return read_camera_raw(path)
-
-
 @isolated("rawpy", "tifffile")
-def read_camera_raw(path: Path) -> RawContent:
+def read(path: Path) -> RawContent:
     """Return the content of a camera raw within its visible area; InputFileError as from `opened`."""
     with opened(path) as raw:
         content = _visible(path, raw)

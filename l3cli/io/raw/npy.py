@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.raw.content import MultiFrameFile, RawContent, Request
+from l3cli.io.raw.registry import MultiFrameFile, RawContent
 from l3cli.system.files import require_regular
 from l3cli.system.limits import require_picture
 
@@ -31,12 +31,12 @@ def map_array(path: Path) -> NDArray[Any]:
     return values
 
 
-def read(path: Path, _: Request) -> RawContent:
+def read(path: Path) -> RawContent:
     """Return the frame of a file that holds one."""
     return RawContent(values=np.array(_mapped(path, 2)))
 
 
-def stack(path: Path, _: Request) -> MultiFrameFile | None:
+def stack(path: Path) -> MultiFrameFile | None:
     """Return the frames of a file with three axes."""
     shape = map_array(path).shape
     if len(shape) != 3:

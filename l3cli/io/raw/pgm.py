@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.errors import InputFileError
-from l3cli.io.raw.content import RawContent, Request
+from l3cli.io.raw.registry import RawContent
 from l3cli.system.files import open_regular
 from l3cli.system.limits import require_picture
 
@@ -18,7 +18,7 @@ HEADER = re.compile(rb"P5" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,9})" + GAP + r
 LONGEST_HEADER = 65536  # bytes, comments included
 
 
-def read(path: Path, _: Request) -> RawContent:
+def read(path: Path) -> RawContent:
     """Return the pixels (row, col) of a graymap in DN, uint8 or uint16 as in the file; InputFileError if it is no single,
     whole P5 graymap."""
     with open_regular(path) as stream:

@@ -16,9 +16,8 @@ import numpy as np
 
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.images import mono_of, open_image, opened, require_bearable, require_whole_stack
-from l3cli.io.isolated import isolated
-from l3cli.io.names import named_in_utf8
-from l3cli.io.raw.content import MultiFrameFile, RawContent, Request
+from l3cli.io.isolated import isolated, named_in_utf8
+from l3cli.io.raw.registry import MultiFrameFile, RawContent
 from l3cli.io.tags import ONE_OF_MANY, UPRIGHT, flip_of, shot_of_spec
 from l3cli.system.files import open_regular, stamp
 from l3cli.system.limits import most_pixels
@@ -28,7 +27,7 @@ MOST_PAGES = 1_000_000
 _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change if it were another one
 
 
-def read(path: Path, _: Request) -> RawContent:
+def read(path: Path) -> RawContent:
     """Return the frame that a picture of one channel holds."""
     if (plain := read_plain(path)) is not None:
         return plain
@@ -53,7 +52,7 @@ def _content(path: Path, source: Any, spec: Any) -> RawContent:
 # --------------------------------------------------------------------------------------------------------- pages
 
 
-def stack(path: Path, _: Request) -> MultiFrameFile | None:
+def stack(path: Path) -> MultiFrameFile | None:
     """Return the frames of a TIFF of several pages."""
     if is_plain(path):
         return None

@@ -13,13 +13,13 @@ from l3cli.errors import InputFileError
 from l3cli.io.decoded_video import DecodedVideo, InTurn
 from l3cli.io.frame_times import StatedTimes
 from l3cli.io.isolated import isolated
-from l3cli.io.raw.content import InOrder, MultiFrameFile, Request
+from l3cli.io.raw.registry import InOrder, MultiFrameFile
 from l3cli.io.video import storable_rate
 
 AT_A_TIME = 500  # frames whose times are read
 
 
-def stack(path: Path, _: Request) -> MultiFrameFile:
+def stack(path: Path) -> MultiFrameFile:
     """Return the frames of a video, whose number is not known beforehand."""
     rate, numbers = raw_video_rate(path), itertools.count()
     read = InOrder(lambda: raw_video_frame(path, next(numbers))).read
