@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.io.decoded_video import FORMATS, DecodedVideo, InTurn
+from l3cli.io.file_names import IDEAL, MOTION, PATTERN, globbed, is_glob, natural_order, numbered_files, of_one_kind
 from l3cli.io.images import picture_size, read_image
 from l3cli.io.isolated import isolated
-from l3cli.io.numbered import IDEAL, MOTION, PATTERN, natural_order, numbered_files
 from l3cli.io.pictures.registry import suffixes
 from l3cli.io.scenes import rgb
 from l3cli.io.video import is_video, pyav
@@ -62,8 +62,7 @@ def picture_files(path: Path) -> list[Path]:
             raise InputFileError(f"{path}: number {lost[0]} is missing; name what is there with a glob, or render it again")
         files = list(numbered.values())
     else:
-        matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
-        files = sorted((each for each in matches if each.is_file()), key=natural_order)
+        files = globbed(path)
     if not files:
         raise InputFileError(f"{path} holds no pictures; {GIVE}")
     if wrong := next((each for each in files if each.suffix.lower() not in PICTURES), None):
@@ -81,19 +80,16 @@ def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
 
 def _names_several(path: Path) -> bool:
     """Return whether a name is that of a folder, a numbered pattern or a glob."""
-    several = bool(PATTERN.search(path.name)) or any(letter in str(path) for letter in "*?[")
-    return path.is_dir() or (several and not path.exists())
+    return path.is_dir() or (not path.exists() and (bool(PATTERN.search(path.name)) or is_glob(path)))
 
 
 def _in_folder(folder: Path) -> list[Path]:
     simulated = sorted(folder.glob(f"*{IDEAL}"), key=natural_order)
     if simulated:
         return simulated
-    files = [path for path in folder.iterdir() if path.suffix.lower() in PICTURES and path.name[0] != "."]
-    kinds = sorted({path.suffix.lower() for path in files})
-    if len(kinds) > 1:
-        raise InputFileError(f'{folder} holds {" and ".join(kinds)} files; name one kind, such as "{folder}/*{kinds[0]}"')
-    return sorted(files, key=natural_order)
+    return of_one_kind(
+        folder, (path for path in folder.iterdir() if path.suffix.lower() in PICTURES and path.name[0] != ".")
+    )
 
 
 def _file_pictures(path: Path, files: list[Path]) -> PictureSequence:

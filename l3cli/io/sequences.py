@@ -14,8 +14,18 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.dark import DarkFrame, average_dark
 from l3cli.frames.frame import RawFrame
+from l3cli.io.file_names import (
+    IDEAL,
+    PATTERN,
+    RAW,
+    globbed,
+    is_glob,
+    last_number,
+    numbered_files,
+    numbered_name,
+    of_one_kind,
+)
 from l3cli.io.frame_times import Stated, unit_of
-from l3cli.io.numbered import IDEAL, PATTERN, RAW, last_number, natural_order, numbered_files, numbered_name
 from l3cli.io.raw.files import RawOverrides, frame_of, read_raw, read_stack, read_stdin
 from l3cli.io.raw.registry import MultiFrameFile, format_of, is_frame
 from l3cli.system.files import STDIN
@@ -159,7 +169,7 @@ def frame_files(path: Path) -> list[Path]:
         return _in_folder(path)
     if not path.exists() and PATTERN.search(path.name):
         return list(numbered_files(path).values())
-    return _globbed(path) if not path.exists() and _is_glob(path) else [path]
+    return _globbed(path) if not path.exists() and is_glob(path) else [path]
 
 
 def is_still(path: Path, table: TransformTable, known: RawOverrides) -> bool:
@@ -188,11 +198,7 @@ def is_one_file(path: Path) -> bool:
     """Return whether this is the name of a file, existing or not, that can hold just one frame."""
     if path == STDIN or path.is_dir() or not format_of(path).holds_frame:
         return False
-    return path.exists() or not (PATTERN.search(path.name) or _is_glob(path))
-
-
-def _is_glob(path: Path) -> bool:
-    return any(letter in str(path) for letter in "*?[")
+    return path.exists() or not (PATTERN.search(path.name) or is_glob(path))
 
 
 def _series(path: Path, table: TransformTable, known: RawOverrides, dataset: str | None) -> _Series:
@@ -204,7 +210,7 @@ def _series(path: Path, table: TransformTable, known: RawOverrides, dataset: str
         return _series_of_files(str(path), _in_folder(path), table, known)
     if not path.exists() and PATTERN.search(path.name):
         return _series_of_pattern(path, table, known)
-    if not path.exists() and _is_glob(path):
+    if not path.exists() and is_glob(path):
         return _series_of_files(str(path), _globbed(path), table, known)
     if path.exists() and (stack := read_stack(path, table, known, dataset)):
         return _series_of_stack(str(path), path.stem, stack, table, known)
@@ -217,21 +223,17 @@ def _series(path: Path, table: TransformTable, known: RawOverrides, dataset: str
 def _in_folder(folder: Path) -> list[Path]:
     found = [path for path in folder.iterdir() if is_frame(path) and path.name[0] != "." and path.is_file()]
     ideals = {path.name.removesuffix(RAW) + IDEAL for path in found if path.name.endswith(RAW)}  # what a simulation adds
-    files = [path for path in found if path.name not in ideals]
-    kinds = sorted({path.suffix.lower() for path in files})
-    if len(kinds) > 1:
-        raise InputFileError(f'{folder} holds {" and ".join(kinds)} files; name one kind, such as "{folder}/*{kinds[0]}"')
+    files = of_one_kind(folder, (path for path in found if path.name not in ideals))
     if not files:
         raise InputFileError(f"{folder} holds no raw frames; give a folder of .tif .tiff .png .npy .raw .dng …")
-    return sorted(files, key=natural_order)
+    return files
 
 
 def _globbed(path: Path) -> list[Path]:
-    matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
-    files = [each for each in matches if each.name[0] != "." and each.is_file()]
+    files = globbed(path)
     if not files:
         raise InputFileError(f"{path} matches no file; give the raw frames' names")
-    return sorted(files, key=natural_order)
+    return files
 
 
 def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, known: RawOverrides) -> _Series:
@@ -239,16 +241,11 @@ def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, kn
     paths = list(paths)
     named = [number for path in paths if (number := last_number(path)) is not None]
     numbers = named if len(set(named)) == len(paths) else range(len(paths))
-    of_number = dict(zip(numbers, paths, strict=True))
-
-    def stem(number: int) -> str:
-        return of_number[number].stem if number in of_number else f"{number:06d}"
-
-    def read(number: int) -> RawFrame:
-        return read_raw(of_number[number], table, known)
-
+    files = dict(zip(numbers, paths, strict=True))
     rate = _film_rate(paths[0]) if len(paths) > 1 else None  # a frame alone has no rate
-    return _Series(what, of_number, read, stem, rate, of_number)
+    return _Series(
+        what, files, lambda number: read_raw(files[number], table, known), lambda number: files[number].stem, rate, files
+    )
 
 
 def _film_rate(path: Path) -> Fraction | None:
@@ -261,14 +258,10 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
     if not files:
         raise InputFileError(f"{pattern} matches no file; give the raw frames' pattern, such as frame_%04d.tif")
     # A pattern says that the frames are numbered throughout: a number left out is a frame lost.
-    whole = range(min(files), max(files) + 1)
-
-    def read(number: int) -> RawFrame:
-        return read_raw(files[number], table, known)
-
-    rate = _film_rate(next(iter(files.values())))
+    whole, rate = range(min(files), max(files) + 1), _film_rate(next(iter(files.values())))
     return _Series(
-        str(pattern), files, read, lambda number: numbered_name(pattern, number).stem, rate, files, expected=whole
+        str(pattern), files, lambda number: read_raw(files[number], table, known),
+        lambda number: numbered_name(pattern, number).stem, rate, files, expected=whole,
     )  # fmt: skip
 
 

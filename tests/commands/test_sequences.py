@@ -13,8 +13,8 @@ import tifffile
 
 from l3cli.artifacts.store import save
 from l3cli.frames.frame import RawFrame
+from l3cli.io.file_names import numbered_files, numbered_name
 from l3cli.io.images import read_image
-from l3cli.io.numbered import numbered_files, numbered_name
 from l3cli.io.raw.files import RawOverrides
 from l3cli.io.sequences import find_frames
 from l3cli.physics.display import exposure_scale

@@ -8,7 +8,7 @@ import pytest
 
 from l3cli.errors import InputFileError
 from l3cli.frames.scene import Scene, shown_alike
-from l3cli.io.scenes.files import find
+from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.io.scenes.rgb import read as read_rgb_picture
 from l3cli.physics import paint, spectra
@@ -133,8 +133,8 @@ def test_a_matlab_file_without_a_scene_is_refused(tmp_path: Path) -> None:
 def test_globs_are_sorted_and_relative_to_the_recipe(tmp_path: Path) -> None:
     for name in ("b.mat", "a.mat", "c.txt"):
         (tmp_path / name).touch()
-    assert [path.name for path in find("*.mat", tmp_path)] == ["a.mat", "b.mat"]
-    assert find(str(tmp_path / "*.txt"), Path("elsewhere")) == [tmp_path / "c.txt"]
+    assert [path.name for path in find_scenes("*.mat", tmp_path)] == ["a.mat", "b.mat"]
+    assert find_scenes(str(tmp_path / "*.txt"), Path("elsewhere")) == [tmp_path / "c.txt"]
 
 
 # ----------------------------------------------------------------------------------------------------- pictures

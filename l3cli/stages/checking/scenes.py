@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.io.scenes.files import find
+from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes.registry import is_folder
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
@@ -84,7 +84,7 @@ def named_light(name: str) -> None:
 
 def _files(scene: SceneSource, recipe: Path) -> list[Path]:
     """Return the files of a source; InputFileError if it is to have some and there are none."""
-    return find(scene.file, recipe.parent, is_folder(name_of(scene))) if isinstance(scene, FileSource) else []
+    return find_scenes(scene.file, recipe.parent, is_folder(name_of(scene))) if isinstance(scene, FileSource) else []
 
 
 def meaning(recipe: SceneRecipe, source: Source) -> tuple[dict[str, Any], list[Fault]]:

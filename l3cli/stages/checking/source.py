@@ -10,7 +10,7 @@ from typing import Any
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError, L3Error, shortened
-from l3cli.io.scenes.files import find
+from l3cli.io.file_names import find_scenes
 from l3cli.recipes.faults import Fault
 from l3cli.recipes.toml_lines import KeyPath
 
@@ -54,7 +54,7 @@ def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
             found += [single] if os.path.isfile(single) else []
             if any(letter in name for letter in "*?["):
                 with contextlib.suppress(InputFileError):
-                    found += find(name, path.parent)
+                    found += find_scenes(name, path.parent)
     return tuple(dict.fromkeys(found))
 
 

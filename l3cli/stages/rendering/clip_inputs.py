@@ -8,7 +8,7 @@ from pathlib import Path
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import L3Error, RecipeError
-from l3cli.io.numbered import PATTERN, natural_order
+from l3cli.io.file_names import PATTERN, natural_order
 from l3cli.io.raw.cfa_codes import Sensor
 from l3cli.io.raw.files import RawOverrides, holds_several
 from l3cli.io.raw.registry import BY_SUFFIX, format_of, is_frame

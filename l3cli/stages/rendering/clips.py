@@ -15,7 +15,7 @@ from l3cli import __version__
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError
-from l3cli.io.numbered import PATTERN
+from l3cli.io.file_names import PATTERN
 from l3cli.io.raw.files import RawOverrides
 from l3cli.io.sequences import frame_files, is_still
 from l3cli.io.video import USUAL_RATE, VideoChoice, is_video

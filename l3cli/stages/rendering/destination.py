@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from l3cli.errors import RecipeError
+from l3cli.io.file_names import PATTERN, last_number, numbered_files, numbered_name
 from l3cli.io.frame_times import Pacing
-from l3cli.io.numbered import PATTERN, last_number, numbered_files, numbered_name
 from l3cli.io.pictures.pages import PAGED, new_pages
 from l3cli.io.pictures.registry import FLOAT_BITS, Picture, format_of, holds_linear, holds_raw
 from l3cli.io.sequences import FrameReference, FrameSequence

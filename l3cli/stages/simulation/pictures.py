@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from l3cli.artifacts.training_set import TrainingPair, frame_name
-from l3cli.io.numbered import IDEAL, MOTION, RAW
+from l3cli.io.file_names import IDEAL, MOTION, RAW
 from l3cli.simulation.recipe import shots as asked
 from l3cli.stages.console import Console
 from l3cli.stages.simulation.run import SimulationRun

@@ -9,7 +9,7 @@ from l3cli.artifacts.camera_recipe import recipe_text
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, RecipeError, listed
-from l3cli.io.scenes.files import find
+from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes.registry import is_folder
 from l3cli.recipes.toml import read_text
 from l3cli.simulation import recipe as asked
@@ -43,7 +43,9 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     names = _column_names(path.parent / outputs) if outputs in curves else ()
     target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
     patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
-    files = [find(text, path.parent, is_folder(name_of(source))) if text is not None else [] for source, text in patterns]
+    files = [
+        find_scenes(text, path.parent, is_folder(name_of(source))) if text is not None else [] for source, text in patterns
+    ]
     return SimulationRun(recipe, fitted, target, lights, recorded, seed, path.parent, "", Path()), files
 
 

@@ -1,0 +1,92 @@
+"""Names that stand for several files: folders, globs, patterns with numbers such as frame_%04d.tif and frame_####.tif; and
+the order of numbered names."""
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from l3cli.errors import InputFileError
+
+RAW, IDEAL, MOTION = "_raw.tif", "_ideal.png", "_motion.exr"  # ends of the names that a simulation gives
+MOST_WILD = 4  # parts of a glob with a wildcard: each multiplies the folders that are searched
+MOST_DIGITS = 18  # of a number: enough for the time to a microsecond, within 64 bits
+PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # no wider than names are
+DIGITS = re.compile(r"[0-9]+")  # of a number: not those of every script, some of which are no digits to Python
+
+
+def natural_order(path: Path) -> tuple[Any, ...]:
+    """Sorts 9 before 10."""
+    return tuple((int(part), part) if DIGITS.fullmatch(part) else (0, part) for part in re.split(r"([0-9]+)", str(path)))
+
+
+def last_number(path: Path) -> int | None:
+    """Return the last number in a file's name."""
+    numbers = DIGITS.findall(path.stem)
+    return int(numbers[-1]) if numbers and len(numbers[-1]) <= MOST_DIGITS else None
+
+
+def numbered_name(pattern: Path, number: int) -> Path:
+    """Return the pattern's file of a number: %d, %04d or a run of # in its name stands for it."""
+
+    def digits(field: re.Match[str]) -> str:
+        width = len(field[0]) if field[0][0] == "#" else int(field[1] or 0)
+        return f"{number:0{width}d}"
+
+    return pattern.with_name(PATTERN.sub(digits, pattern.name, count=1))
+
+
+def numbered_files(pattern: Path) -> dict[int, Path]:
+    """Return the files that exist of a pattern, by number, in order."""
+    where = PATTERN.search(pattern.name)
+    if where is None or not pattern.parent.is_dir():
+        return {}
+    spelled = re.compile(
+        f"{re.escape(pattern.name[: where.start()])}([0-9]{{1,{MOST_DIGITS}}}){re.escape(pattern.name[where.end() :])}"
+    )
+    files = {}
+    for path in pattern.parent.iterdir():
+        match = spelled.fullmatch(path.name)
+        if match and numbered_name(pattern, int(match[1])).name == path.name:
+            files[int(match[1])] = path
+    return dict(sorted(files.items()))
+
+
+def is_glob(path: Path) -> bool:
+    """Return whether a name has wildcards."""
+    return any(letter in str(path) for letter in "*?[")
+
+
+def globbed(path: Path) -> list[Path]:
+    """Return the files that a glob matches, in their order, hidden ones left out."""
+    matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
+    return sorted((each for each in matches if each.name[0] != "." and each.is_file()), key=natural_order)
+
+
+def of_one_kind(folder: Path, files: Iterable[Path]) -> list[Path]:
+    """Return the files of a folder in their order; InputFileError if they are of several kinds."""
+    files = sorted(files, key=natural_order)
+    kinds = sorted({path.suffix.lower() for path in files})
+    if len(kinds) > 1:
+        raise InputFileError(f'{folder} holds {" and ".join(kinds)} files; name one kind, such as "{folder}/*{kinds[0]}"')
+    return files
+
+
+def find_scenes(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
+    """Return the files (or `folders`) of a name or glob relative to `folder`, sorted; InputFileError if there is none."""
+    wanted = Path.is_dir if folders else Path.is_file
+    single = folder / pattern
+    if wanted(single):
+        return [single]
+    if single.is_dir():
+        raise InputFileError(f"{single} is a folder; name the scene files in it")
+    if sum(is_glob(Path(part)) for part in single.parts) > MOST_WILD:
+        raise InputFileError(f"{single} has wildcards in more than {MOST_WILD} folders; name a folder nearer to the files")
+    root = Path(single.anchor)  # "" for a relative folder
+    try:
+        paths = sorted(path for path in root.glob(str(single.relative_to(root))) if wanted(path))
+    except ValueError as error:
+        raise InputFileError(f'{single} is no glob; write "**" between slashes only') from error
+    if not paths:
+        raise InputFileError(f"{single} does not exist; name a scene file or a glob relative to the recipe")
+    return paths
