@@ -192,11 +192,11 @@ def test_a_picture_of_several_parts_is_refused(tmp_path: Path) -> None:
 
 
 def test_bands_in_pages_are_still_read(tmp_path: Path) -> None:
-    from l3cli.io.scenes import channels
+    from l3cli.io.scenes import bands
 
     write_pages(tmp_path / "a.tif", frames())
-    np.testing.assert_array_equal(channels.read(tmp_path / "a.tif").values, np.moveaxis(frames(), 0, 2))
+    np.testing.assert_array_equal(bands.read(tmp_path / "a.tif").values, np.moveaxis(frames(), 0, 2))
     write_picture(tmp_path / "b.tif", np.zeros((20, 28, 3), np.uint8))
-    assert channels.read(tmp_path / "b.tif").values.shape == (20, 28, 3)
+    assert bands.read(tmp_path / "b.tif").values.shape == (20, 28, 3)
     tifffile.imwrite(tmp_path / "c.tif", frames(), photometric="minisblack", description=json.dumps({"shape": [5, 20, 28]}))
-    assert channels.read(tmp_path / "c.tif").values.shape == (20, 28, 5)
+    assert bands.read(tmp_path / "c.tif").values.shape == (20, 28, 5)

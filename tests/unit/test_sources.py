@@ -10,7 +10,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.errors import InputFileError
 from l3cli.frames.scene import Scene
-from l3cli.io.scenes import bands, channels, cube, envi
+from l3cli.io.scenes import bands, cube, envi
 from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.physics import spectra
 from l3cli.physics.display import lab
@@ -149,12 +149,12 @@ def test_exr_channels_and_tiff_pages(tmp_path: Path) -> None:
 
     shuffled = np.random.default_rng(0).permutation(31)
     write_picture(tmp_path / "a.exr", a_cube()[..., shuffled], tuple(f"S0.{WAVELENGTH[i]:.0f},5nm" for i in shuffled))
-    scene = channels.read(tmp_path / "a.exr")
+    scene = bands.read(tmp_path / "a.exr")
     assert np.array_equal(scene.values, a_cube())
     assert scene.wavelength is not None
     assert np.allclose(scene.wavelength, WAVELENGTH + 0.5)
     tifffile.imwrite(tmp_path / "b.tif", a_cube().transpose(2, 0, 1), photometric="minisblack")
-    assert np.array_equal(channels.read(tmp_path / "b.tif").values, a_cube())
+    assert np.array_equal(bands.read(tmp_path / "b.tif").values, a_cube())
 
 
 def test_radiance_divided_by_its_light_is_reflectance(simulated: Callable[[str], list], tmp_path: Path) -> None:
