@@ -5,22 +5,18 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import FinishedCurves, SweepTable
-from l3cli.physics import spectra
 from l3cli.recipes.toml import LARGEST
 from l3cli.spectra.file import other_unit, read_table
 from l3cli.spectra.table import CurveTable
 from l3cli.system.files import write_whole
 from l3cli.system.limits import read_bounded
 
-RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, the grid of its database
 DIODE = {  # other names of a sweep's columns
     **dict.fromkeys(("diode", "photodiode", "photodiode light"), "diode light"),
     **dict.fromkeys(("dark", "photodiode dark"), "diode dark"),
@@ -97,33 +93,3 @@ def _read_json(path: Path) -> CurveTable:
     values = table[:, 1:].T
     named = isinstance(names, list) and len(names) == len(values) and all(isinstance(name, str) for name in names)
     return CurveTable(path, table[:, 0], values, tuple(names) if named else None, (None,) * len(values))
-
-
-def export_paths(folder: Path) -> tuple[Path, Path]:
-    """Return the CSV and the JSON that `export_curves` writes."""
-    return folder / "responsivity.csv", folder / "rawtoaces.json"
-
-
-def export_curves(camera: CameraModel, folder: Path) -> None:
-    """Write the responsivities per energy, the peak of the set 1: CSV on their grid, JSON as rawtoaces reads it."""
-    csv, rawtoaces = export_paths(folder)
-    curves = camera.responsivity * camera.wavelength
-    curves = curves / curves.max()
-    write_curves(csv, camera.wavelength, curves, camera.channels)
-    table = spectra.average(curves, camera.wavelength, RAWTOACES).T
-    manufacturer, _, model = camera.name.partition(" ")
-    content: dict[str, Any] = {
-        "header": {
-            "schema_version": "0.1.0",
-            "manufacturer": manufacturer,
-            "model": model or manufacturer,
-            "description": "camera spectral sensitivity data, relative, per energy",
-            "document_creator": "l3 calibrate",
-        },
-        "spectral_data": {
-            "units": "relative",
-            "index": {"main": [name.upper() for name in camera.channels]},
-            "data": {"main": {f"{nm:g}": row.tolist() for nm, row in zip(RAWTOACES, table, strict=True)}},
-        },
-    }
-    write_whole(rawtoaces, json.dumps(content, indent=2, ensure_ascii=False) + "\n")

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.decoded_video import FORMATS, DecodedVideo, InTurn
 from l3cli.io.file_names import IDEAL, MOTION, PATTERN, globbed, is_glob, natural_order, numbered_files, of_one_kind
 from l3cli.io.images import picture_size, read_image
 from l3cli.io.isolated import isolated
 from l3cli.io.pictures.registry import suffixes
 from l3cli.io.scenes import rgb
-from l3cli.io.video import is_video, pyav
+from l3cli.io.video import CONTAINERS, DecodedVideo, InTurn, is_video, pyav
 from l3cli.physics.display import srgb_decoded
 
 PICTURES = suffixes("codes")
@@ -121,7 +120,7 @@ def _video_pictures(path: Path) -> Iterator[Linear]:
 
 
 def _video(path: Path) -> DecodedVideo:
-    return DecodedVideo(path, "what l3 render made", _require_colours, f"{FORMATS},yuv4mpegpipe")
+    return DecodedVideo(path, "what l3 render made", _require_colours, f"{CONTAINERS},yuv4mpegpipe")
 
 
 def _require_colours(path: Path, context: Any) -> None:

@@ -13,10 +13,9 @@ from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.store import open_artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
-from l3cli.export import camera_profile
+from l3cli.export import camera_profile, profiles
 from l3cli.export.camera_profile import datasheet
-from l3cli.io import profiles
-from l3cli.io.curves import export_curves, export_paths
+from l3cli.export.profiles import export_curves, export_paths
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work

@@ -10,43 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.decoded_video import DecodedVideo, InTurn
 from l3cli.io.frame_times import StatedTimes
 from l3cli.io.isolated import isolated
 from l3cli.io.raw.registry import InOrder, MultiFrameFile
-from l3cli.io.video import storable_rate
+from l3cli.io.video import DecodedVideo, InTurn, storable_rate
 
 AT_A_TIME = 500  # frames whose times are read
 
 
 def stack(path: Path) -> MultiFrameFile:
-    """Return the frames of a video, whose number is not known beforehand."""
-    rate, numbers = raw_video_rate(path), itertools.count()
-    read = InOrder(lambda: raw_video_frame(path, next(numbers))).read
-    return MultiFrameFile(None, read, rate=rate, times=lambda: raw_video_times(path))
+    """Return the frames of a video, whose number is not known beforehand. InputFileError if it is none, or not of one grey
+    channel of 8 to 16 bits, such as FFV1 in MKV."""
+    fraction, numbers = _rate(path), itertools.count()
+    rate = storable_rate(Fraction(*fraction)) if fraction else None
+    return MultiFrameFile(None, InOrder(lambda: _frame(path, next(numbers))).read, rate=rate, times=lambda: _times(path))
 
 
-def raw_video_rate(path: Path) -> Fraction | None:
-    """Return the frames a second of a raw video, or None; InputFileError if it is no video, or not of one grey channel of 8
-    to 16 bits, such as FFV1 in MKV."""
-    fraction = _raw_video_rate(path)
-    return storable_rate(Fraction(*fraction)) if fraction else None
-
-
-@isolated("av")
-def _raw_video_rate(path: Path) -> tuple[int, int] | None:
-    with contextlib.closing(_raw_video(path)) as video:
-        return (video.rate.numerator, video.rate.denominator) if video.rate else None
-
-
-def raw_video_times(path: Path) -> StatedTimes | None:
+def _times(path: Path) -> StatedTimes | None:
     """Return the times of the frames of a raw video, up to where it is damaged; None where it does not state those of all.
     All of the file is read, but nothing decoded."""
     ticks: list[int | None] = []
     tick = (1, 1)
     with contextlib.suppress(InputFileError):  # said when that frame is read
         while True:
-            tick, more = _raw_video_times(path, len(ticks))
+            tick, more = _some_times(path, len(ticks))
             if not more:
                 break
             ticks += more
@@ -57,7 +44,13 @@ def raw_video_times(path: Path) -> StatedTimes | None:
 
 
 @isolated("av")
-def _raw_video_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | None]]:
+def _rate(path: Path) -> tuple[int, int] | None:
+    with contextlib.closing(_opened(path)) as video:
+        return (video.rate.numerator, video.rate.denominator) if video.rate else None
+
+
+@isolated("av")
+def _some_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | None]]:
     """Return the seconds of a tick, and ticks of the next frames from that number on, some at a time: a file may be of any
     length."""
     video = _timed.video(path, number)
@@ -65,18 +58,18 @@ def _raw_video_times(path: Path, number: int) -> tuple[tuple[int, int], list[int
 
 
 @isolated("av")
-def raw_video_frame(path: Path, number: int) -> NDArray[np.uint16] | None:
+def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
     """Return the frame `number` (row, col) of a raw video in DN; None after the last. Frames are asked for one after the
     other, from 0. InputFileError if it is damaged; the next may be whole again."""
     frame = _in_turn.frame(path, number)
     return None if frame is None else frame.to_ndarray().astype(np.uint16)
 
 
-def _raw_video(path: Path) -> DecodedVideo:
+def _opened(path: Path) -> DecodedVideo:
     return DecodedVideo(path, "raw frames as FFV1 in MKV", _require_mosaics)
 
 
-_in_turn, _timed = InTurn(_raw_video), InTurn(_raw_video)
+_in_turn, _timed = InTurn(_opened), InTurn(_opened)
 
 
 def _require_mosaics(path: Path, context: Any) -> None:

@@ -1,18 +1,55 @@
-"""Colour profiles of a camera for other software: a DCP profile as JSON, tuning files of libcamera, a data sheet as CSV
-(docs/method.md#colour-matrices). Formats are those of dcamprof's json2dcp and of libcamera's tuning files."""
+"""Files of a camera for other software: its curves as CSV and as rawtoaces' JSON, a DCP profile as JSON, tuning files of
+libcamera, a data sheet as CSV (docs/method.md#colour-matrices). Formats are those of rawtoaces, of dcamprof's json2dcp and of
+libcamera's tuning files."""
 
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import __version__
+from l3cli.artifacts.camera import CameraModel
+from l3cli.io.curves import write_curves
+from l3cli.physics import spectra
+from l3cli.system.files import write_whole
 
 ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # of the two matrices of a DCP, in its order: the colder light second
 SIMPLE_DARKEST = 2**15 - 1  # black level that fits the simple pipeline's type
+RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, the grid of its database
 Array = NDArray[np.floating]
+
+
+def export_paths(folder: Path) -> tuple[Path, Path]:
+    """Return the CSV and the JSON that `export_curves` writes."""
+    return folder / "responsivity.csv", folder / "rawtoaces.json"
+
+
+def export_curves(camera: CameraModel, folder: Path) -> None:
+    """Write the responsivities per energy, the peak of the set 1: CSV on their grid, JSON as rawtoaces reads it."""
+    csv, rawtoaces = export_paths(folder)
+    curves = camera.responsivity * camera.wavelength
+    curves = curves / curves.max()
+    write_curves(csv, camera.wavelength, curves, camera.channels)
+    table = spectra.average(curves, camera.wavelength, RAWTOACES).T
+    manufacturer, _, model = camera.name.partition(" ")
+    content: dict[str, Any] = {
+        "header": {
+            "schema_version": "0.1.0",
+            "manufacturer": manufacturer,
+            "model": model or manufacturer,
+            "description": "camera spectral sensitivity data, relative, per energy",
+            "document_creator": "l3 calibrate",
+        },
+        "spectral_data": {
+            "units": "relative",
+            "index": {"main": [name.upper() for name in camera.channels]},
+            "data": {"main": {f"{nm:g}": row.tolist() for nm, row in zip(RAWTOACES, table, strict=True)}},
+        },
+    }
+    write_whole(rawtoaces, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
 
 class ProfileMatrices(NamedTuple):
