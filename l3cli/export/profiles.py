@@ -1,6 +1,6 @@
 """Files of a camera for other software: its curves as CSV and as rawtoaces' JSON, a DCP profile as JSON, tuning files of
-libcamera, a data sheet as CSV (docs/method.md#colour-matrices). Formats are those of rawtoaces, of dcamprof's json2dcp and of
-libcamera's tuning files."""
+libcamera, a data sheet as CSV (docs/method.md#colour-matrices). Formats are those of rawtoaces, of dcamprof's json2dcp and
+of libcamera's tuning files."""
 
 import json
 from collections.abc import Mapping, Sequence

@@ -51,7 +51,7 @@ FORMATS = (
     SceneFormat("bands", "bands", is_folder=True, has_files=True),
     SceneFormat("envi", "envi", has_files=True),
     SceneFormat("cube", "cube", keys=("variable", "axes")),
-    SceneFormat("channels", "bands"),
+    SceneFormat("channels", "bands", has_files=True),
 )
 
 
