@@ -28,7 +28,7 @@ def measures(path: Path) -> tuple[str, ...]:
 def serve(talk: int, arrays: int, seconds: float, room: int) -> None:
     """Have files decoded, each by a worker of its own, until nobody asks any more."""
     for what, most in ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_AS, room), (resource.RLIMIT_FSIZE, room)):
-        _limit(what, most)
+        resource.setrlimit(what, 2 * (_allowed(what, most),))  # the hard limit, too: none of them is lifted again
     workers: dict[str, _Worker] = {}  # by file and decoder, the one that was asked last at the end
     with socket.socket(fileno=talk) as connection:
         send(connection, READY)
@@ -115,14 +115,15 @@ def _decode(connection: socket.socket, path: Path, arrays: int, seconds: float) 
             os._exit(0)
         os.chdir(folder)  # where the caller is: names in messages are those that he gave
         used = resource.getrusage(resource.RUSAGE_SELF)
-        _limit(resource.RLIMIT_CPU, int(used.ru_utime + used.ru_stime + seconds) + 1)
+        until = _allowed(resource.RLIMIT_CPU, int(used.ru_utime + used.ru_stime + seconds) + 1)
+        resource.setrlimit(resource.RLIMIT_CPU, (until, resource.getrlimit(resource.RLIMIT_CPU)[1]))
         send(connection, _answer(module, name, Path(path_there), plain, arrays))
 
 
-def _limit(what: int, most: int) -> None:
-    """Set a limit of this process as far as it is not lower already."""
+def _allowed(what: int, most: int) -> int:
+    """Return a limit of this process: `most`, or the hard limit where that is lower."""
     hard = resource.getrlimit(what)[1]
-    resource.setrlimit(what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+    return most if hard == resource.RLIM_INFINITY else min(most, hard)
 
 
 def _answer(module: str, name: str, path: Path, plain: list[Any], arrays: int) -> bytes:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -27,6 +28,7 @@ from tests.helpers.decoders import (
     crash,
     echo,
     hoard,
+    limits,
     reach,
     read,
     sleep,
@@ -76,6 +78,10 @@ def test_a_file_at_worst_ends_its_decoder(limited: None, decoder: Callable[[Path
         decoder(Path("bad.dng"))
     assert message in str(caught.value)
     assert echo(Path("f"), "still here", 0)["told"][0] == "still here"
+
+
+def test_limits_are_not_lifted_again(limited: None) -> None:
+    assert all(soft == hard != resource.RLIM_INFINITY for soft, hard in limits(Path("f")))
 
 
 @pytest.mark.parametrize("what", REACHES)

@@ -52,7 +52,18 @@ def stumble(path: Path) -> None:
 
 @isolated()
 def write_much(path: Path) -> None:
-    os.posix_fallocate(os.memfd_create("much"), 0, 1 << 40)
+    for inherited in range(3, 64):
+        try:
+            os.posix_fallocate(inherited, 0, 1 << 40)
+        except OSError as error:
+            if error.errno == errno.EFBIG:  # of the arrays' file; others are none
+                raise
+
+
+@isolated()
+def limits(path: Path) -> list[tuple[int, int]]:
+    """Return the limits of address space and of files."""
+    return [resource.getrlimit(what) for what in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE)]
 
 
 @isolated()
@@ -88,9 +99,23 @@ REACHES: dict[str, Callable[[Path, str], object]] = {
     "another file": lambda path, other: Path(other).read_bytes(),
     "its folder": lambda path, other: os.listdir(path.parent),
     "environment of others": lambda path, other: Path(f"/proc/{os.getppid()}/environ").read_bytes(),
+    "memory of no file": lambda path, other: os.memfd_create("much"),
+    "root": lambda path, other: os.chroot(path.parent),
     "memory": lambda path, other: os.open("/proc/self/mem", os.O_RDONLY),
 }
-BY_SECCOMP = ("connect", "socket pair", "fork", "signal", "leave the group", "limits of others", "mode", "time", "truncate")
+BY_SECCOMP = (
+    "memory of no file",
+    "root",
+    "connect",
+    "socket pair",
+    "fork",
+    "signal",
+    "leave the group",
+    "limits of others",
+    "mode",
+    "time",
+    "truncate",
+)
 
 
 @isolated()
