@@ -23,6 +23,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.measurement import Body, Capture, Measurements
+from l3cli.io.frames import require_bits
 from l3cli.io.measurement_recipe import CaptureRecipe, MeasurementRecipe
 from l3cli.io.raw.files import read_raw
 from l3cli.recipes.toml import Recipe, load_recipe, parse_toml, read_text
@@ -54,6 +55,7 @@ class RawFrames:
                     f"{path} of {frame.values.shape[0]}×{frame.values.shape[1]} pixels, first site {frame.phase}, is no "
                     f"whole frame of camera {self.camera.name} of {shape[0]}×{shape[1]}; give whole raw frames"
                 )
+            require_bits(path, frame.values, self.camera.bits)
             yield frame.values
 
 

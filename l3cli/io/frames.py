@@ -51,9 +51,14 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
     else:
         values = _read_picture(path, *shape, bits)
     _check(path, str(values.dtype), 1, values.shape, shape, bits)
+    require_bits(path, values, bits)
+    return values.astype(np.uint16, copy=False)
+
+
+def require_bits(path: Path, values: NDArray, bits: int) -> None:
+    """Raise InputFileError if a sensor of so many bits cannot give the values."""
     if values.max() >= 2**bits:
         raise InputFileError(f"{path} holds {values.max()} DN, more than {bits} bits; check sensor.bits")
-    return values.astype(np.uint16, copy=False)
 
 
 @isolated("OpenImageIO")

@@ -20,9 +20,13 @@ def make_pair(
     """Return the pair of `raw` and a linear `picture` (row, col, output) that is upright as the camera was held.
 
     Both are cut so that they begin with CFA site (0, 0). The picture's values times `pair.scale` are shares of full scale of
-    a white as bright; without it the scale is that of a grey world. ValueError if the picture reaches beyond the raw frame.
+    a white as bright; without it the scale is that of a grey world. ValueError if the picture reaches beyond the raw frame,
+    or this beyond the camera's bits.
     """
     picture = as_taken(picture, raw.orientation)
+    own_levels = (raw.black_level, raw.white_level) == (camera.black_level, camera.white_level)
+    if own_levels and raw.values.max() >= 2**camera.bits:
+        raise ValueError(f"the raw frame holds {raw.values.max()} DN, more than {camera.bits} bits; check sensor.bits")
     levelled = raw.at_levels(camera.black_level, camera.white_level, camera.bits).values
     rows, cols = picture.shape[:2]
     top, left = pair.offset

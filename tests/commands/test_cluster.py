@@ -196,6 +196,15 @@ def test_a_broken_frame_is_named_or_left_out(cluster: Cluster, made: Path, tmp_p
     assert _content(tmp_path / "pictures") == whole
 
 
+def test_what_a_frame_cannot_be_is_said_of_the_first(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+    shutil.copytree(made / "frames", tmp_path / "frames")
+    (tmp_path / "frames/0000.raw").write_bytes(bytes([255]) * (2 * ROWS * COLS))
+    call = ("render", made / "table.h5", *frames(tmp_path)[1:], "--exposure", 1, "-o", tmp_path / "pictures")
+    code, _, err = l3(*call, "--scheduler", cluster.address)
+    assert code == 0
+    assert "its values reach 65535 DN" in err
+
+
 def test_a_killed_worker_changes_nothing(
     cluster: Cluster, made: Path, bayer_recipe: Path, tmp_path: Path, l3: Callable
 ) -> None:

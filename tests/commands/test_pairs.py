@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,13 @@ def test_an_upright_picture_is_turned_back_to_the_sensor(bayer: CameraModel, ori
 def test_a_picture_larger_than_its_raw_is_refused(bayer: CameraModel) -> None:
     with pytest.raises(ValueError, match="beyond the raw frame"):
         make_pair(raw_of(np.full((20, 30), 500), bayer), np.ones((20, 31, 3), np.float32), ("X", "Y", "Z"), bayer, PAIR, "x")
+
+
+def test_a_raw_beyond_its_cameras_bits_is_refused(bayer: CameraModel) -> None:
+    raw, picture = raw_of(np.full((20, 30), 65535), bayer), np.ones((20, 30, 3), np.float32)
+    with pytest.raises(ValueError, match="holds 65535 DN, more than 12 bits"):
+        make_pair(raw, picture, ("X", "Y", "Z"), bayer, PAIR, "x")
+    make_pair(replace(raw, white_level=65535.0), picture, ("X", "Y", "Z"), bayer, PAIR, "x")
 
 
 def a_pair(camera: CameraModel, raw: np.ndarray, target: np.ndarray) -> TrainingPair:

@@ -88,6 +88,7 @@ def test_darks_and_whites_alone_give_defects_and_flat_field(
         ('[[white]]\nframes = ["dark1.npy"]\nexposure_ms = 10', "dark1.npy: channel r is dark; expose"),
         ('[[white]]\nframes = ["clipped.npy"]\nexposure_ms = 10', "clipped.npy: channel r is clipped; expose"),
         ('[[white]]\nframes = ["scene.npy"]\nexposure_ms = 10', "give an even white"),
+        ('[[white]]\nframes = ["deep.npy"]\nexposure_ms = 10', "deep.npy holds 4096 DN, more than 12 bits"),
         ('[[white]]\nframes = ["small.npy"]\nexposure_ms = 10', "whole raw frames"),
         ('[[white]]\nframes = ["nowhere.npy"]\nexposure_ms = 10', "nowhere.npy"),
         ('[[grey]]\nframes = ["white0.npy"]\nexposure_ms = 10', "`grey`"),
@@ -98,6 +99,7 @@ def test_captures_that_cannot_serve_are_refused(
 ) -> None:
     rng, shape = np.random.default_rng(3), (bayer.rows, bayer.cols)
     np.save(captures / "clipped.npy", np.full(shape, 4095, np.uint16))
+    np.save(captures / "deep.npy", np.full(shape, 4096, np.uint16))
     np.save(captures / "scene.npy", rng.integers(500, 2000, (24, 32)).repeat(8, 0).repeat(8, 1).astype(np.uint16))
     np.save(captures / "small.npy", np.full((96, 128), 2000, np.uint16))
     text = (captures / "M.toml").read_text().partition("[[white]]")[0] + change

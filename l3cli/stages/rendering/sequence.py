@@ -195,8 +195,11 @@ def _read(
     temporal: bool,
 ) -> Iterator[_Read]:  # fmt: skip
     """Read and measure frame after frame; of frames that are kept only what later ones need of it. `by_path`: a file that
-    becomes a file, and is neither measured nor filtered, is left to who renders it; `temporal`: frames will be filtered."""
+    becomes a file, and is neither measured nor filtered, is left to who renders it, but for the first, which warnings go by;
+    `temporal`: frames will be filtered."""
     size: tuple[int, ...] | None = None
+    leaves = by_path and destination.one_by_one and not (meters.any or temporal)
+    first = True
     asked = _asked(sequence, destination, mark, origins)
     # A stream is not asked for what has not come yet, unless its length is known.
     looks_ahead = temporal and (not sequence.is_stream or sequence.part is not None)
@@ -208,12 +211,12 @@ def _read(
             yield _Read(pending, None, kept=True, counted=counted)
             continue
         try:
-            if by_path and pending.source and destination.one_by_one and not (meters.any or temporal):
+            if leaves and pending.source and not first:
                 digest = sha256(pending.source)
                 unread = Unread(pending.source.absolute(), digest)
                 yield _Read(replace(pending, identity=file_identity(digest)), unread, kept=kept)
                 continue
-            frame = pending.read()
+            frame, first = pending.read(), False
             if frame is None:
                 if rest := sequence.rest(pending.number):
                     yield _Read(pending, None, error=sequence.absent(rest), lost=len(rest))
