@@ -10,8 +10,8 @@ from pathlib import Path
 import provenance
 
 import l3cli
+from l3cli.options.tools import InitOptions
 from l3cli.recipes.builtin import find_recipe, known_benchmarks
-from l3cli.stages.console import Silent
 from l3cli.stages.starting import start
 
 PICTURES = {"Kodak": "kodak", "McMaster": "mcmaster"}  # folders in demosaicking/ of the data
@@ -35,7 +35,7 @@ def data_folder() -> Path:
 def codes(folder: Path, data: Path, array: str, jobs: int) -> tuple[dict[str, Path], Path]:
     """Test sets by name and table of the benchmark that `l3 init benchmark-bayer` makes, with the CFA of a camera recipe."""
     if not (folder / "camera.toml").exists():
-        start(known_benchmarks()["benchmark-bayer"], folder, Silent(), force=True)
+        start(known_benchmarks()["benchmark-bayer"], folder, InitOptions(force=True))
         given = PATTERN.search(find_recipe(array, "cameras").read_text(encoding="utf-8"))
         camera = (folder / "camera.toml").read_text(encoding="utf-8")
         assert given is not None

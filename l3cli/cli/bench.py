@@ -1,37 +1,32 @@
 """l3 bench: the OpenCL devices, and the times of frames by stage."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from l3cli.cli import options
+from l3cli.cli import options as declared
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import show, show_table
-
-if TYPE_CHECKING:
-    from l3cli.stages.console import Console
+from l3cli.options.tools import BenchOptions
 
 
 @click.command()
-@options.device
-@options.variant
-@click.option("--list", "list_only", is_flag=True, help="Only list the OpenCL devices, or say why there are none.")
-@options.quiet
-def bench(device: str | None, variant: str | None, list_only: bool, console: "Console") -> Result:
+@declared.of(BenchOptions)
+def bench(options: BenchOptions) -> Result:
     """Time the rendering of synthetic frames on an OpenCL device by stage, uint16 in host memory to sRGB in host memory:
     medians of 40 frames. The variant for the other type of device and the numpy reference get small frames.
 
     \b
     Example: l3 bench --device 0 --json
     """
-    if list_only:
+    if options.list:
         from l3cli.rendering.opencl.devices import survey
 
         devices = survey()
         return Result({"devices": devices}, lambda: show(*devices))
     from l3cli.stages.benchmark import measure
 
-    document = measure(console, device=device, variant=variant)
+    document = measure(options)
     return Result(document, lambda: _text(document))
 
 

@@ -1,20 +1,18 @@
 """l3 check: all that is wrong with recipes, and what they mean."""
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from l3cli.cli import options, terminal
+from l3cli.cli import options as declared
+from l3cli.cli import terminal
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import show
 from l3cli.errors import InputFileError
-
-if TYPE_CHECKING:
-    from l3cli.stages.console import Console
+from l3cli.options.tools import CheckOptions
 
 
-class AnyRecipe(options.RecipeFile):
+class AnyRecipe(declared.RecipeFile):
     """A recipe of any kind, or a folder of them; the stage looks for it, since several kinds may have one of a name."""
 
     def __init__(self) -> None:
@@ -31,10 +29,8 @@ class AnyRecipe(options.RecipeFile):
 
 @click.command()
 @click.argument("recipes", type=AnyRecipe(), nargs=-1, required=True, metavar="RECIPE…")
-@click.option("--plot", type=options.FILE, metavar="FILE", help="Also draw array, curves and noise of cameras (.html).")
-@options.force
-@options.quiet
-def check(recipes: tuple[str, ...], plot: Path | None, force: bool, console: "Console") -> Result:
+@declared.of(CheckOptions)
+def check(recipes: tuple[str, ...], options: CheckOptions) -> Result:
     """Check recipes (camera, lab, scenes, classes) and measurement files with the files that they name, and list all that is
     wrong as FILE:LINE: MESSAGE (exit code 3); of a recipe without faults show what it means. RECIPE is a file, the name of
     a recipe that comes with l3, or a folder of recipes. What is given together with a camera recipe is checked for it.
@@ -52,9 +48,9 @@ def check(recipes: tuple[str, ...], plot: Path | None, force: bool, console: "Co
         fault = InputFileError(
             f"{count} fault{'s' if count > 1 else ''} in {len(faulty)} of {len(judged)} files; correct them"
         )
-    elif plot is not None:
-        from l3cli.stages.checking.plot import plot as draw
+    elif options.plot is not None:
+        from l3cli.stages.checking.plot import plot
 
-        draw(judged, plot, console, force=force)
+        plot(judged, options.plot, options)
     lines = [line for judgement in judged for line in as_text(judgement, terminal.width())]
     return Result({"files": [judgement.document() for judgement in judged]}, lambda: show(*lines), fault)

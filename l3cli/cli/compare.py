@@ -6,34 +6,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from l3cli.cli import options
+from l3cli.cli import options as declared
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import show, show_table, width
+from l3cli.options.tools import CompareOptions
 from l3cli.system.text import printable
 
 if TYPE_CHECKING:
     from l3cli.evaluation.comparison import Comparison
-    from l3cli.stages.console import Console
 
 
 @click.command()
-@click.argument("evaluations", type=options.FILE, nargs=-1, required=True, metavar="EVALUATION.json…")
-@click.option(
-    "--figure",
-    "figures",
-    multiple=True,
-    default=("scielab",),
-    show_default=True,
-    metavar="NAME",
-    help="Figure of the evaluations, such as mean_delta_e or psnr. May be repeated.",
-)
-@options.output("HTML page with the curves", required=False)
-@options.force
-@options.dry_run
-@options.quiet
-def compare(
-    evaluations: tuple[Path, ...], figures: tuple[str, ...], output: Path | None, force: bool, console: "Console"
-) -> Result:
+@click.argument("evaluations", type=declared.FILE, nargs=-1, required=True, metavar="EVALUATION.json…")
+@declared.output("HTML page with the curves", required=False)
+@declared.of(CompareOptions, declared.dry_run)
+def compare(evaluations: tuple[Path, ...], output: Path | None, options: CompareOptions) -> Result:
     """Compare cameras by figures of their evaluations at each luminance: which is better where, and where it clips.
 
     \b
@@ -41,7 +28,7 @@ def compare(
     """
     from l3cli.stages.comparison import compare as stage
 
-    comparison = stage(evaluations, figures, console, page=output, force=force)
+    comparison = stage(evaluations, output, options)
     return Result(comparison.document(), lambda: _text(comparison))
 
 

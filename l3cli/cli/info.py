@@ -5,29 +5,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from l3cli.cli import options
+from l3cli.cli import options as declared
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import folded, show
 from l3cli.errors import InputFileError
+from l3cli.options.tools import InfoOptions
 from l3cli.system.text import figure, printable
 
 if TYPE_CHECKING:
-    from l3cli.stages.console import Console
     from l3cli.stages.information import Verification
 
 
 @click.command()
-@click.argument("file", type=options.FILE, required=False, metavar="FILE")
-@click.argument("inputs", type=options.FILE, nargs=-1, metavar="[INPUT…]")
-@click.option("--verify", "verifies", is_flag=True, help="Verify every byte of FILE, and that it was made from the INPUTs.")
-@click.option(
-    "--version",
-    "versions",
-    is_flag=True,
-    help="Versions of l3, Python and libraries, OpenCL devices, decoder; no FILE.",
-)
-@options.quiet
-def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: bool, console: "Console") -> Result:
+@click.argument("file", type=declared.FILE, required=False, metavar="FILE")
+@click.argument("inputs", type=declared.FILE, nargs=-1, metavar="[INPUT…]")
+@declared.of(InfoOptions)
+def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> Result:
     """Show kind, version, history and every dataset (axes, type, unit, meaning) of FILE; of a transform table also
     classes, patches, noise gain, gain of flat areas, and its noisiest classes.
 
@@ -39,14 +32,14 @@ def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: 
     Example: l3 info camera.h5
              l3 info --verify table.h5 training.h5 camera.h5 scenes.toml
     """
-    if versions == (file is not None):
+    if options.version == (file is not None):
         raise click.UsageError("give either a FILE or --version")
-    if verifies and file is not None:
+    if options.verify and file is not None:
         return _verify(file, inputs)
-    if verifies or inputs:
+    if options.verify or inputs:
         raise click.UsageError("one file at a time, unless --verify compares it with what it was made of")
     document = _versions() if file is None else _content(file)
-    lines = _version_lines(document) if versions else _lines(document)
+    lines = _version_lines(document) if options.version else _lines(document)
     return Result(document, lambda: _show(lines))
 
 

@@ -1,17 +1,15 @@
 """l3 init: a folder with the recipes of one kind of camera and pipelines from them to a picture, or with a benchmark."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from l3cli.cli import options, terminal
+from l3cli.cli import options as declared
+from l3cli.cli import terminal
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import show
 from l3cli.errors import suggestion
-
-if TYPE_CHECKING:
-    from l3cli.stages.console import Console
+from l3cli.options.tools import InitOptions
 
 
 def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
@@ -23,24 +21,10 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 
 @click.command()
 @click.argument("recipe", required=False, metavar="[RECIPE]", shell_complete=_completed)
-@click.argument("folder", type=options.FILE, required=False, metavar="[DIR]")
+@click.argument("folder", type=declared.FILE, required=False, metavar="[DIR]")
 @click.argument("more", nargs=-1, metavar="")
-@click.option(
-    "--from",
-    "photos",
-    type=options.FILE,
-    metavar="RAW",
-    multiple=True,
-    help="The camera that took a raw file (DNG, CR2, NEF…), or those of a folder; may be given several times.",
-)
-@click.option("--light", metavar="LIGHT", help='Light of a ColorChecker in them: "D65", "3200K"…; without, it is guessed.')
-@options.force
-@options.dry_run
-@options.quiet
-def init(
-    recipe: str | None, folder: Path | None, more: tuple[str, ...], photos: tuple[Path, ...], light: str | None,
-    force: bool, console: "Console",
-) -> Result:  # fmt: skip
+@declared.of(InitOptions, declared.dry_run)
+def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options: InitOptions) -> Result:
     """Make DIR with the recipes of one kind of camera and a Makefile that makes a picture and a report from them, and
     the same pipeline for Snakemake and for job arrays of Slurm. With --from, the recipe is that of the camera which took
     the raw files; of several cameras, each gets a folder in DIR. A benchmark's Makefile learns from one folder of your
@@ -55,26 +39,26 @@ def init(
     from l3cli.stages.photo_start import start_from
     from l3cli.stages.starting import start, starters, summary
 
-    if photos:  # the shell may have made several files of a pattern
+    if options.photos:  # the shell may have made several files of a pattern
         named = [Path(each) for each in (recipe, folder, *more) if each is not None]
         if not named:
             raise click.UsageError('name the folder to make, such as "l3 init --from photo.dng mine"')
-        made = start_from([*photos, *named[:-1]], named[-1], console, light=light, force=force)
+        made = start_from([*options.photos, *named[:-1]], named[-1], options)
         return Result({"folders": [str(each) for each in made]})
-    if light is not None:
+    if options.light is not None:
         raise click.UsageError("--light is that of photos; give them with --from")
     if more:
         raise click.UsageError(f'one recipe and one folder are wanted, not "{more[0]}"; give raw files with --from')
     known = starters()
     if recipe is None:
         recipes = {name: summary(path) for name, path in known.items()}
-        console.info('next: one of them and a new folder, such as "l3 init bayer demo"')
+        options.console.info('next: one of them and a new folder, such as "l3 init bayer demo"')
         return Result({"recipes": recipes}, lambda: _list(recipes))
     if recipe not in known:
         raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, known)}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
-    start(known[recipe], folder, console, force=force)
+    start(known[recipe], folder, options)
     return Result({"folders": [str(folder)]})
 
 

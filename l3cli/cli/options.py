@@ -1,4 +1,4 @@
-"""Options that several commands share, each declared once."""
+"""Options of the command line, made of their declarations (l3cli/options); those of how a command speaks and runs."""
 
 import functools
 import importlib
@@ -11,9 +11,7 @@ import click
 
 from l3cli.cli.results import JSON, recorded
 from l3cli.cli.terminal import ErrorsOnly, Terminal, with_options
-from l3cli.errors import shortened
-from l3cli.system.files import protecting
-from l3cli.system.numbers import LARGEST_WHOLE, NoSuchNumber, Quantity
+from l3cli.options.option import Choice, Declaration, File, Flag, Options, Reader, Recipe, Text, declarations
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -33,9 +31,7 @@ class RecipeFile(click.Path):
         self.kind = kind
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        from l3cli.recipes.builtin import find_recipe
-
-        return find_recipe(os.fspath(value), self.kind)
+        return Recipe(self.kind).read(value)
 
     def names(self) -> Iterable[str]:
         """The recipes that come with l3."""
@@ -56,34 +52,83 @@ class RecipeFile(click.Path):
 
 
 CAMERA = RecipeFile("cameras")
-MOST_JOBS = 4096
 
 
-class Number(click.ParamType):
-    """A number within a declared range, of a declared unit."""
+class Value(click.ParamType):
+    """A value that the reader of an option takes."""
 
-    name = "number"
+    name = "value"
 
-    def __init__(self, least: float, most: float, unit: str = "", whole: bool = False) -> None:
-        self._quantity = Quantity(least, most, unit, whole)
+    def __init__(self, reader: Reader) -> None:
+        self._reader = reader
 
-    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> float:
-        return self.read(value, parameter, context) if isinstance(value, str) else value
-
-    def read(self, text: str, parameter: click.Parameter | None = None, context: click.Context | None = None) -> float:
-        """The number in `text`, an int where the number must be whole."""
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         try:
-            return self._quantity.read(text)
-        except NoSuchNumber as error:
-            self.fail(str(error), parameter, context)
+            return self._reader.read(value)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
 
 
-def output(what: str, required: bool = True) -> Callable[[F], F]:
+class Word(click.Choice):
+    """One of the words of a choice."""
+
+    def __init__(self, reader: Choice) -> None:
+        super().__init__(list(map(str, reader.values)))
+        self._reader = reader
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        word = str(value)
+        return self._reader.read(word if word in self._reader.gone else super().convert(word, param, ctx))
+
+
+def _type(reader: Reader) -> click.ParamType | None:
+    if isinstance(reader, Recipe):
+        return RecipeFile(reader.kind)
+    if isinstance(reader, File):
+        return FILE
+    if isinstance(reader, Choice):
+        return Word(reader)
+    return None if isinstance(reader, Flag) else click.STRING if isinstance(reader, Text) else Value(reader)
+
+
+def _option(name: str, declared: Declaration) -> Callable[[F], F]:
+    """Return click's option for a declared one."""
+    default = declared.default
+    return click.option(
+        f"--{declared.flag or name.replace('_', '-')}",
+        name,
+        type=_type(declared.reader),
+        is_flag=isinstance(declared.reader, Flag),
+        default=default,
+        multiple=declared.several,
+        show_default=default is not None and default is not False and default != (),
+        metavar=declared.metavar,
+        help=with_options(declared.help),
+    )
+
+
+def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]:
+    """All options of a command as its parameter `options`: the declared ones, `modes`, and how the command speaks (--quiet,
+    --log FILE, --json)."""
+    declared = declarations(options)
+
+    def decorated(command: Callable[..., Any]) -> Any:
+        @functools.wraps(command)
+        def called(**given: Any) -> Any:
+            chosen = {name: given.pop(name) for name in [*declared, "console"]}
+            return command(**given, options=options(**chosen))
+
+        decorators = [*(_option(name, each) for name, each in declared.items()), *modes, _LOG, _QUIET, _JSON]
+        return functools.reduce(lambda made, each: each(made), reversed(decorators), called)
+
+    return decorated
+
+
+def output(what: str, required: bool = True, metavar: str = "FILE") -> Callable[[F], F]:
     """-o/--output FILE."""
-    return click.option("-o", "--output", type=FILE, required=required, metavar="FILE", help=f"{what}.")
+    return click.option("-o", "--output", type=FILE, required=required, metavar=metavar, help=f"{what}.")
 
 
-force = click.option("--force", is_flag=True, help="Replace the output if it exists.")
 LOG = "l3cli.log"  # in a context's meta: the path of --log
 
 
@@ -107,95 +152,10 @@ _LOG = click.option(
     "--log", type=FILE, metavar="FILE", is_eager=True, expose_value=False, callback=_log,
     help="Also append all messages to FILE, with time, level and command.",
 )  # fmt: skip
-
-
 _JSON = click.option(  # results.begin has seen it already
     JSON, "as_json", is_flag=True, expose_value=False,
     help="Print results, warnings, times and digests as one JSON object on stdout.",
 )  # fmt: skip
-
-
-def quiet(command: F) -> F:
-    """--quiet, --log FILE and --json: how a command speaks, all as one parameter `console`."""
-    return _LOG(_QUIET(_JSON(command)))
-
-
-SHARD = Number(0, 1_000_000, "shards", whole=True)
-
-
-def shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | None:
-    """Callback of --shard, which reads "I/N" with 1 ≤ I ≤ N."""
-    if text is None:
-        return None
-    first, has_separator, second = text.partition("/")
-    if not has_separator:
-        raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4')
-    try:
-        index, count = int(SHARD.read(first)), int(SHARD.read(second))
-    except click.BadParameter as error:
-        raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4: {error.message}') from None
-    if not 1 <= index <= count:
-        raise click.BadParameter(f"{text}: shards count from 1/{max(count, 1)} to {max(count, 1)}/{max(count, 1)}")
-    return index, count
-
-
-seed = click.option(
-    "--seed",
-    type=Number(0, LARGEST_WHOLE, whole=True),
-    default=0,
-    show_default=True,
-    metavar="N",
-    help="Seed of the random numbers.",
-)
-device = click.option(
-    "--device", metavar="NAME|INDEX", help='OpenCL device, by part of its name or number of "l3 bench" [default: L3_DEVICE].'
-)
-variant = click.option(
-    "--variant",
-    type=click.Choice(["processor", "graphics"]),
-    help="Kernels for a processor or a graphics card [default: by the device's type].",
-)
-backend = click.option(
-    "--backend",
-    type=click.Choice(["opencl", "reference"]),
-    default="opencl",
-    show_default=True,
-    help="Render on an OpenCL device, or by numpy in float64.",
-)
-jobs = click.option(
-    "--jobs",
-    type=Number(1, MOST_JOBS, whole=True),
-    default=1,
-    show_default=True,
-    metavar="N",
-    help="Number of processes to use.",
-)
-_ADDRESS = click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of this dask scheduler, tcp://HOST:PORT.")
-_CA = click.option("--tls-ca", type=FILE, metavar="PEM", help="Authority that signed the scheduler's certificate (tls://…).")
-_CERTIFICATE = click.option("--tls-cert", type=FILE, metavar="PEM", help="Certificate to show to the scheduler.")
-_KEY = click.option("--tls-key", type=FILE, metavar="PEM", help="Key of --tls-cert.")
-
-
-def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
-    """--scheduler ADDRESS and its TLS files, all as one parameter `scheduler`; a decorator above --jobs and --quiet."""
-
-    @functools.wraps(command)
-    def called(
-        scheduler: str | None, tls_ca: Path | None, tls_cert: Path | None, tls_key: Path | None, **others: Any
-    ) -> Any:
-        console: Console = others["console"]
-        click.get_current_context().with_resource(protecting(filter(None, [tls_ca, tls_cert, tls_key])))
-        if scheduler is None:
-            if tls_ca or tls_cert or tls_key:
-                raise click.UsageError("--tls-ca, --tls-cert and --tls-key go with --scheduler")
-            return command(scheduler=None, **others)
-        if others.get("jobs", 1) > 1:
-            raise click.UsageError("--jobs is the number of processes here; leave it out with --scheduler")
-        from l3cli.parallel.cluster import Scheduler
-
-        return command(scheduler=Scheduler(scheduler, tls_ca, tls_cert, tls_key, console.warn), **others)
-
-    return _ADDRESS(_CA(_CERTIFICATE(_KEY(called))))
 
 
 def _mode(name: str, module: str, what: str) -> Callable[[F], F]:

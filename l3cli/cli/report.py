@@ -1,25 +1,19 @@
 """l3 report: any set of artifacts as one page."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from l3cli.cli import options
+from l3cli.cli import options as declared
 from l3cli.cli.results import Result
-
-if TYPE_CHECKING:
-    from l3cli.stages.console import Console
+from l3cli.options.tools import ReportOptions
 
 
 @click.command()
-@click.argument("artifacts", type=options.FILE, nargs=-1, required=True, metavar="ARTIFACT.h5|SEQUENCE.json…")
-@options.output("HTML page to write")
-@options.backend
-@options.force
-@options.dry_run
-@options.quiet
-def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, console: "Console") -> Result:
+@click.argument("artifacts", type=declared.FILE, nargs=-1, required=True, metavar="ARTIFACT.h5|SEQUENCE.json…")
+@declared.output("HTML page to write")
+@declared.of(ReportOptions, declared.dry_run)
+def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> Result:
     """Show camera models, training sets and transform tables on one page that needs no network.
 
     Every table is evaluated on every training set of its colour filter array that it was not trained on; several of these
@@ -32,5 +26,5 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     """
     from l3cli.stages.report import report as stage
 
-    stage(artifacts, output, console, backend=backend, force=force)
+    stage(artifacts, output, options)
     return Result({"page": str(output)})

@@ -1,23 +1,19 @@
 """l3 schema: the JSON schema of recipes, for editors."""
 
-from typing import TYPE_CHECKING
-
 import click
 
-from l3cli.cli import options
+from l3cli.cli import options as declared
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import show_json
-
-if TYPE_CHECKING:
-    from l3cli.stages.console import Console
+from l3cli.options.option import Options
 
 KINDS = ("camera", "lab", "scenes", "classes", "measurements", "output")
 
 
 @click.command()
 @click.argument("kind", type=click.Choice(KINDS), metavar="KIND")
-@options.quiet
-def schema(kind: str, console: "Console") -> Result:
+@declared.of(Options)
+def schema(kind: str, options: Options) -> Result:
     """Print the JSON schema of a KIND of recipe: camera, lab, scenes, classes or measurements. With it editors (taplo, Even
     Better TOML) check a recipe whose first line is "#:schema camera.schema.json", the file that holds it.
 

@@ -1,65 +1,19 @@
 """l3 train: training sets → transform table, whole or in shards."""
 
-from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
-from l3cli.cli import options
+from l3cli.cli import options as declared
 from l3cli.cli.results import Result
-from l3cli.errors import shortened
-
-if TYPE_CHECKING:
-    from l3cli.parallel.cluster import Scheduler
-    from l3cli.stages.console import Console
-
-
-SHARE = options.Number(0, 1e6)
-
-
-def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, ...] | None:
-    """Reads "1,0.7,0.4": numbers that are not all zero."""
-    if text is None:
-        return None
-    try:
-        shares = tuple(Fraction(SHARE.read(part)).limit_denominator(10**12) for part in text.split(","))
-    except click.BadParameter as error:
-        raise click.BadParameter(f"{error.message}, in a list such as 1,0.7,0.4") from None
-    if not any(shares):
-        raise click.BadParameter(f"{shortened(text)}: one share must be above zero")
-    return shares
+from l3cli.options.pipeline import ShardOptions
 
 
 @click.command()
-@click.argument("files", type=options.FILE, nargs=-1, required=True, metavar="TRAINING.h5…")
-@click.option(
-    "--classes", type=options.RecipeFile("classes"), metavar="TOML",
-    help="Class recipe or its name, such as best; without it the built-in default.",
-)  # fmt: skip
-@click.option(
-    "--shares", callback=_shares, metavar="A,B…", help="Proportion of patches from each training set, not by frames."
-)
-@options.output("Transform table to write; with --shard the partial sums")
-@click.option(
-    "--shard",
-    callback=options.shard,
-    metavar="I/N",
-    help="Only compute the partial sums of part I of N, from 1, for --merge.",
-)
-@click.option("--first", type=options.FILE, metavar="FIRST.h5", help="Table of the pass before, for the shards of the next.")
-@click.option("--merge", is_flag=True, help="Make the table of a pass from its partial sums, all of which must be given.")
-@options.seed
-@options.scheduler
-@options.jobs
-@options.force
-@options.dry_run
-@options.quiet
-def train(
-    files: tuple[Path, ...], classes: Path | None, shares: tuple[Fraction, ...] | None, output: Path,
-    shard: tuple[int, int] | None, first: Path | None, merge: bool, seed: int, jobs: int,
-    scheduler: "Scheduler | None", force: bool, console: "Console",
-) -> Result:  # fmt: skip
+@click.argument("files", type=declared.FILE, nargs=-1, required=True, metavar="TRAINING.h5…")
+@declared.output("Transform table to write; with --shard the partial sums")
+@declared.of(ShardOptions, declared.dry_run)
+def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Result:
     """Learn a table of local linear transforms from one or more training sets.
 
     \b
@@ -86,20 +40,15 @@ def train(
     from l3cli.stages.training.whole import filling
     from l3cli.stages.training.whole import train as train_whole
 
-    if merge and (classes or shares or shard or first or seed or scheduler):
+    chosen = options.chosen() != ShardOptions().chosen() or options.inputs() or options.shard or options.scheduler
+    if options.merge and chosen:
         raise click.UsageError("--merge takes shards alone: classes, shares and seed are stored in them")
-    if shares and len(shares) != len(files):
-        raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
-    if first and not shard:
+    if options.first and not options.shard:
         raise click.UsageError("--first goes with --shard")
-    asked: dict[str, Any] = {"classes": classes, "shares": shares, "seed": seed, "jobs": jobs, "scheduler": scheduler}
-    if shard and not merge:
-        train_shard(files, shard, output, console, first=first, force=force, **asked)
-        return Result({"partial_sums": str(output), "shard": list(shard)})
-    if merge:
-        table = merge_shards(files, output, console, force=force)
-    else:
-        table = train_whole(files, output, console, force=force, **asked)
+    if options.shard:
+        train_shard(files, options.shard, output, options)
+        return Result({"partial_sums": str(output), "shard": list(options.shard)})
+    table = (merge_shards if options.merge else train_whole)(files, output, options)
     layers = [{"classes": classes, "without_patches": unfilled} for classes, unfilled in filling(table)]
     lights = [light.name for light in table.lights]
     made = {"table": str(output), "layers": layers, "pass": table.history[-1].options.get("pass")}

@@ -2,7 +2,7 @@
 
 import itertools
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,24 +15,23 @@ from l3cli.errors import L3Error, RecipeError
 from l3cli.frames.measurement import FinishedCurves, SweepTable
 from l3cli.io.measurements import inputs_of, inputs_of_photos, load_measurements, photo_measurements
 from l3cli.io.photos import export_offsets, offset_paths
+from l3cli.options.pipeline import CalibrateOptions
 from l3cli.parallel import ordered_map
 from l3cli.stages import exports
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 
 
 def calibrate(
-    measurements: Path | None, output: Path, console: Console, *, photos: Sequence[Path] = (), light: str | None = None,
-    truth: Path | None = None, export: Path | None = None, accept: bool = False, jobs: int = 1, force: bool = False,
+    measurements: Path | None, output: Path, options: CalibrateOptions
 ) -> tuple[CameraModel, dict[str, Any]]:  # fmt: skip
     """Write the camera model of a measurement file, or of raw photos of a chart; the model, and its figures, ready for JSON.
 
-    `photos`, `light`: instead of a measurement file; a name such as "D65" or "3200K", None: to be guessed.
-    `truth`: camera (model or recipe) behind a virtual lab, to compare with. `export`: folder for what other
-    software reads (`exports.write`). `accept`: write a model that predicts its charts badly, which else is an L3Error.
-    InputFileError or RecipeError if the measurements cannot be used, L3Error if an output cannot be written.
+    InputFileError or RecipeError if the measurements cannot be used, L3Error if they give a model that predicts its charts
+    badly and is not accepted, or if an output cannot be written.
     """
+    photos, light, truth, export = options.photos, options.light, options.truth, options.export
+    console, force = options.console, options.force
     if (measurements is None) == (not photos):
         raise RecipeError("give either a measurement file or raw photos of a chart, as ‹photo›")
     if light is not None and measurements is not None:
@@ -59,16 +58,16 @@ def calibrate(
 
         def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
             captures = list(captures)
-            return console.progress(ordered_map(function, captures, jobs), len(captures), "captures")
+            return console.progress(ordered_map(function, captures, options.jobs), len(captures), "captures")
 
         camera = model.calibrate(measured, each)
         earlier = measured.base.history if measured.base else ()
         shortfall = None if measured.base else acceptance.shortfall(camera)
-        if shortfall and not accept:
+        if shortfall and not options.accept:
             culprit = "" if measurements is None else f"{measurements}: "
             raise L3Error(f"{culprit}{shortfall}, or add ‹accept›")
-        options = {"accept": True} if accept else {}
-        camera = replace(camera, history=(*earlier, inputs.history(options | ({"light": light} if photos else {}))))
+        history = inputs.history(({"light": None} if photos else {}) | options.chosen())
+        camera = replace(camera, history=(*earlier, history))
         result: dict[str, Any] = figures.figures(camera)
         if true is not None:
             result["truth"] = figures.compare(camera, true)

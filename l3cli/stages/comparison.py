@@ -8,8 +8,8 @@ from typing import Any
 
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.comparison import Comparison, Curve, curve_of, require_comparable, same_scenes
+from l3cli.options.tools import CompareOptions
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 from l3cli.system.files import write_whole
 from l3cli.system.limits import read_bounded
@@ -18,22 +18,20 @@ from l3cli.system.text import short_names
 GIVE = 'give what "l3 evaluate --json" prints'
 
 
-def compare(
-    evaluations: tuple[Path, ...], figures: tuple[str, ...], console: Console, *, page: Path | None = None,
-    force: bool = False,
-) -> Comparison:  # fmt: skip
+def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOptions) -> Comparison:
     """Compare cameras by figures of their evaluations (what `l3 evaluate --json` prints) at each luminance.
 
-    `page`: HTML file to write with the curves, which with `force` may be there. InputFileError if a file is no evaluation or
+    `page`: HTML file to write with the curves. InputFileError if a file is no evaluation or
     has other luminances than the others, RecipeError for a figure that there is none of, L3Error if the page cannot be
     written.
     """
     if page is not None and page.suffix != ".html":
         raise RecipeError(f"{page}: curves are drawn on a page; name a file that ends in .html")
+    figures, console = options.figures, options.console
     with OutputGuard(console) as claims:
         if page is not None:
             claims.protect(*evaluations)
-            claims.claim_file(page, force)
+            claims.claim_file(page, options.force)
         documents = [_read(path) for path in evaluations]
         given = list(zip(evaluations, documents, strict=True))
         curves = {figure: _named([_curve(*each, figure) for each in given], evaluations) for figure in figures}

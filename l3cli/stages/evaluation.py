@@ -3,8 +3,7 @@ sequence, beside the ideal one or without it → figures over time."""
 
 import contextlib
 import itertools
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
@@ -25,10 +23,12 @@ from l3cli.frames.frame import RawFrame
 from l3cli.io.picture_sequences import PictureSequence, find_pictures, picture_files, read_motion
 from l3cli.io.pictures.registry import write_picture
 from l3cli.io.scenes import rgb
+from l3cli.options.pipeline import EvaluateOptions, SequenceOptions
 from l3cli.physics import spectra
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.rendering.white.lights import Mix, described, mix_for, mixed
+from l3cli.stages.checkpoint import run_key
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_if_trained_on, warn_if_unlike, warn_of_kernels
@@ -43,18 +43,13 @@ UNLIKE = 1.05  # times as bright: figures of lightness would compare two exposur
 GIVE = 'give what "l3 evaluate --sequence … --json" prints'
 
 
-def evaluate(
-    table: Path, frames: Path, console: Console, *, backend: str = "opencl", viewing: float = 50.0,
-    border: int | None = None, pictures: Path | None = None, rivals: Sequence[Path] = (), force: bool = False,
-) -> dict[str, Any]:  # fmt: skip
+def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, Any]:
     """Return the document of `l3 evaluate` on the frames of a training set: figures of the table, its baselines and its
     rivals.
 
-    `viewing`: samples a degree that S-CIELAB sees the pictures at. `border`: pixels left out at each edge of a frame; None:
-    those whose patch is not inside it. `pictures`: folder for those of every frame, which with `force` may hold something.
-    `rivals`: folders, patterns or globs of sRGB pictures of the same frames by other pipelines, in the frames' order.
     InputFileError or RecipeError if table, frames and rivals cannot be compared, L3Error if the folder cannot be written.
     """
+    pictures, rivals, console = options.pictures, options.rivals, options.console
     transforms = load(TransformTable, table)
     others = {_name_of(path): (path, picture_files(path)) for path in rivals}
     if len(others) < len(rivals):
@@ -65,7 +60,7 @@ def evaluate(
             claims.protect(table, frames, *itertools.chain(*(files for _, files in others.values())))
             claims.hold_folder(pictures, "*.png")
         with open_training_set(frames) as reader, contextlib.ExitStack() as unfinished:
-            evaluation = Evaluation(transforms, reader.head, viewing, border, tuple(others))
+            evaluation = Evaluation(transforms, reader.head, options.viewing, options.border, tuple(others))
             for path, files in others.values():
                 if len(files) != len(reader):
                     raise InputFileError(
@@ -73,17 +68,16 @@ def evaluate(
                     )
             made = []
             if pictures is not None:
-                sums = {name: [sha256(file) for file in files] for name, (_, files) in others.items()}
-                key = json.dumps([__version__, sha256(table), sha256(frames), backend, viewing, *([sums] if sums else [])])
-                refuse_other_run(pictures, key, force)
+                key = run_key(options, sha256(table), sha256(frames), files=picture_files)
+                refuse_other_run(pictures, key, options.force)
                 made = [Made(pictures, f"pictures of {len(reader)} frames")]
             theirs = {f"pictures of {name}": files for name, (_, files) in others.items()}
             before_work({"table": [table], "frames": [frames], **theirs}, *made)
             if pictures is not None:
-                unfinished.enter_context(finished_together(pictures, key, force))
+                unfinished.enter_context(finished_together(pictures, key, options.force))
             warn_if_trained_on(transforms, table, frames, console)
             warn_if_unlike((table, transforms), (frames, reader.head.camera), console)
-            renderers = FrameRenderers(backend, transforms, console)
+            renderers = FrameRenderers(options.backend, transforms, console)
             for index in console.progress(range(len(reader)), len(reader), "frames"):
                 shown = {name: files[index] for name, (_, files) in others.items()}
                 frame, planes = evaluate_frame(evaluation, renderers, reader, index, shown)
@@ -168,19 +162,18 @@ def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
 # ------------------------------------------------------------------------------------------------------ sequences
 
 
-def evaluate_sequence(
-    rendered: Path, console: Console, *, ideal: Path | None = None, border: int | None = None
-) -> SequenceFigures:
+def evaluate_sequence(rendered: Path, options: SequenceOptions) -> SequenceFigures:
     """Return the figures of a sequence of pictures or a video, beside an ideal one if there is one, with the known motion
     that lies beside its pictures.
 
-    `border`: pixels left out at each edge; None: none. InputFileError if a sequence cannot be read, or they differ in size
+    Without a border no pixels are left out at edges. InputFileError if a sequence cannot be read, or they differ in size
     or number; RecipeError if nothing is left within the border.
     """
+    ideal, console = options.ideal, options.console
     ours = find_pictures(rendered)
     wanted = None if ideal is None else find_pictures(ideal)
     _require_alike(ours, wanted)
-    margin = border or 0
+    margin = options.border or 0
     if min(ours.shape) - 2 * margin < CELL:
         rows, cols = ours.shape
         raise RecipeError(f"{rendered}: a border of {margin} leaves no patch of {CELL}×{CELL} pixels of {rows}×{cols}")

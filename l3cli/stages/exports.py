@@ -16,6 +16,7 @@ from l3cli.errors import InputFileError
 from l3cli.export import camera_profile, profiles
 from l3cli.export.camera_profile import datasheet
 from l3cli.export.profiles import export_curves, export_paths
+from l3cli.options.tools import ExportOptions
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
@@ -49,11 +50,10 @@ def by_array(folder: Path, channels: Sequence[str], cfa: NDArray[np.integer]) ->
     return [folder / name for name in names]
 
 
-def export(
-    camera: Path, output: Path, console: Console, *, force: bool = False
-) -> dict[str, dict[str, dict[str, Any]]]:  # fmt: skip
+def export(camera: Path, output: Path, options: ExportOptions) -> dict[str, dict[str, dict[str, Any]]]:
     """Write a camera (model or recipe) into a folder, as `l3 calibrate --export` does; the errors of its matrices, for each
     light. RecipeError or InputFileError if it is no camera, L3Error if a file cannot be written."""
+    console, force = options.console, options.force
     with OutputGuard(console) as claims:
         claims.protect(camera, *camera_files(camera))
         for path in always(output):

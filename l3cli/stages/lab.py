@@ -12,6 +12,7 @@ from l3cli.artifacts.camera_recipe import camera_files, columns_left_out, load_c
 from l3cli.io import measurement_recipe as files
 from l3cli.io.curves import write_curves
 from l3cli.io.pictures.openimageio import write_mosaic
+from l3cli.options.tools import LabOptions
 from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.lab import FOLDERS, LabCapture, chart_corners, plan, take
@@ -19,7 +20,6 @@ from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.sensor_defects import DefectRecipe
 from l3cli.spectra.units import PHOTON_RADIANCE
 from l3cli.stages.claims import OutputGuard, refuse_unwritable
-from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 from l3cli.system.files import refuse_existing, refuse_protected
 from l3cli.system.ledger import note_output
@@ -28,23 +28,21 @@ from l3cli.system.locks import sole_writer_of_folder
 MONO = "spectra/mono.csv"  # spectra of the monochromator's steps
 
 
-def measure(
-    camera: Path, output: Path, console: Console, *, recipe: Path | None = None, seed: int = 0, jobs: int = 1,
-    force: bool = False,
-) -> Path:  # fmt: skip
+def measure(camera: Path, output: Path, options: LabOptions) -> Path:
     """Write what a lab would measure of a camera (model or recipe) into a folder; the measurement file there.
 
-    `recipe`: what is measured, None: the built-in default. RecipeError or InputFileError if camera or recipe cannot be used,
+    RecipeError or InputFileError if camera or recipe cannot be used,
     L3Error if the folder cannot be written.
     """
+    recipe, seed, console = options.recipe, options.seed, options.console
     file = output / "MEASUREMENTS.toml"
     with OutputGuard(console) as claims:
         claims.protect(camera, *filter(None, [recipe]))
         refuse_protected(file)
         refuse_unwritable(file)
-        refuse_existing(file, force)
+        refuse_existing(file, options.force)
         claims.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
-        refuse_existing(file, force)  # now that no other run writes it
+        refuse_existing(file, options.force)  # now that no other run writes it
         claims.protect(*camera_files(camera))
         model = load_camera(camera)
         chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
@@ -62,7 +60,7 @@ def measure(
         file.unlink(missing_ok=True)  # written last, it never names frames of two runs
         work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
         write_frame = functools.partial(_write_frame, model, chosen.defects, output, seed)
-        with workers(jobs) as pool:
+        with workers(options.jobs) as pool:
             for _ in console.progress(pool(write_frame, work), len(work), "frames"):
                 pass
         for name in _names(captures):  # some by other processes

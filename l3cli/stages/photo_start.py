@@ -9,6 +9,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.raw.registry import BY_SUFFIX, is_photo
 from l3cli.io.raw.stated import Stated, stated
+from l3cli.options.tools import InitOptions
 from l3cli.recipes.builtin import recipe_folder
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
@@ -22,24 +23,23 @@ NEW_FOLDER = "mine"  # as the documentation calls it
 SHOWN = "picture"  # and the photo's suffix: a link to it, for make cannot hold every name
 
 
-def start_from(
-    photos: Sequence[Path], folder: Path, console: Console, *, light: str | None = None, force: bool = False
-) -> list[Path]:
+def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> list[Path]:
     """Write the recipe folder of the camera that took the raw files `photos`, or that lie in folders among them; of several
-    cameras a folder each within `folder`. `light`: of the charts that are in the photos; None: guessed. The folders.
+    cameras a folder each within `folder`. The folders.
 
     InputFileError if a file is no raw file that states its array and levels, L3Error if the folder cannot be written.
     """
     names = (*COMMON, "camera.toml", CURVES)
+    console = options.console
     with OutputGuard(console) as claims:
         files = [file for photo in photos for file in _raw_files(photo)]
         claims.protect(*files)
-        claims.claim_folder(folder, force, *names, *(f"*/{name}" for name in names))
+        claims.claim_folder(folder, options.force, *names, *(f"*/{name}" for name in names))
         listed = {file for photo in photos if photo.is_dir() for file in _raw_files(photo)}
         cameras = _sorted_by_camera(files, listed, console)
         places = _places(folder, list(cameras))
         made = {
-            places[name]: photographed(taken, light, console)
+            places[name]: photographed(taken, options.light, console)
             for name, taken in console.progress(cameras.items(), len(cameras), "cameras")
         }
         contents = {place: _contents(camera) for place, camera in made.items()}

@@ -15,6 +15,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, TrainingSetReader, open_training_set
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.pictures.openimageio import jpeg
+from l3cli.options.tools import ReportOptions
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
 from l3cli.report.evaluation import evaluation_section, front_section, shown_frames
@@ -45,19 +46,18 @@ CROPPED = ("ours", "ideal", "basic")  # pictures whose pixels can be looked at
 A = TypeVar("A", bound=Artifact)
 
 
-def report(
-    artifacts: tuple[Path, ...], output: Path, console: Console, *, backend: str = "opencl", force: bool = False
-) -> None:
+def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> None:
     """Write a page on camera models, training sets and transform tables; InputFileError if one is none of these, is damaged,
     or does not fit the others, RecipeError or L3Error if the output cannot be written."""
     if output.suffix != ".html":
         raise RecipeError(f"{output}: a report is a page; name a file that ends in .html")
+    console = options.console
     with OutputGuard(console) as claims:
         claims.protect(*artifacts)
-        claims.claim_file(output, force)
+        claims.claim_file(output, options.force)
         given = _read(artifacts)
         before_work({"artifacts": artifacts}, Made(output, "page"))
-        title, lead, sections = _compose(given, backend, console)
+        title, lead, sections = _compose(given, options.backend, console)
         page = render_page(title, lead, sections).encode()
         write_whole(output, page)
         warn_of_kernels(console)

@@ -8,9 +8,9 @@ import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
+from l3cli.options.tools import InitOptions
 from l3cli.recipes.builtin import known_benchmarks, known_recipes, recipe_folder
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 from l3cli.system.files import atomic_output
 
@@ -40,13 +40,13 @@ def starters() -> dict[str, Path]:
     return known_recipes("cameras") | known_benchmarks()
 
 
-def start(starter: Path, folder: Path, console: Console, *, force: bool = False) -> None:
+def start(starter: Path, folder: Path, options: InitOptions) -> None:
     """Write the recipe folder of a camera recipe or a benchmark, each file whole or not at all. L3Error if there is
-    something in the folder (unless `force`), or if it cannot be written."""
+    something in the folder (unless forced), or if it cannot be written."""
     origins = folder_files(starter)
-    with OutputGuard(console) as claims:
+    with OutputGuard(options.console) as claims:
         claims.protect(*origins.values())
-        claims.claim_folder(folder, force, *origins)
+        claims.claim_folder(folder, options.force, *origins)
         curves = curves_of(starter)
         contents = {name: origin.read_bytes() for name, origin in origins.items()}
         contents |= known_camera(contents) if curves else {}
@@ -54,7 +54,7 @@ def start(starter: Path, folder: Path, console: Console, *, force: bool = False)
         before_work({"recipes": origins.values()}, *made)
         write_folder(folder, contents)
         edits = f"put your curves into {curves.name}, your figures into camera.toml, then " if curves else ""
-        console.info(f"{folder}: {summary(starter)}; next: {edits}make -C {shlex.quote(str(folder))}")
+        options.console.info(f"{folder}: {summary(starter)}; next: {edits}make -C {shlex.quote(str(folder))}")
 
 
 def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:

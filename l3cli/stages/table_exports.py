@@ -2,25 +2,22 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.export.folder import folder_files
-from l3cli.export.source import PREFIX, Words, c_files
+from l3cli.export.source import PREFIX, c_files
+from l3cli.options.tools import ExportOptions
 from l3cli.physics.display import XYZ
 from l3cli.rendering.white.lights import mix_for, mixed
 from l3cli.rendering.white.source import given_white
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_white
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.rendering.lights import mix_of_given
 from l3cli.system.files import write_whole
 
-Form = Literal["c", "folder"]
-SetName = Literal["usual", "quiet"]
 QUIET_README = """
 ## The quiet set
 
@@ -30,23 +27,12 @@ rendered by the usual set, which is exported alone, with test files of its own.
 """
 
 
-def export_table(
-    table: Path,
-    output: Path,
-    form: Form,
-    console: Console,
-    *,
-    words: Words | None = None,
-    white: str | None = None,
-    which: SetName | None = None,
-    prefix: str | None = None,
-    force: bool = False,
-) -> list[str]:
-    """Write a transform table into a folder in one of the forms, C source with outputs in `words` (without: float32); the
-    names of the files. `white`: name or "x,y" of that which transforms of several lights are mixed for, and pictures of C
-    source show neutral; `which` of two sets C source holds (without: the usual one); `prefix` of its symbols (without: l3).
+def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]:
+    """Write a transform table into a folder, as C source unless the options say otherwise; return the names of the files.
     InputFileError if it is no table or beyond the form, RecipeError if words, a set or a prefix are given for another form
     or there is no such white, set or prefix, L3Error if a file cannot be written."""
+    form, words, prefix, which = options.form or "c", options.words, options.prefix, options.which
+    white, console = options.white, options.console
     if form != "c" and (words or prefix is not None):
         raise RecipeError(f"‹{'words' if words else 'prefix'}› is for C source; leave it out")
     if which and form == "folder":
@@ -79,7 +65,7 @@ def export_table(
         if quiet and which == "quiet":
             files["README.md"] += QUIET_README.format(limit=quiet.limit, noise_left=quiet.noise_left).encode()
         for name in files:
-            claims.claim_file(output / name, force)
+            claims.claim_file(output / name, options.force)
         before_work({"table": [table]}, *(Made(output / name, "export", len(content)) for name, content in files.items()))
         for name, content in files.items():
             write_whole(output / name, content)

@@ -4,7 +4,8 @@ import inspect
 import subprocess
 import sys
 import threading
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.evaluation.quality import quality
 from l3cli.io.images import read_image
+from l3cli.options.pipeline import EvaluateOptions, TrainOptions
+from l3cli.options.render import Exposure, RenderOptions
 from l3cli.physics.display import codes, daylight, displayed, srgb_curve, white_luminance
 from l3cli.rendering.temporal import chunks
 from tests.helpers.cameras import BAYER, random_camera
@@ -133,7 +136,7 @@ def test_mistakes_raise_and_say_what_is_wrong(pipeline: Path, tmp_path: Path) ->
         l3.load(tmp_path / "nothing.h5")
     with pytest.raises(RecipeError, match=r"did you mean \"default\""):
         l3.simulate("defalt", "bayer", tmp_path / "t.h5")
-    with pytest.raises(RecipeError, match="as many shares"):
+    with pytest.raises(RecipeError, match="shares for 1 training sets"):
         l3.train(pipeline / "training.h5", tmp_path / "t.h5", shares=[1, 2])
     with pytest.raises(L3Error, match="exists"):
         l3.train(pipeline / "training.h5", pipeline / "table.h5")
@@ -141,6 +144,30 @@ def test_mistakes_raise_and_say_what_is_wrong(pipeline: Path, tmp_path: Path) ->
         l3.load_table(pipeline / "camera.h5")
     with pytest.raises(AttributeError, match="colour"):
         l3.colour  # noqa: B018
+
+
+def test_options_have_names_types_and_ranges(tmp_path: Path) -> None:
+    """mypy, which reads this file, too, knows the types; help() shows the texts of the command line."""
+    refused: Callable[..., int] = l3.render
+    with pytest.raises(TypeError, match=r'render has no option "rate"; it is "fps" now'):
+        refused("t.h5", "a", "b", rate=25)
+    with pytest.raises(TypeError, match=r'did you mean "white"'):
+        refused("t.h5", "a", "b", wihte="D65")
+    with pytest.raises(RecipeError, match="‹crf›: 99 is not within 0…51; the nearest is 51"):
+        l3.render("t.h5", "a", "b", crf=99)
+    with pytest.raises(RecipeError, match="‹bits›"):
+        refused("t.h5", "a", "b", bits=12)
+    for function, options in ((l3.render, RenderOptions), (l3.train, TrainOptions), (l3.evaluate, EvaluateOptions)):
+        named = inspect.signature(function).parameters
+        assert [each.name for each in fields(options)] == [
+            name for name, each in named.items() if each.kind is each.KEYWORD_ONLY
+        ]
+    assert inspect.signature(l3.render).parameters["fps"].annotation == Fraction | float | str | None
+    assert "white: Scene white shown neutral" in (inspect.getdoc(l3.render) or "")
+    same = RenderOptions(exposure="+1EV", frames="1-5x2", fps=29.97002997, phase=(1, 0), dark=tmp_path, shard=(1, 4))
+    assert same == RenderOptions(
+        exposure=Exposure(None, 1.0), frames=range(1, 6, 2), fps="30000/1001", phase="1,0", dark=[tmp_path], shard="1/4"
+    )
 
 
 def test_an_artifact_of_a_known_kind_has_its_type(pipeline: Path) -> None:

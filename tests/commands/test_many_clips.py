@@ -1,7 +1,6 @@
 """Many clips in one call, and the same call again: each rendered once, what is wrong with one is left at that one."""
 
 import contextlib
-import functools
 import io
 import json
 import os
@@ -11,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,10 @@ import pytest
 from l3cli.cli import run
 from l3cli.errors import DeviceError, L3Error
 from l3cli.io.pictures.openimageio import write_mosaic
-from l3cli.io.raw.files import RawOverrides
+from l3cli.options.render import RenderOptions
 from l3cli.rendering.renderer import make_renderer
 from l3cli.stages.checking.schema import OUTPUT, schema
-from l3cli.stages.console import Silent
+from l3cli.stages.rendering import clips
 from l3cli.stages.rendering.clip_inputs import name_of
 from l3cli.stages.rendering.clips import STATE, ClipJob
 from l3cli.stages.rendering.render import render
@@ -170,18 +170,20 @@ def test_an_output_is_never_taken_for_a_pattern(l3: L3, tmp_path: Path, table: P
     assert names(tmp_path / "out") == [STATE, "a_1.png", "take_1"]
 
 
-def test_a_full_disk_or_a_missing_device_stops_all(tmp_path: Path, table: Path, shots: Path) -> None:
+def test_a_full_disk_or_a_missing_device_stops_all(
+    tmp_path: Path, table: Path, shots: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for error, raised in ((DeviceError("none"), DeviceError), (OSError(28, "full"), OSError)):
         calls: list[Path] = []
 
-        def fails(inputs: tuple[Path, ...], *_: object, error: Exception = error, calls: list = calls, **__: object) -> Any:
+        def fails(_: Path, inputs: tuple[Path, ...], *__: object, error: Exception = error, calls: list = calls) -> Any:
             calls.append(inputs[0])
             raise error
 
-        stage = functools.partial(fails, known=RawOverrides())
-        job = ClipJob(table, tmp_path / "out", "png", stage, Silent(), force=True)
+        monkeypatch.setattr(clips, "render", fails)
+        job = ClipJob(table, tmp_path / "out", RenderOptions(force=True))
         with pytest.raises(raised):
-            job.run([shots / "v.mkv", shots / "stack.npy"], resume=False)
+            job.run([shots / "v.mkv", shots / "stack.npy"])
         assert calls == [shots / "v.mkv"]
 
 
@@ -321,26 +323,24 @@ def test_a_dry_run_of_the_same_again_names_what_is_new(again: Callable, l3: L3, 
     assert f"makes {tmp_path / 'out/b'}: pictures of 2 frames" in out
 
 
-def test_what_was_half_done_is_done_again(shots: Path, table: Path, tmp_path: Path) -> None:
+def test_what_was_half_done_is_done_again(shots: Path, table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A killed run leaves pictures, and nothing that says that the clip has ended."""
 
     class Dies(Exception):
         pass
 
-    def dies(*about: Any, **choices: Any) -> Any:
-        render(*about, **choices)
+    def dies(*about: Any) -> Any:
+        render(*about)
         raise Dies
 
-    def job(stage: Any) -> ClipJob:
-        one = functools.partial(stage, table, suffix="png", known=RawOverrides(), backend="reference", skip_bad=False)
-        return ClipJob(table, tmp_path / "out", "png", one, Silent())
-
-    clips = [shots / "stack.npy", shots / "v.mkv"]
-    with pytest.raises(Dies):
-        job(dies).run(clips, resume=False)
+    inputs, options = [shots / "stack.npy", shots / "v.mkv"], RenderOptions(backend="reference")
+    with monkeypatch.context() as patch:
+        patch.setattr(clips, "render", dies)
+        with pytest.raises(Dies):
+            ClipJob(table, tmp_path / "out", options).run(inputs)
     (tmp_path / "out/stack/stack_000002.png").unlink()
-    new = job(render)
-    new.run(clips, resume=True)
+    new = ClipJob(table, tmp_path / "out", replace(options, resume=True))
+    new.run(inputs)
     assert [report.state for report in new.summary.clips] == ["rendered", "rendered"]
     assert len(pictures(tmp_path / "out/stack")) == COUNT
 
@@ -389,10 +389,10 @@ def test_what_cannot_be_done_again_is_refused(again: Callable, refused: Refused,
         assert "--watch is no more; call again for what has arrived: l3 render" in refused(2, "render", table, *gone)
     again()
     assert "another table or options" in refused(2, *call, "-o", tmp_path / "out", "--resume", "--frames", "0")
-    job = ClipJob(table, tmp_path / "new", "png", functools.partial(render, table, known=RawOverrides()), Silent())
+    job = ClipJob(table, tmp_path / "new", RenderOptions())
     os.utime(table, (1, 1))
     with pytest.raises(L3Error, match="has changed since the run began"):
-        job.run([here / "a.npy"], resume=False)
+        job.run([here / "a.npy"])
 
 
 def test_ctrl_c_ends_many_clips_with_130_and_their_results(table: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as every_command
-from l3cli.cli.options import Number
+from l3cli.cli.options import Value
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.recipes.toml import parse_recipe
@@ -155,7 +155,7 @@ def test_every_option_with_a_number_declares_its_range() -> None:
             if not isinstance(option, click.Option) or option.is_flag:
                 continue
             assert not isinstance(option.type, click.types.IntParamType | click.types.FloatParamType), option.opts
-            if isinstance(option.type, Number) or (option.type is click.STRING and not texts & set(option.opts)):
+            if isinstance(option.type, Value) or (option.type is click.STRING and not texts & set(option.opts)):
                 numbers |= set(option.opts)
     assert numbers == {option for option in numbers if any(f"{option}=" in call for call in OPTIONS)}
 

@@ -21,6 +21,7 @@ FLOORS = [
     {"classes", "charts"},
     {"calibration", "simulation", "training", "rendering", "evaluation", "report", "io", "parallel"},
     {"export"},
+    {"options"},
     {"stages"},
     {"api", "cli"},
     {"video_hosts"},
@@ -49,7 +50,7 @@ DOORS = {
 BUDGET = {  # at most; a change that lowers a number lowers it here, towards the goal behind it
     "lines of l3cli": 49_700,  # 41 000
     "lines of l3cli/stages": 8_590,  # 5 500
-    "lines of l3cli/cli": 2_150,  # 1 700
+    "lines of l3cli/cli": 1_620,  # 1 700
     "lines of tests": 38_450,  # 32 000
     "modules": 443,  # 290
     "modules in the root": 3,

@@ -1,4 +1,4 @@
-"""To add a camera array, a scene, a class feature, a raw or a picture format takes three places at most
+"""To add a camera array, a scene, a class feature, a raw or a picture format, an option takes three places at most
 (docs/architecture.md).
 
 The additions below are made to a copy of the program, one file or edit a place, and used by its commands there. What needs
@@ -244,6 +244,15 @@ ADDITIONS: dict[str, dict[str, str | Edits]] = {
             ("FORMATS = (\n", 'FORMATS = (\n    PictureFormat((".ff",), "farbfeld", (16,)),\n'),
         ],
     },
+    "option": {
+        "l3cli/options/render.py": [
+            (
+                "    temporal: bool = option(",
+                '    grain: float | None = option(None, "Grain of pictures.", Number(0, 9, "DN"), metavar="DN")\n'
+                "    temporal: bool = option(",
+            ),
+        ],
+    },
 }  # fmt: skip
 
 SCENES = """
@@ -334,6 +343,35 @@ def run(program: Path, folder: Path, *words: str) -> str:
 @pytest.mark.parametrize("what", ADDITIONS)
 def test_it_takes_three_places_at_most(what: str) -> None:
     assert len(ADDITIONS[what]) <= MOST
+
+
+OPTION = """
+import inspect
+import l3cli as l3
+from l3cli.cli import run
+from l3cli.errors import RecipeError
+from l3cli.stages.checkpoint import run_key
+from l3cli.options.render import RenderOptions
+
+assert run(["render", "--help"]) == 0
+assert run(["render", "a.h5", "b", "-o", "c", "--grain", "10"]) == 2
+grain = inspect.signature(l3.render).parameters["grain"]
+assert (grain.annotation, grain.default) == (float | None, None)
+try:
+    l3.render("a.h5", "b", "c", grain=10)
+except RecipeError as error:
+    print("in Python:", error)
+keys = [run_key(RenderOptions(**options)) for options in ({}, {"grain": None}, {"grain": 1}, {"grain": 2}, {"resume": True})]
+assert keys[0] == keys[1] == keys[4] and len(set(keys)) == 3, keys
+"""
+
+
+def test_an_option_is_one_field(copy: Path, tmp_path: Path) -> None:
+    """On the command line, in Python and in what tells runs apart, with its range."""
+    output = run(copy, tmp_path, "-c", OPTION)
+    assert re.search(r"^  --grain DN +Grain of pictures\.$", output, re.MULTILINE)
+    assert "Invalid value for '--grain': 10 is not within 0…9 DN; the nearest is 9" in output
+    assert "in Python: ‹grain›: 10 is not within 0…9 DN; the nearest is 9" in output
 
 
 def test_all_work_together(copy: Path, tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ from l3cli.artifacts.training_set import (
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.errors import InputFileError
+from l3cli.options.pipeline import TrainOptions
 from l3cli.parallel import workers
 from l3cli.physics import spectra
 from l3cli.stages.console import Silent
@@ -285,7 +286,7 @@ def test_a_second_layer_follows_a_single_pass(bayer: CameraModel, tmp_path: Path
 
 def test_a_training_set_that_is_replaced_meanwhile_is_noticed(bayer: CameraModel, tmp_path: Path) -> None:
     training, other = a_set(tmp_path / "training.h5", bayer, 2), a_set(tmp_path / "other.h5", bayer, 3)
-    run = open_run((training,), None, None, seed=0)
+    run = open_run((training,), TrainOptions())
     with workers(1) as pool:
         execution = Execution(pool, remote=False, console=Silent())
         first_pass(run, execution)

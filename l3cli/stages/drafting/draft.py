@@ -7,9 +7,9 @@ from l3cli.errors import L3Error, RecipeError
 from l3cli.io.captures import list_captures
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.io.measurements import measurements_of
+from l3cli.options.pipeline import DraftOptions
 from l3cli.recipes.toml import parse_recipe
 from l3cli.stages.claims import OutputGuard, refuse_unwritable
-from l3cli.stages.console import Console
 from l3cli.stages.drafting.compose import compose
 from l3cli.stages.drafting.survey import named_from, spectra_of, survey
 from l3cli.stages.drafting.tables import compose_tables
@@ -22,20 +22,21 @@ from l3cli.system.text import counted
 MOST_SAID = 8  # assumptions and missing things of which each gets a line on the console
 
 
-def draft(folder: Path, output: Path, console: Console, *, camera: Path | None = None, force: bool = False) -> str:
+def draft(folder: Path, output: Path, options: DraftOptions) -> str:
     """Write the draft of a measurement file of the captures in a folder, or of its tables if it has no frames; its text.
 
-    `camera`: recipe or model that sensor, array and optics are taken from, since frames do not state them. InputFileError if
+    Sensor, array and optics are those of the options' camera, since frames do not state them. InputFileError if
     the folder holds neither raw frames nor responsivities, RecipeError if the camera is another one, L3Error if the output
     cannot be written.
     """
     if output.suffix != ".toml":
         raise RecipeError(f"{output}: a measurement file ends in .toml; name it MEASUREMENTS.toml")
+    camera, console = options.camera, options.console
     with OutputGuard(console) as claims:
         claims.protect(*(camera_files(camera) if camera else ()))
         refuse_protected(output)
         refuse_unwritable(output)
-        refuse_existing(output, force)
+        refuse_existing(output, options.force)
         claims.hold(sole_writer_of_file(output), output)
         known = load_camera(camera) if camera else None
         listing = list_captures(folder)

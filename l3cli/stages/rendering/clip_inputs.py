@@ -10,23 +10,22 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import L3Error, RecipeError
 from l3cli.io.file_names import PATTERN, natural_order
 from l3cli.io.raw.cfa_codes import Sensor
-from l3cli.io.raw.files import RawOverrides, holds_several
+from l3cli.io.raw.files import holds_several
 from l3cli.io.raw.registry import BY_SUFFIX, format_of, is_frame
 from l3cli.io.sequences import is_one_file
 from l3cli.io.video import is_video
-from l3cli.stages.console import Console
+from l3cli.options.render import RenderOptions
+from l3cli.stages.rendering.destination import overrides
 from l3cli.system.files import STDIN
 
 WILD = re.compile(r"\[[^]]*\]|[*?]")
 
 
-def clips_of(
-    inputs: Sequence[Path], table: Path, known: RawOverrides, output: Path, console: Console
-) -> tuple[Path, ...]:  # fmt: skip
+def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> tuple[Path, ...]:
     """Each input, in the place of a folder of clips what lies in it. RecipeError if the output would arrive there."""
     clips: list[Path] = []
     for each in inputs:
-        inside = _clips_in(each, lambda: load(TransformTable, table), known, console) if each.is_dir() else []
+        inside = _clips_in(each, lambda: load(TransformTable, table), options) if each.is_dir() else []
         here, there = each.resolve(), output.resolve()
         if inside and (here in (there, *there.parents) or there in here.parents):
             raise RecipeError(f"{output} and {each} lie in one another; name an output elsewhere")
@@ -51,7 +50,7 @@ def name_of(source: Path) -> str:
     return plain or WILD.sub("", source.parent.resolve().name) or "clip"
 
 
-def _clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, console: Console) -> list[Path]:
+def _clips_in(folder: Path, sensor: Callable[[], Sensor], options: RenderOptions) -> list[Path]:
     """Return the videos, files of several frames, folders of frames and single frames of a folder of clips. None of a
     folder of frames, which is one clip: one whose first file that can be read as frames holds just one."""
     paths = [path for path in folder.iterdir() if path.name[0] != "."]  # a million, it may be
@@ -61,14 +60,16 @@ def _clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, c
     for path in map(folder.joinpath, sorted(frames)):
         with contextlib.suppress(L3Error):  # broken, so it does not tell
             if path.is_file():
-                several = holds_several(path, sensor, known)
+                several = holds_several(path, sensor, overrides(options))
                 break
     if several or (several is None and longer):
         return sorted(filter(_is_clip, paths), key=natural_order)
     left_out = sorted(path.name for path in longer if not format_of(path).wants_dataset)  # HDF5: artifacts, most likely
     if left_out:
         more = f" and {len(left_out) - 1} more" if len(left_out) > 1 else ""
-        console.warn(f"{folder} is taken for its frames, without {left_out[0]}{more}; name these, too, if they are meant")
+        options.console.warn(
+            f"{folder} is taken for its frames, without {left_out[0]}{more}; name these, too, if they are meant"
+        )
     return []
 
 

@@ -1,9 +1,6 @@
 """Many clips in one call, each rendered as if alone, one after the other: a mistake in one does not stop the others."""
 
 import contextlib
-import functools
-import hashlib
-import json
 import os
 from collections import Counter
 from collections.abc import Sequence
@@ -11,27 +8,27 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from l3cli import __version__
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError
 from l3cli.io.file_names import PATTERN
-from l3cli.io.raw.files import RawOverrides
 from l3cli.io.sequences import frame_files, is_still
-from l3cli.io.video import USUAL_RATE, VideoChoice, is_video
+from l3cli.io.video import is_video
+from l3cli.options.render import RenderOptions
+from l3cli.stages.checkpoint import run_key
 from l3cli.stages.claims import OutputGuard, refuse_unwritable
-from l3cli.stages.console import Console, Gathering
+from l3cli.stages.console import Gathering
 from l3cli.stages.plan import Planned, is_dry
 from l3cli.stages.rendering.clip_inputs import name_of, refuse_one_name
-from l3cli.stages.rendering.destination import destination_of
+from l3cli.stages.rendering.destination import destination_of, overrides
 from l3cli.stages.rendering.executors import Renderers
 from l3cli.stages.rendering.job_state import Entry, JobState, Standing, identity_of_clip, identity_of_output
+from l3cli.stages.rendering.render import render
 from l3cli.stages.rendering.sequence import Tally
 from l3cli.system.files import FULL, STDIN, UNFINISHED, refuse_existing, refuse_filled_folder, sha256
 from l3cli.system.ledger import dated
 from l3cli.system.locks import sole_writer_of_folder
 
-Render = functools.partial[Tally]  # render(inputs, output, console, resume=…, force=…): the stage, all other choices made
 RENDERED, KEPT, FAILED = "rendered", "kept", "failed"  # of a clip
 MOST_WARNINGS = 1000  # of a clip, in its report
 STATE = f".clips{UNFINISHED}"
@@ -82,10 +79,10 @@ class Summary:
         return {"clips": [asdict(each) for each in self.clips], **states, "frames": self.frames, "left_out": self.left_out}
 
 
-def alone(render: Render, inputs: tuple[Path, ...], output: Path, console: Console, resume: bool, force: bool) -> Summary:
+def alone(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions) -> Summary:
     """One clip, or several files of one frame each, whose errors are those of `render`."""
-    heard, summary = Gathering(console, MOST_WARNINGS), Summary()
-    tally = render(inputs, output, heard, resume=resume, force=force)
+    heard, summary = Gathering(options.console, MOST_WARNINGS), Summary()
+    tally = render(table, inputs, output, replace(options, console=heard))
     named = str(inputs[0]) if len(inputs) == 1 else f"{inputs[0]} and {len(inputs) - 1} more"
     summary.add(_report(named, output, tally, heard.warnings))
     return summary
@@ -100,62 +97,51 @@ def _report(clip: str, output: Path, tally: Tally, warnings: list[str]) -> ClipR
 class ClipJob:
     """Clips that go into a folder, each to a file or folder of its name."""
 
-    def __init__(
-        self, table: Path, folder: Path, suffix: str, render: Render, console: Console, *, force: bool = False
-    ) -> None:  # fmt: skip
-        """`suffix`: of videos, or of the pictures in a folder for each clip; `render`: of one clip, with all that its bytes
-        depend on beside table and clip among its keywords. RecipeError if the output is no folder or cannot hold this."""
+    def __init__(self, table: Path, folder: Path, options: RenderOptions) -> None:
+        """RecipeError if the output is no folder or cannot hold videos or pictures of the options' format."""
         if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
             raise RecipeError(f"{folder} is for one clip; name a folder, and the kind of its files with ‹format›")
-        self.folder, self.console, self.force, self.summary = folder, console, force, Summary()
+        self.folder, self.console, self.summary = folder, options.console, Summary()
         self._renderers = Renderers()
-        self._path, self._suffix = table, suffix
-        self._render = functools.partial(render, renderers=self._renderers)
+        self._path, self._options = table, options
         self._table, self._dated = load(TransformTable, table), dated(table)
-        choices = {name: value for name, value in render.keywords.items() if name not in ("skip_bad", "scheduler")}
-        self._known: RawOverrides = choices["known"]
-        about = {name: choices[name] for name in ("codec", "crf", "preset") if name in choices}
-        choice = VideoChoice(choices.get("rate") or USUAL_RATE, choices.get("bits", 8), **about)
-        destination_of(folder / f"clip.{suffix}", suffix, choice)
-        named = (each for value in choices.values() for each in (value if isinstance(value, tuple) else (value,)))
-        files = [sha256(file) for each in named if isinstance(each, Path) for file in frame_files(each)]  # darks, a camera
-        key = [sha256(table), __version__, suffix, sorted(choices.items()), files]
-        self._key = hashlib.sha256(json.dumps(key, default=str).encode()).hexdigest()
-        self.state = JobState(folder / STATE, self._key)
+        destination_of(folder / f"clip.{options.format}", options)
+        self.state = JobState(folder / STATE, run_key(options, sha256(table)))
 
     def output_of(self, source: Path) -> tuple[Path, bool]:
         """Return the output of a clip, and whether it is a single file; InputFileError if the clip must be read to know
         and cannot."""
         name = name_of(source)
-        if is_video(Path(f"clip.{self._suffix}")) or is_still(source, self._table, self._known):
-            return self.folder / f"{name}.{self._suffix}", True
+        suffix = self._options.format
+        if is_video(Path(f"clip.{suffix}")) or is_still(source, self._table, overrides(self._options)):
+            return self.folder / f"{name}.{suffix}", True
         return self.folder / name.replace(".", "_"), False  # a name with a suffix would be a file's
 
-    def run(self, sources: Sequence[Path], resume: bool) -> None:
-        """Render all clips; what is wrong with one is said and counted. With `resume` those stay that a run before has
+    def run(self, sources: Sequence[Path]) -> None:
+        """Render all clips; what is wrong with one is said and counted. On resuming those stay that a run before has
         rendered, and what it made of a clip that has changed is replaced. RecipeError before any work if two have one name,
-        L3Error, unless `resume`, if an output is there; DeviceError if nothing can be rendered, L3Error on a full disk."""
-        sources = list(dict.fromkeys(sources))
+        L3Error, unless resuming, if an output is there; DeviceError if nothing can be rendered, L3Error on a full disk."""
+        sources, resume = list(dict.fromkeys(sources)), self._options.resume
         refuse_one_name(sources)
         with OutputGuard(self.console) as claims:
             refuse_unwritable(self.folder / STATE)
             claims.protect(self._path)
             if not is_dry():
                 claims.hold(sole_writer_of_folder(self.folder), self.folder)
-            self.state.take_over(required=resume and not self.force)
+            self.state.take_over(required=resume and not self._options.force)
             later = (L3Error, OSError) if resume and not is_dry() else (InputFileError, OSError)  # said when it is its turn
             standings: list[Standing] = []
             for source in sources:
                 with contextlib.suppress(*later):
                     claims.protect(*frame_files(source))
-                    standings.append(self._standing(source, resume))
+                    standings.append(self._standing(source))
             if is_dry():
                 self._plan(standings)
             self.state.begin()  # now that nothing is refused: what it replaces may be another run's
             try:
                 for number, source in enumerate(sources, 1):
                     self.console.info(f"clip {number} of {len(sources)}: {source}")
-                    self._one(source, resume)
+                    self._one(source)
             finally:
                 self.state.end()
 
@@ -167,19 +153,19 @@ class ClipJob:
             if standing.kept:
                 continue
             try:
-                force = self.force or standing.ours
-                self._render((standing.source,), standing.output, self.console, resume=False, force=force)
+                force = self._options.force or standing.ours
+                render(self._path, (standing.source,), standing.output, replace(self._options, resume=False, force=force))
             except Planned as plan:
                 makes += plan.makes
                 for role, paths in plan.reads.items():
                     reads.setdefault(role, []).extend(paths)
         raise Planned(reads, makes)
 
-    def _standing(self, source: Path, resume: bool) -> Standing:
+    def _standing(self, source: Path) -> Standing:
         """Return the state of a clip and its output. L3Error if something exists that may not be replaced."""
         of, (output, is_file) = identity_of_clip(source), self.output_of(source)
-        standing = Standing(source, output, is_file, of, self.state.entry(output) if resume else None)
-        if not (self.force or standing.ours):
+        standing = Standing(source, output, is_file, of, self.state.entry(output) if self._options.resume else None)
+        if not (self._options.force or standing.ours):
             if standing.of_other:
                 raise L3Error(
                     f"{output} was made of {standing.of_other}, which is still there; name another folder, or add ‹force›"
@@ -187,13 +173,13 @@ class ClipJob:
             (refuse_existing if is_file else refuse_filled_folder)(output, False)
         return standing
 
-    def _one(self, source: Path, resume: bool) -> None:
+    def _one(self, source: Path) -> None:
         """Render a clip, unless it is there; what is wrong with it is said and counted."""
         if dated(self._path) != self._dated:
             raise RecipeError(f"{self._path} has changed since the run began; begin it again")
         output, heard = self.folder / name_of(source), Gathering(self.console, MOST_WARNINGS)
         try:
-            standing = self._standing(source, resume)
+            standing = self._standing(source)
             output, entry = standing.output, standing.entry
             if standing.kept and entry:
                 about = entry.frames, entry.left_out, entry.seconds, None, entry.frame_times
@@ -204,8 +190,9 @@ class ClipJob:
                 standing.clear()
             begun = Entry(os.path.realpath(source), standing.of)
             self.state.note(output, begun)
-            force = self.force or (standing.ours and not goes_on)
-            tally = self._render((source,), output, heard, resume=goes_on, force=force)
+            force = self._options.force or (standing.ours and not goes_on)
+            options = replace(self._options, console=heard, resume=goes_on, force=force)
+            tally = render(self._path, (source,), output, options, self._renderers)
         except (L3Error, OSError) as error:
             self._fail(source, output, heard, error)
             return

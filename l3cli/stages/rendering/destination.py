@@ -1,8 +1,6 @@
 """Destination of pictures, the files that exist there already, and the checkpoint that lets a sequence of them go on."""
 
 import contextlib
-import hashlib
-import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -14,8 +12,10 @@ from l3cli.io.file_names import PATTERN, last_number, numbered_files, numbered_n
 from l3cli.io.frame_times import Pacing
 from l3cli.io.pictures.pages import PAGED, new_pages
 from l3cli.io.pictures.registry import FLOAT_BITS, Picture, format_of, holds_linear, holds_raw
+from l3cli.io.raw.files import RawOverrides
 from l3cli.io.sequences import FrameReference, FrameSequence
-from l3cli.io.video import Y4M, VideoChoice, check_video, is_video, new_video, new_y4m
+from l3cli.io.video import USUAL_RATE, Y4M, VideoChoice, check_video, is_video, new_video, new_y4m
+from l3cli.options.render import RenderOptions
 from l3cli.stages.claims import OutputGuard, refuse_unwritable
 from l3cli.stages.rendering.mark import Mark, Origins
 from l3cli.stages.rendering.rendition import Rendition, file_of
@@ -91,21 +91,33 @@ class Destination:
         return "" if self.shard is None else ".{}-of-{}".format(*self.shard)
 
 
-def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destination:
+def overrides(options: RenderOptions) -> RawOverrides:
+    """Return what the options state about raw files."""
+    levels = options.black_level, options.white_level, options.phase
+    return RawOverrides(*levels, options.size, options.packing, options.stride, options.exposure_time)
+
+
+def video_choice(options: RenderOptions) -> VideoChoice:
+    """Return how videos are encoded."""
+    return VideoChoice(options.fps or USUAL_RATE, options.bits, options.codec, options.crf, options.preset)
+
+
+def destination_of(output: Path, options: RenderOptions) -> Destination:
     """The destination that a name asks for; RecipeError if nothing of that name can be written."""
+    suffix, choice, shard = options.format, video_choice(options), options.shard
     if choice.bits == FLOAT_BITS and (output == STDOUT or is_video(output)):
         raise RecipeError("values of 32 bits are for pictures; name a .tif or .exr, or leave ‹bits› out")
     if output == STDOUT:
-        destination = Destination(output, "stream", suffix)
+        destination = Destination(output, "stream", suffix, shard=shard)
         check_video(Path("stdout.y4m"), choice)
         if sys.stdout.isatty():
             raise RecipeError("a y4m stream is not for a terminal; pipe it on, or name a file with -o")
     elif is_video(output):
-        destination = Destination(output, "video", suffix)
+        destination = Destination(output, "video", suffix, shard=shard)
         check_video(output, choice)
     else:
         kind = "file" if output.suffix and not output.is_dir() else "folder"
-        destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix, choice.bits)
+        destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix, choice.bits, shard)
         format_of(destination.file(0, "frame"), choice.bits)
         if choice.codec or choice.crf is not None:
             raise RecipeError(f"{output}: ‹codec› and ‹crf› are for videos; name a .mp4, .mov or .mkv")
@@ -182,23 +194,23 @@ def _pictures(destination: Destination) -> list[Path]:
 @contextlib.contextmanager
 def marked(
     destination: Destination,
-    key: list[Any],
-    resume: bool,
-    force: bool,
+    key: str,
+    options: RenderOptions,
     sequence: FrameSequence,
     origins: Callable[[], Origins],
 ) -> Iterator[Mark | None]:
-    """Refuse what cannot be written, then keep the run's mark, for a sequence of pictures, until all is done.
+    """Refuse what cannot be written, then keep the mark of the run `key`, for a sequence of pictures, until all is done.
 
-    `key` holds all that the pictures' bytes depend on beside the inputs, which `origins` hold.
+    `origins`: of its inputs.
     """
+    resume, force = options.resume, options.force
     if destination.kind not in ("pattern", "folder"):
         if resume:
             raise RecipeError(f"‹resume› goes on with a sequence of pictures; {destination.path} is written in one go")
         refuse_outputs(destination, sequence, force)
         yield None
         return
-    mark = Mark(destination.mark, hashlib.sha256(json.dumps(key, sort_keys=True, default=str).encode()).hexdigest(), force)
+    mark = Mark(destination.mark, key, force)
     if resume and destination.mark.is_file():
         mark.take_over(str(destination.path))
         if sequence.count is not None:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from l3cli.artifacts.training_set import TrainingPair, frame_name
 from l3cli.io.file_names import IDEAL, MOTION, RAW
+from l3cli.options.pipeline import SimulateOptions
 from l3cli.simulation.recipe import shots as asked
-from l3cli.stages.console import Console
 from l3cli.stages.simulation.run import SimulationRun
 
 CHANNELS = ("down", "right", "seen")  # of a file of motion
@@ -14,19 +14,20 @@ WRITTEN = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # into
 
 
 def write_beside(
-    run: SimulationRun, files: list[list[Path]], frames: Iterable[TrainingPair], pictures: Path | None, dng: Path | None,
-    console: Console,
-) -> None:  # fmt: skip
+    run: SimulationRun, files: list[list[Path]], frames: Iterable[TrainingPair], options: SimulateOptions
+) -> None:
     """The pictures and DNGs of all `frames`, as far as they are asked for; `files` are those of each source. Of clips it is
     said how they are rendered as bright as the ideal pictures."""
-    if pictures:
-        lengths = _write_motion(run, files, pictures)
-        for index, scale in _write_pictures(run, frames, pictures).items():
+    if options.pictures:
+        lengths = _write_motion(run, files, options.pictures)
+        for index, scale in _write_pictures(run, frames, options.pictures).items():
             if index in lengths:
                 last = index + lengths[index] - 1
-                console.info(f"frames {index}–{last}: ‹exposure› {scale:.6g} renders them as bright as their ideal pictures")
-    if dng:
-        _write_dng(run, frames, dng)
+                options.console.info(
+                    f"frames {index}–{last}: ‹exposure› {scale:.6g} renders them as bright as their ideal pictures"
+                )
+    if options.dng:
+        _write_dng(run, frames, options.dng)
 
 
 def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> dict[int, float]:

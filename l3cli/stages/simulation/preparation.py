@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from pathlib import Path
+from typing import Any
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import recipe_text
@@ -88,7 +89,11 @@ def input_files(run: SimulationRun, files: list[list[Path]]) -> dict[str, list[P
 
 
 def head_of(
-    run: SimulationRun, camera: CameraModel, recipes: tuple[Path, Path], inputs: dict[str, list[Path]], seed: int
+    run: SimulationRun,
+    camera: CameraModel,
+    recipes: tuple[Path, Path],
+    inputs: dict[str, list[Path]],
+    chosen: dict[str, Any],
 ) -> TrainingSet:
     """The training set's head, with this stage as the last of the camera's history."""
     texts = [read_text(recipes[0]), recipe_text(recipes[1])]
@@ -96,7 +101,7 @@ def head_of(
     recipe = "\n".join(text for text in texts if text)
     if model := run.recipe.sensor.noise_model:
         recipe += f"\n# noise_model of {package(noise_plugin(model))}\n"
-    stage = Stage("simulate", {"seed": seed}, recipe, sums)
+    stage = Stage("simulate", chosen, recipe, sums)
     return TrainingSet(
         camera=dataclasses.replace(run.camera, history=()),
         outputs=run.target.outputs,

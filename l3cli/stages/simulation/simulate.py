@@ -4,10 +4,10 @@ import contextlib
 import dataclasses
 import itertools
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from l3cli.artifacts.camera_recipe import camera_files, columns_left_out, load_camera
 from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
+from l3cli.options.pipeline import SimulateOptions
 from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.recipe import SceneRecipe, shots
@@ -31,29 +31,18 @@ from l3cli.system.files import refuse_existing
 from l3cli.system.ledger import note_inputs, note_places
 from l3cli.system.locks import finished_together, refuse_other_run
 
-if TYPE_CHECKING:
-    from l3cli.parallel.cluster import Scheduler
-
 NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
 
 
-def simulate(
-    scenes: Path, camera: Path, output: Path, console: Console, *, pictures: Path | None = None, dng: Path | None = None,
-    resume: bool = False, skip_bad: bool = False, seed: int = 0, jobs: int = 1, scheduler: "Scheduler | None" = None,
-    force: bool = False,
-) -> tuple[int, int]:  # fmt: skip
+def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions) -> tuple[int, int]:
     """Write the training set of a scene recipe and a camera (model or recipe); how many frames it has, how many scenes were
-    left out.
-
-    `pictures`, `dng`: folders for each raw frame beside its ideal picture, and as DNG. `resume`: go on with the frames that
-    a stopped run has stored, or make the pictures of a whole set. `skip_bad`: leave out scenes that cannot be read or do not
-    fit the sensor. RecipeError or InputFileError if recipe, camera or files cannot be used, L3Error if an output cannot be
-    written.
-    """
+    left out. RecipeError or InputFileError if recipe, camera or files cannot be used, L3Error if an output cannot be
+    written."""
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
-    folders = list(dict.fromkeys(filter(None, (pictures, dng))))
+    console, resume, force, scheduler = options.console, options.resume, options.force, options.cluster()
+    folders = list(dict.fromkeys(filter(None, (options.pictures, options.dng))))
     with OutputGuard(console) as claims:
-        claims.protect(scenes, *camera_files(camera))
+        claims.protect(scenes, *camera_files(camera), *itertools.chain(*options.inputs().values()))
         claims.hold_file(output)
         if not is_dry():
             remove_finished(output)
@@ -64,11 +53,11 @@ def simulate(
             scenes = scenes.absolute()  # its files are searched for by workers elsewhere
         model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
         _ = model.saturation_exposure  # InputFileError where training would have none
-        run, files = prepare(recipe, scenes, model, seed)
-        files, bad = fitting(run, files, scenes, skip_bad, console)
+        run, files = prepare(recipe, scenes, model, options.seed)
+        files, bad = fitting(run, files, scenes, options.skip_bad, console)
         inputs = {"camera": camera_files(camera), **input_files(run, files)}
         claims.protect(*itertools.chain(*inputs.values()))
-        head = head_of(run, model, (scenes, camera), inputs, seed)
+        head = head_of(run, model, (scenes, camera), inputs, options.chosen())
         run = dataclasses.replace(run, key=key_of(head.history[-1]))
         stands = resume and not force and is_of_run(output, run.key)
         if not stands:
@@ -85,12 +74,12 @@ def simulate(
             if stands:
                 with open_training_set(output, unchanged=True) as frames:
                     total = len(frames)
-                    write_beside(run, files, frames, pictures, dng, console)
+                    write_beside(run, files, frames, options)
             else:
                 run = dataclasses.replace(run, folder=open_folder(output, run.key, resume, force))
                 with close_folder(run.folder):
-                    total = _simulate_frames(run, files, head, jobs, scheduler, console)
-                    write_beside(run, files, StoredFrames(run, total), pictures, dng, console)
+                    total = _simulate_frames(run, files, head, options)
+                    write_beside(run, files, StoredFrames(run, total), options)
                     _assemble(run, head, output, total, console)  # last: whoever has the set has its pictures, too
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
         console.info(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}")
@@ -115,14 +104,7 @@ def _plan(
     before_work(inputs, *made, *(Made(folder, f"pictures of {frames}") for folder in folders))
 
 
-def _simulate_frames(
-    run: SimulationRun,
-    files: list[list[Path]],
-    head: TrainingSet,
-    jobs: int,
-    scheduler: "Scheduler | None",
-    console: Console,
-) -> int:
+def _simulate_frames(run: SimulationRun, files: list[list[Path]], head: TrainingSet, options: SimulateOptions) -> int:
     """Simulate and store those frames of a run that are not stored yet; how many it has."""
     inputs, sums = input_files(run, files), head.history[-1].inputs
     digests = {
@@ -130,11 +112,11 @@ def _simulate_frames(
     }
     wanted = list(shots(run.recipe, files)) if run.recipe.scene else []
     total = sum(len(each) for _, each in wanted) + len(run.recipe.pair)
-    with workers(jobs, scheduler) as pool:
+    with workers(options.jobs, options.cluster()) as pool:
         work = units_of(run, wanted, pool.size)
-        counts = received(pool, work, digests) if scheduler else pool(simulate_unit, work)
+        counts = received(pool, work, digests) if options.scheduler else pool(simulate_unit, work)
         finished = (index for count in counts for index in range(count))
-        for _ in console.progress(finished, total, "frames"):
+        for _ in options.console.progress(finished, total, "frames"):
             pass
     return total
 

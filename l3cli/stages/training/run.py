@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
-from l3cli.errors import InputFileError
+from l3cli.errors import InputFileError, RecipeError
+from l3cli.options.pipeline import TrainOptions
 from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.toml import load_recipe, read_text
 from l3cli.stages.training.held_frames import HELD
@@ -68,27 +68,27 @@ class TrainingRun:
         return (*self.head.history, stage)
 
 
-def open_run(
-    training: tuple[Path, ...], classes: Path | None, shares: tuple[Fraction, ...] | None, seed: int
-) -> TrainingRun:
+def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
     """The run of these training sets; InputFileError or RecipeError if they or the recipe cannot be used. A set whose share
     is zero is as if it were not given."""
-    classes = classes or known_recipes("classes")["default"]
+    classes, shares = options.classes or known_recipes("classes")["default"], options.shares
+    if shares is not None and len(shares) != len(training):
+        raise RecipeError(f"‹shares› gives {len(shares)} shares for {len(training)} training sets")
     recipe = load_recipe(classes, TrainingRecipe)
     stamps = {path: stamp(path) for path in training}
     head, frames = _common_head(training, noisy=not recipe.learning.noise_left)
     recipe = for_camera(recipe, head.camera)
-    chosen: dict[str, Any] = {"seed": seed}
+    chosen = options.chosen()
     if shares is not None:
         training, frames, shares = zip(
             *(each for each in zip(training, frames, shares, strict=True) if each[2]), strict=True
         )
-        chosen["shares"] = ",".join(f"{float(share):.12g}" for share in shares)
+        chosen = replace(options, shares=shares).chosen()
     patches = spread_patches(recipe.learning.patches, frames, shares)
     inputs = {"training set": [sha256(path) for path in training]}
     stage = Stage("train", chosen, read_text(classes), inputs)
     sources = tuple(map(TrainingSource, training, frames, inputs["training set"], map(stamps.__getitem__, training)))
-    return TrainingRun(sources, head, patches, recipe, shares, seed, stage)
+    return TrainingRun(sources, head, patches, recipe, shares, options.seed, stage)
 
 
 def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool) -> Iterator[TrainingPair]:

@@ -3,9 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +22,9 @@ from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
+from l3cli.options.pipeline import ShardOptions
 from l3cli.recipes.toml import parse_recipe
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.later_layers import tell_what_is_left_out
 from l3cli.stages.training.layer_shards import merged_layer, write_layer_shard
@@ -34,41 +32,31 @@ from l3cli.stages.training.lights import require_one_go
 from l3cli.stages.training.passes import Execution, first_pass, sum_unit, summed
 from l3cli.stages.training.quiet import filtered_head, quiet_as_table, quiet_pass, with_quiet
 from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun
-from l3cli.stages.training.whole import executed, say_table
+from l3cli.stages.training.whole import execution_of, say_table
 from l3cli.training.division import frame_blocks
 from l3cli.training.recipe import TrainingRecipe, check_layers
 from l3cli.training.sums import empty_sums
 from l3cli.training.table import add_up, assemble, canonical_sites, learn_site
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass
 
-if TYPE_CHECKING:
-    from l3cli.parallel.cluster import Scheduler
-
 NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))  # of tables that are not the end of a run
 
 
-def train_shard(
-    training: tuple[Path, ...], shard: tuple[int, int], output: Path, console: Console, *, first: Path | None = None,
-    classes: Path | None = None, shares: tuple[Fraction, ...] | None = None, seed: int = 0, jobs: int = 1,
-    scheduler: "Scheduler | None" = None, force: bool = False,
-) -> None:  # fmt: skip
-    """Write the partial sums of one shard, (number from 1, of how many): of the first pass or, with the table `first` that
-    the shards of a pass make, of the next one. The other parameters and errors are those of `train`; InputFileError if
-    `first` is of another run."""
-    with OutputGuard(console) as claims:
-        claims.protect(*training, *filter(None, [classes, first]))
-        claims.claim_file(output, force)
-        made = Made(output, f"partial sums, shard {shard[0]} of {shard[1]},")
-        with executed(training, console, classes, shares, seed, jobs, scheduler, made) as (run, execution):
-            require_one_go(run)
-            table = load(TransformTable, first) if first else None
-            tell_what_is_left_out(run, console)
-            if table and run.has_later_layers and _is_of(run, table, LAYERS[len(table.later)]):
-                check_layers(run.recipe.layer)
-                write_layer_shard(run, shard, table, output, execution)
-            else:
-                pass_ = _last_pass(run, table, first) if table else first_pass(run, execution)
-                _write_shard(run, shard, pass_, table, output, execution)
+def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path, options: ShardOptions) -> None:
+    """Write the partial sums of one shard, (number from 1, of how many): of the first pass or, with the first table that
+    the shards of a pass make, of the next one. Errors are those of `train`; InputFileError if that table is of another
+    run."""
+    first = options.first
+    with execution_of(training, output, options, f"partial sums, shard {shard[0]} of {shard[1]},") as (run, execution):
+        require_one_go(run)
+        table = load(TransformTable, first) if first else None
+        tell_what_is_left_out(run, options.console)
+        if table and run.has_later_layers and _is_of(run, table, LAYERS[len(table.later)]):
+            check_layers(run.recipe.layer)
+            write_layer_shard(run, shard, table, output, execution)
+        else:
+            pass_ = _last_pass(run, table, first) if table else first_pass(run, execution)
+            _write_shard(run, shard, pass_, table, output, execution)
 
 
 def _write_shard(
@@ -130,11 +118,12 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Tr
     return TrainingPass(*about, LAST, table.exposure, table.light)
 
 
-def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, force: bool = False) -> TransformTable:
+def merge_shards(shards: tuple[Path, ...], output: Path, options: ShardOptions) -> TransformTable:
     """Make the table of all shards of a pass and write it; InputFileError if some are missing, doubled or of another run."""
+    console = options.console
     with OutputGuard(console) as claims:
         claims.protect(*shards)
-        claims.claim_file(output, force)
+        claims.claim_file(output, options.force)
         table = _merged(shards, output)
         save(table, output)
         say_table(table, output, console)

@@ -1,15 +1,14 @@
 """Training in one go: both passes and the table."""
 
 import contextlib
+import itertools
 from collections.abc import Iterator
-from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from l3cli.artifacts.store import save
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
+from l3cli.options.pipeline import TrainOptions
 from l3cli.parallel import workers
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.console import Console
@@ -21,50 +20,39 @@ from l3cli.stages.training.passes import Execution, first_pass, learn_first
 from l3cli.stages.training.quiet import learn_quiet
 from l3cli.stages.training.run import TrainingRun, open_run
 
-if TYPE_CHECKING:
-    from l3cli.parallel.cluster import Scheduler
 
-
-def train(
-    training: tuple[Path, ...], output: Path, console: Console, *, classes: Path | None = None,
-    shares: tuple[Fraction, ...] | None = None, seed: int = 0, jobs: int = 1, scheduler: "Scheduler | None" = None,
-    force: bool = False,
-) -> TransformTable:  # fmt: skip
-    """Learn a transform table from training sets and write it.
-
-    `classes`: class recipe, None: the built-in default. `shares`: patches of each set in this proportion, None: by frames.
-    `force`: replace the output if it exists. InputFileError or RecipeError if sets or recipe cannot be used, L3Error if the
-    output cannot be written.
-    """
-    with OutputGuard(console) as claims:
-        claims.protect(*training, *filter(None, [classes]))
-        claims.claim_file(output, force)
-        made = Made(output, "transform table")
-        with executed(training, console, classes, shares, seed, jobs, scheduler, made) as (run, execution):
-            table = _learn(run, execution)
-            save(table, output)
-        say_table(table, output, console)
-        return table
+def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> TransformTable:
+    """Learn a transform table from training sets and write it. InputFileError or RecipeError if sets or recipe cannot be
+    used, L3Error if the output cannot be written."""
+    with execution_of(training, output, options, "transform table") as (run, execution):
+        table = _learn(run, execution)
+        save(table, output)
+    say_table(table, output, options.console)
+    return table
 
 
 @contextlib.contextmanager
-def executed(
-    training: tuple[Path, ...], console: Console, classes: Path | None, shares: tuple[Fraction, ...] | None, seed: int,
-    jobs: int, scheduler: "Scheduler | None", made: Made,
-) -> Iterator[tuple[TrainingRun, Execution]]:  # fmt: skip
-    """The run of these training sets, and who does its work; errors in the recipe name its file. `made`: what of it."""
-    if scheduler:
-        training = tuple(path.absolute() for path in training)  # for workers elsewhere
-    run = open_run(training, classes, shares, seed)
-    runs_by_light(run)  # refused before any work
-    frames = sum(source.frames for source in run.training)
-    made = replace(made, what=f"{made.what} of {sum(run.patches)} patches in {frames} frames")
-    before_work({"training sets": training, "class recipe": [classes] if classes else []}, made)
-    try:
-        with workers(jobs, scheduler) as pool, held_for_a_run():  # workers start while the first reads
-            yield run, Execution(pool, scheduler is not None, console)
-    except RecipeError as error:
-        raise RecipeError(f"{classes or 'the built-in class recipe'}: {error}") from error
+def execution_of(
+    training: tuple[Path, ...], output: Path, options: TrainOptions, what: str
+) -> Iterator[tuple[TrainingRun, Execution]]:
+    """Yield the run of these training sets, and who does its work, while the output is claimed for `what` is made; errors
+    in the recipe name its file."""
+    classes, scheduler = options.classes, options.cluster()
+    with OutputGuard(options.console) as claims:
+        claims.protect(*training, *itertools.chain(*options.inputs().values()))
+        claims.claim_file(output, options.force)
+        if scheduler:
+            training = tuple(path.absolute() for path in training)  # for workers elsewhere
+        run = open_run(training, options)
+        runs_by_light(run)  # refused before any work
+        frames = sum(source.frames for source in run.training)
+        made = Made(output, f"{what} of {sum(run.patches)} patches in {frames} frames")
+        before_work({"training sets": training, "class recipe": [classes] if classes else []}, made)
+        try:
+            with workers(options.jobs, scheduler) as pool, held_for_a_run():  # workers start while the first reads
+                yield run, Execution(pool, scheduler is not None, options.console)
+        except RecipeError as error:
+            raise RecipeError(f"{classes or 'the built-in class recipe'}: {error}") from error
 
 
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
