@@ -28,6 +28,7 @@ from l3cli.recipes.toml import CountOrNone, Recipe, Seed, load_recipe, parse_rec
 
 MOST_NOISE = 1e4  # e-
 PITCHES_UM, LEAST_F_NUMBER, LEAST_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # beyond, a length was given in another unit
+PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # of a camera of which only a raw file is known
 MOST_PRNU = 0.2  # of any sensor that can be corrected
 
 

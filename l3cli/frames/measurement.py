@@ -21,6 +21,10 @@ PATCH_NAMES = (
     "blue", "green", "red", "yellow", "magenta", "cyan",
     "white 9.5", "neutral 8", "neutral 6.5", "neutral 5", "neutral 3.5", "black 2",
 )  # fmt: skip
+DIODE = {  # other names of a sweep's columns
+    **dict.fromkeys(("diode", "photodiode", "photodiode light"), "diode light"),
+    **dict.fromkeys(("dark", "photodiode dark"), "diode dark"),
+}
 
 
 @dataclass(frozen=True)

@@ -10,17 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frames.measurement import FinishedCurves, SweepTable
+from l3cli.frames.measurement import DIODE, FinishedCurves, SweepTable
 from l3cli.recipes.toml import LARGEST
 from l3cli.spectra.file import other_unit, read_table
 from l3cli.spectra.table import CurveTable
 from l3cli.system.files import write_whole
 from l3cli.system.limits import read_bounded
 
-DIODE = {  # other names of a sweep's columns
-    **dict.fromkeys(("diode", "photodiode", "photodiode light"), "diode light"),
-    **dict.fromkeys(("dark", "photodiode dark"), "diode dark"),
-}
 Array = NDArray[np.float64]
 
 

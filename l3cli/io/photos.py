@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, CameraModel
-from l3cli.artifacts.camera_recipe import CfaRecipe, OpticsRecipe
+from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, PITCH_UM, CfaRecipe, OpticsRecipe
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.measurement import Body, Chart, PhotoCapture
@@ -26,7 +26,6 @@ RAW_FILE = "give a raw file of a chart (DNG, CR2, NEF, ARW…)"
 SEEN = (400.0, 700.0)  # nm: what a measured light must cover
 GRID = np.arange(380.0, 781.0, 5.0)  # nm, of named lights and charts
 MOST = 65535  # DN
-PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # of a camera of which only a raw file is known
 Array = NDArray[np.float64]
 
 

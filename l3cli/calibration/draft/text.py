@@ -20,9 +20,11 @@ class DraftText:
     def __str__(self) -> str:
         return "\n".join(self._lines) + "\n"
 
-    def table(self, heading: str) -> None:
-        """Begin a table or an entry of a list of tables, [sensor] or [[mono]]."""
+    def table(self, heading: str, **keys: Any) -> None:
+        """Begin a table or an entry of a list of tables, [sensor] or [[mono]], with keys that are known."""
         self._lines += ["", heading]
+        for name, value in keys.items():
+            self.key(name, value)
 
     def head(self, *lines: str) -> None:
         """Add comments before everything."""

@@ -2,17 +2,20 @@
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
+from l3cli.calibration.draft.compose import compose
+from l3cli.calibration.draft.tables import compose_tables
 from l3cli.errors import L3Error, RecipeError
-from l3cli.io.captures import list_captures
+from l3cli.io.captures import list_captures, read_capture
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.io.measurements import measurements_of
 from l3cli.options.pipeline import DraftOptions
 from l3cli.recipes.toml import parse_recipe
 from l3cli.stages.claims import OutputGuard, refuse_unwritable
-from l3cli.stages.drafting.compose import compose
 from l3cli.stages.drafting.survey import named_from, spectra_of, survey
-from l3cli.stages.drafting.tables import compose_tables
 from l3cli.stages.plan import Made, before_work, is_dry
 from l3cli.system.files import refuse_existing, refuse_protected, write_whole
 from l3cli.system.ledger import is_noting
@@ -51,8 +54,12 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> str:
         if not listing.frames and (tables := spectra_of(listing, output, notes)):
             text, contents = compose_tables(tables, known, name, notes), f"{counted(len(tables), 'table')}, no frames"
         else:
-            seen = survey(folder, output, known, console)
-            text, notes = compose(seen, known, name, named_from(folder, output)), seen.notes
+            seen = survey(listing, output, known, console)
+
+            def read(path: str) -> NDArray[np.float64]:
+                return read_capture(folder / path).values.astype(np.float64)
+
+            text, notes = compose(seen, known, name, named_from(folder, output), read), seen.notes
             contents = f"{len(seen.groups)} captures, {sum(len(group.frames) for group in seen.groups)} frames"
         write_whole(output, str(text))
         for line in (*notes, *_few("assumed", "ASSUMED", text.assumed), *_few("missing", "TODO", text.missing)):

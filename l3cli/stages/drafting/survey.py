@@ -3,19 +3,21 @@
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.calibration.draft.compose import Survey
 from l3cli.calibration.draft.matching import Spectra
 from l3cli.calibration.draft.names import natural, read_name, with_bare_wavelengths
-from l3cli.calibration.draft.sorting import Frame, Group, Scale, scale_of, sort_frames, with_plain_kinds
+from l3cli.calibration.draft.sorting import Frame, scale_of, sort_frames, with_plain_kinds
 from l3cli.calibration.draft.summary import altered, drawn, period_of, summarise
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.io.captures import CaptureFolder, RawFile, list_captures, read_capture, read_spectra
+from l3cli.io.captures import CaptureFolder, RawFile, read_capture, read_spectra
+from l3cli.io.photos import array_of
 from l3cli.stages.console import Console
 
 SAMPLED = 6  # frames that an array's period is taken from
@@ -36,33 +38,6 @@ def spectra_of(listing: CaptureFolder, output: Path, notes: list[str]) -> list[S
 
 
 @dataclass(frozen=True)
-class Survey:
-    """A folder as it was found."""
-
-    listing: CaptureFolder
-    shape: tuple[int, int]
-    period: tuple[int, int]
-    pattern: NDArray[np.int64] | None  # codes of the array that the files state
-    black_level: float | None  # DN, as the files state it
-    white_level: float | None  # DN
-    scale: Scale
-    groups: list[Group]
-    tables: list[Spectra]
-    notes: list[str] = field(default_factory=list)
-
-    @property
-    def top(self) -> int:
-        """DN, the largest value of all frames."""
-        return max(frame.summary.top for group in self.groups for frame in group.frames)
-
-    def path(self, frame: Frame) -> Path:
-        return self.listing.folder / frame.name.path
-
-    def groups_of(self, *kinds: str) -> list[Group]:
-        return [group for group in self.groups if group.kind in kinds]
-
-
-@dataclass(frozen=True)
 class _Fact:
     """Facts that a file states about its frame."""
 
@@ -79,31 +54,30 @@ class _Fact:
         return self.shape, None if self.pattern is None else self.pattern.tobytes()
 
 
-def survey(folder: Path, output: Path, camera: CameraModel | None, console: Console) -> Survey:
+def survey(listing: CaptureFolder, output: Path, camera: CameraModel | None, console: Console) -> Survey:
     """Read every file of a folder. InputFileError if it holds no raw frame, RecipeError if they are not of `camera`."""
-    listing = list_captures(folder)
     notes = list(listing.notes)
     tables = spectra_of(listing, output, notes)
     facts, frames = _facts(listing, notes, console)
     if not facts:
         reason = f": {notes[0].removesuffix('; left out')}" if notes else ""
-        raise InputFileError(f"{folder} holds no raw frame{reason}; give the folder of a camera's captures")
+        raise InputFileError(f"{listing.folder} holds no raw frame{reason}; give the folder of a camera's captures")
     kept = _frames_of_one_sensor(facts, notes)
     shape, pattern = kept[0].shape, kept[0].pattern
     if camera is not None and shape != (camera.rows, camera.cols):
         raise RecipeError(
             f"{camera.name} has {camera.rows}×{camera.cols} pixels, the frames {shape[0]}×{shape[1]}; give their camera"
         )
-    period = _period(kept, camera, listing, pattern)
-    usable = _summarised(kept, period, listing, notes, frames, console)
+    period = _period(kept, camera, listing)
+    usable = _with_wavelengths(_summarised(kept, period, listing, notes, frames, console), notes)
     if not usable:
-        raise InputFileError(f"{folder} holds no raw frame that can be used; {notes[-1]}")
-    usable = _with_wavelengths(usable, notes)
+        raise InputFileError(f"{listing.folder} holds no raw frame that can be used; {notes[-1]}")
     black = next((fact.black for fact in kept if fact.black is not None), None)
     white = next((fact.white for fact in kept if fact.white is not None), None)
     scale = scale_of(usable, black)
     groups = with_plain_kinds(sort_frames(usable, scale, notes), scale, notes)
-    return Survey(listing, shape, period, pattern, black, white, scale, groups, tables, notes)
+    array = None if pattern is None else array_of(pattern)
+    return Survey(shape, period, array, black, white, scale, groups, tables, notes)
 
 
 def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
@@ -157,14 +131,11 @@ def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fac
     return [fact for fact in facts if fact.sensor == usual]
 
 
-def _period(
-    facts: Sequence[_Fact], camera: CameraModel | None, listing: CaptureFolder, pattern: NDArray[np.int64] | None
-) -> tuple[int, int]:
+def _period(facts: Sequence[_Fact], camera: CameraModel | None, listing: CaptureFolder) -> tuple[int, int]:
     """Return the rows and columns of the array: the camera's, that of the files, or as the brightest frames show it."""
-    if camera is not None:
-        return camera.cfa.shape[0], camera.cfa.shape[1]
-    if pattern is not None:
-        return pattern.shape[0], pattern.shape[1]
+    known = facts[0].pattern if camera is None else camera.cfa
+    if known is not None:
+        return known.shape[0], known.shape[1]
     bright = sorted(facts, key=lambda fact: -fact.mean)
     sample = bright[:: max(1, len(bright) // SAMPLED)][:SAMPLED]
     frames = [read_capture(listing.folder / fact.path).values for fact in sample]

@@ -1,13 +1,16 @@
-"""Text of a measurement file from the survey of a folder."""
+"""Text of a measurement file from the frames and tables of a folder."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, PITCH_UM, CfaRecipe
 from l3cli.calibration.draft import sorting
 from l3cli.calibration.draft.matching import (
+    Spectra,
     columns_of,
     match_charts,
     match_light,
@@ -16,37 +19,120 @@ from l3cli.calibration.draft.matching import (
     radiances,
     unknown_unit,
 )
-from l3cli.calibration.draft.sorting import Group
+from l3cli.calibration.draft.sorting import Group, Scale
 from l3cli.calibration.draft.text import DraftText
 from l3cli.errors import listed
-from l3cli.io.captures import read_capture
 from l3cli.recipes.toml import toml_value
 from l3cli.spectra.table import CurveTable
 from l3cli.spectra.units import PHOTON_RADIANCE, POWER_RADIANCE
-from l3cli.stages.drafting.body import describe_camera
-from l3cli.stages.drafting.survey import Survey
 
 HEAD = "Draft: complete the lines marked TODO, check those marked ASSUMED, then run l3 calibrate on this file."
 LAMP = (
     "Where a lamp was read during captures: monitor = its reading over that when its spectrum was measured (else 1.0).",
     "How well lights were known, at the end of the file: [uncertainty] lamp_drift = 0.01 (relative), wavelength_nm = 0.1",
 )
+PITCH = "µm between pixels, from the sensor's data sheet"
 LEAST_CHARTS = 2  # that separate gain from light
 CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # an example
 SHARING = ("[[mono]]", "[[band]]")  # whose captures have [common]
 SEVERAL = 2  # captures that lack the same from which on [common] has it
 EXAMPLE_SPECTRUM = "spectra/mono.csv"
 PAIR = 2  # frames that noise is measured on
+Mosaic = NDArray[np.floating]
 
 
-def compose(seen: Survey, camera: CameraModel | None, name: str, folder: str) -> DraftText:
-    """Return the draft of everything in a folder, whose frames' names begin with `folder`."""
-    return _Composer(seen, camera, folder).text(name)
+@dataclass(frozen=True)
+class Survey:
+    """Content of a folder of captures."""
+
+    shape: tuple[int, int]
+    period: tuple[int, int]
+    array: CfaRecipe | None  # as the files state it
+    black_level: float | None  # DN, as the files state it
+    white_level: float | None  # DN
+    scale: Scale
+    groups: list[Group]
+    tables: list[Spectra]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def top(self) -> int:
+        """DN, the largest value of all frames."""
+        return max(frame.summary.top for group in self.groups for frame in group.frames)
+
+    @property
+    def black(self) -> float:
+        """DN of a pixel without light: as stated, or as the darkest frames have it."""
+        return float(self.scale.black.mean()) if self.black_level is None else self.black_level
+
+    def groups_of(self, *kinds: str) -> list[Group]:
+        """Return the captures of some kinds."""
+        return [group for group in self.groups if group.kind in kinds]
+
+
+def compose(seen: Survey, camera: CameraModel | None, name: str, folder: str, read: Callable[[str], Mosaic]) -> DraftText:
+    """Return the draft of everything in a folder, whose frames' names begin with `folder`; `read` returns the DN (row, col)
+    of a frame by its path."""
+    return _Composer(seen, camera, folder, read).text(name)
+
+
+# ------------------------------------------------------------------------------------------------------- the camera
+
+
+def known_body(out: DraftText, camera: CameraModel) -> None:
+    """Add [sensor], [cfa] and [optics] of a known camera."""
+    optics = camera.optics
+    out.table("[sensor]", rows=camera.rows, cols=camera.cols, pixel_pitch_um=round(camera.pixel_pitch * 1e6, 9))
+    out.key("bits", camera.bits)
+    rows = [" ".join(camera.channels[site] for site in row) for row in camera.cfa]
+    out.table("[cfa]", channels=list(camera.channels), pattern=rows)
+    out.table("[optics]", focal_length_mm=round(optics.focal_length * 1e3, 9), f_number=optics.f_number)
+    out.key("object_distance_m", optics.object_distance)
+
+
+def unknown_optics(out: DraftText) -> None:
+    """Add [optics], which only the user knows."""
+    out.table("[optics]")
+    out.todo("focal_length_mm", 25.0, "mm, of the lens", "[optics]")
+    out.todo("f_number", 4.0, "the aperture, as set on the lens", "[optics]")
+
+
+def _seen_body(out: DraftText, seen: Survey, photo: bool) -> None:
+    """Add [sensor], [cfa] and [optics] as frames show them; `photo`: whether only charts in photographs are there, for which
+    pitch and optics do not count."""
+    out.table("[sensor]", rows=seen.shape[0], cols=seen.shape[1])
+    if photo:
+        out.assume("pixel_pitch_um", PITCH_UM, "µm; curves of photos do not depend on it")
+    else:
+        out.todo("pixel_pitch_um", 3.45, PITCH, "[sensor]")
+    white, top = seen.white_level, seen.top
+    bits = max(1, int(np.ceil(np.log2(max(top, white or 0) + 1))))
+    why = f"the files state a white level of {white:g} DN" if white else f"the largest value of all frames is {top} DN"
+    out.assume("bits", bits, why)
+    rows, cols = seen.period
+    out.table("[cfa]")
+    if seen.array is not None:
+        out.key("channels", seen.array.channels)
+        out.key("pattern", seen.array.pattern, "as the files state it")
+    elif guessed := sorting.guess_array(seen.groups_of("mono"), seen.scale, seen.period):
+        why = f"sites of the {rows}×{cols} array that answer alike, named by the light they see"
+        out.assume("channels", guessed.channels, why)
+        out.assume("pattern", guessed.pattern, why, said=False)
+    else:
+        what = f"rows of names; values repeat every {rows}×{cols} pixels" if rows * cols > 1 else "rows of names"
+        out.todo("channels", ["r", "g", "b"], "names of the channels of the colour filter array", "[cfa]")
+        out.todo("pattern", ["r g", "g b"], what, "[cfa]")
+    if photo:
+        out.table("[optics]")
+        out.assume("focal_length_mm", FOCAL_MM, "mm; curves of photos do not depend on it", said=False)
+        out.assume("f_number", F_NUMBER, "as above", said=False)
+    else:
+        unknown_optics(out)
 
 
 class _Composer:
-    def __init__(self, seen: Survey, camera: CameraModel | None, folder: str) -> None:
-        self.seen, self.camera, self.folder = seen, camera, folder
+    def __init__(self, seen: Survey, camera: CameraModel | None, folder: str, read: Callable[[str], Mosaic]) -> None:
+        self.seen, self.camera, self.folder, self.read = seen, camera, folder, read
         self.out = DraftText()
         self.shared: set[str] = set()  # keys that [common] or the first capture explains for all steps or bands
         self.steps, self.bands = seen.groups_of("mono"), seen.groups_of("band")
@@ -59,20 +145,20 @@ class _Composer:
     def text(self, name: str) -> DraftText:
         """Return everything, in the order of a measurement file."""
         out = self.out
+        corners = self._chart_corners()
         if self.camera is not None:
             out.key("name", self.camera.name)
+            known_body(out, self.camera)
         else:
             out.assume("name", name, "the folder's name", said=False)
-        corners = self._chart_corners()
-        describe_camera(out, self.seen, self.camera, photo=not self.steps and not self.bands and bool(self.charts))
+            _seen_body(out, self.seen, photo=not self.steps and not self.bands and bool(self.charts))
         if self.steps:
             self._mono()
+            self._charts(corners)
         elif self.bands:
             self._bands()
-        if self.charts:
-            self._charts(corners) if self.steps else self._photos(corners) if not self.bands else None
-        if self.bands:
-            self._datasheet()
+        else:
+            self._photos(corners)
         if not self.steps and not self.bands and not self.charts:
             what = "no source of responsivity: monochromatic captures, a chart, or finished curves"
             out.todo_table("[curves]", what, ("file", "curves.csv"), ("per_energy", True))
@@ -88,17 +174,15 @@ class _Composer:
     def _common(self, group: Group, heading: str) -> None:
         """Add frames and exposure time of a capture."""
         out, first = self.out, group.first
-        out.table(heading)
-        out.key("frames", [self._named(frame.name.path) for frame in group.frames])
-        if first.seconds is None and "exposure_s" in self.shared and heading in SHARING:
-            return
-        if first.seconds is None:
-            out.todo("exposure_s", 0.01, "s; neither the file nor its name states the exposure time", first.name.path)
-        else:
+        out.table(heading, frames=self._names(group))
+        if first.seconds is not None:
             out.key("exposure_s", float(f"{first.seconds:.6g}"), "by its name" if first.by_name else "")
+        elif "exposure_s" not in self.shared or heading not in SHARING:
+            out.todo("exposure_s", 0.01, "s; neither the file nor its name states the exposure time", first.name.path)
 
-    def _named(self, path: str) -> str:
-        return path if self.folder == "." else f"{self.folder}/{path}"
+    def _names(self, group: Group) -> list[str]:
+        prefix = "" if self.folder == "." else f"{self.folder}/"
+        return [f"{prefix}{frame.name.path}" for frame in group.frames]
 
     def _mono(self) -> None:
         out, seen = self.out, self.seen
@@ -109,19 +193,20 @@ class _Composer:
         out.comment("", *LAMP)
         for number, (step, column) in enumerate(zip(self.steps, matched, strict=True), 1):
             self._common(step, "[[mono]]")
+            path, nm = step.first.name.path, step.first.name.nm
             uneven = step.first.summary.unevenness(float(seen.scale.black.mean()))
             if uneven > 4 * sorting.DIM and not seen.scale.clipped(step):
                 out.comment(f"the light is uneven by {uneven:.0%}: a [[mono]] frame is an even field")
             if not columns and len(matched) >= SEVERAL:
-                self._wanted_spectrum(number, step)
-                continue
-            if column is None:
-                out.todo("spectrum", "spectra/mono.csv", "measured radiance of this light", step.first.name.path)
-                continue
-            out.key("spectrum", column.spectra.path)
-            how = "" if step.first.name.nm is not None else f"ASSUMED: in order, {column.nm:g} nm"
-            out.key("column", column.key, how)
-            self._unit(column.spectra.table, column.number - 1)
+                what = "make this table of the measured radiance of every [[mono]], a column each, or name yours"
+                self._wanted("spectrum", EXAMPLE_SPECTRUM, what, path)
+                out.key("column", number if nm is None else f"{nm:g}nm")
+            elif column is None:
+                out.todo("spectrum", EXAMPLE_SPECTRUM, "measured radiance of this light", path)
+            else:
+                out.key("spectrum", column.spectra.path)
+                out.key("column", column.key, "" if nm is not None else f"ASSUMED: in order, {column.nm:g} nm")
+                self._unit(column.spectra.table, column.number - 1)
         note_unused(columns, matched, seen.notes)
 
     def _share(self, groups: Sequence[Group], unitless: Sequence[str], unit: str) -> None:
@@ -139,15 +224,6 @@ class _Composer:
             what = f"of the radiances of {len(unitless)} captures, where the heading states none"
             out.todo("unit", unit, what, unitless[0])
 
-    def _wanted_spectrum(self, number: int, step: Group) -> None:
-        """Add the spectrum of a step as a column of a table that is still to be made."""
-        nm, what = (
-            step.first.name.nm,
-            "make this table of the measured radiance of every [[mono]], a column each, or name yours",
-        )
-        self._wanted("spectrum", EXAMPLE_SPECTRUM, what, step.first.name.path)
-        self.out.key("column", number if nm is None else f"{nm:g}nm")
-
     def _wanted(self, key: str, example: str, what: str, where: str) -> None:
         """Add a table that is still to be made; the first capture that lacks one says what it holds."""
         if key in self.shared:
@@ -158,10 +234,11 @@ class _Composer:
 
     def _unit(self, table: CurveTable, column: int | None) -> None:
         """Add the unit of radiances, where their heading states none."""
-        if unknown_unit(table, column) and (column is None or "unit" not in self.shared):
-            where, peak = table.path.name, radiances(table, column).max()
-            self.out.todo("unit", POWER_RADIANCE, f"its heading states none, it peaks at {peak:.3g}", where)
-        elif not any(table.units) and not unknown_unit(table, column):
+        if unknown_unit(table, column):
+            if column is None or "unit" not in self.shared:
+                peak = radiances(table, column).max()
+                self.out.todo("unit", POWER_RADIANCE, f"its heading states none, it peaks at {peak:.3g}", table.path.name)
+        elif not any(table.units):
             self.out.assume("unit", PHOTON_RADIANCE, "the heading states none; it is as large as such radiances are", False)
 
     def _chart_corners(self) -> dict[int, sorting.Corners]:
@@ -169,7 +246,7 @@ class _Composer:
         out."""
         seen, found = self.seen, dict[int, sorting.Corners]()
         for group in list(self.charts):
-            corners = sorting.find_corners(self._mosaic(group.first.name.path) - self._black, seen.period)
+            corners = sorting.find_corners(self.read(group.first.name.path) - seen.black, seen.period)
             if corners is not None:
                 found[id(group)] = corners
             elif group.kind == "structured":
@@ -177,19 +254,13 @@ class _Composer:
                 seen.notes.append(f"{group.first.name.path}: neither even nor a chart that is found; left out")
         return found
 
-    @property
-    def _black(self) -> float:
-        return self.seen.black_level if self.seen.black_level is not None else float(self.seen.scale.black.mean())
-
-    def _mosaic(self, path: str) -> Any:
-        return read_capture(self.seen.listing.folder / path).values.astype(np.float64)
-
-    def _corners(self, corners: sorting.Corners | None, path: str, optional: bool = False) -> None:
-        what = "col, row of the outer corners of patches 1, 6, 24, 19; no chart was found"
+    def _corners(self, corners: sorting.Corners | None, path: str) -> None:
         if corners is not None:
             self.out.key("corners", corners, "found")
-        elif not optional:
-            self.out.todo("corners", CORNERS, what, path)
+        else:
+            self.out.todo(
+                "corners", CORNERS, "col, row of the outer corners of patches 1, 6, 24, 19; no chart was found", path
+            )
 
     def _charts(self, corners: dict[int, sorting.Corners]) -> None:
         """Add [[chart]] captures beside a monochromator."""
@@ -208,15 +279,14 @@ class _Composer:
                 example = f"spectra/chart_{light or number}.csv"
                 out.todo("radiance", example, "CSV of the measured radiance of every patch, a column each", path)
             else:
-                out.key(
-                    "radiance", table.path, "" if table.name.light and table.name.light == light else "ASSUMED: in order"
-                )
+                named = table.name.light and table.name.light == light
+                out.key("radiance", table.path, "" if named else "ASSUMED: in order")
                 self._unit(table.table, None)
 
     def _bands(self) -> None:
         """Add [[band]] captures: a chart behind narrow filters."""
         out, seen = self.out, self.seen
-        corners = sorting.corners_of_series(self.bands, seen.scale, seen.period, self._mosaic)
+        corners = sorting.corners_of_series(self.bands, seen.scale, seen.period, self.read)
         by_band = {table.name.nm: table for table in reversed(seen.tables) if table.has_patches}
         lacking = [f"{nm:g} nm" for group in self.bands if (nm := group.first.name.nm) not in by_band]
         self._share(self.bands, lacking, "relative power")
@@ -228,19 +298,18 @@ class _Composer:
             if nm in by_band:
                 out.key("radiance", by_band[nm].path)
                 self._unit(by_band[nm].table, None)
-            else:
-                what = "make a table for each band, light times reflectance, a column for each of 24 patches, or name yours"
-                self._wanted("radiance", f"spectra/{nm:g}nm.csv", what, path)
-                if "unit" not in self.shared:
-                    out.todo("unit", "relative power", "of these radiances, where the heading states none", path)
+                continue
+            what = "make a table for each band, light times reflectance, a column for each of 24 patches, or name yours"
+            self._wanted("radiance", f"spectra/{nm:g}nm.csv", what, path)
+            if "unit" not in self.shared:
+                out.todo("unit", "relative power", "of these radiances, where the heading states none", path)
 
     def _photos(self, corners: dict[int, sorting.Corners]) -> None:
         """Add [[photo]]: charts alone."""
         out, seen = self.out, self.seen
         for group in self.charts:
             path = group.first.name.path
-            out.table("[[photo]]")
-            out.key("frames", [self._named(frame.name.path) for frame in group.frames])
+            out.table("[[photo]]", frames=self._names(group))
             light, (measured, named) = group.first.name.light, match_light(group, seen.tables)
             if measured is not None and named:
                 out.key("light", measured.path)
@@ -252,36 +321,33 @@ class _Composer:
                 out.comment('light = "D65"  or "3200K", or a CSV of its spectrum; without it, it is guessed')
             self._corners(corners.get(id(group)), path)
             same = [dark for dark in self.darks if dark.first.seconds == group.first.seconds]
-            if same and not self._measured_sensor:
-                out.key("dark", [self._named(frame.name.path) for frame in same[0].frames])
+            if same and not (self.whites and self.darks):
+                out.key("dark", self._names(same[0]))
             elif seen.black_level is None and not same:
                 out.todo("dark", ["dark.tif"], "frames without light, same exposure: no file states black", path)
 
     # ---------------------------------------------------------------------------------------------------- sensor
 
-    @property
-    def _measured_sensor(self) -> bool:
-        """Return whether there are white frames and dark ones to measure the sensor by."""
-        return bool(self.whites) and bool(self.darks)
-
     def _sensor_frames(self) -> None:
-        out, mono = self.out, bool(self.steps)
-        if mono and len(self.charts) < LEAST_CHARTS:
+        """Add [[white]] and [[dark]], or [datasheet], which bands need: photos alone do without."""
+        out = self.out
+        if self.steps and len(self.charts) < LEAST_CHARTS:
             what = f"charts under {LEAST_CHARTS} lights or more give the scale; found: {len(self.charts)}"
             common = (("frames", ["chart_A.tif"]), ("exposure_s", 0.01), ("illuminant", "A"))
             out.todo_table("[[chart]]", what, *common, ("corners", CORNERS), ("radiance", "chart_A.csv"))
         if self.bands:
+            figures = (("black_level_dn", round(self.seen.black)), ("white_level_dn", self.seen.top))
+            further = (("well_capacity_e", 10000), ("read_noise_e", 5.0))
+            out.todo_table("[datasheet]", "the sensor's figures: bands do not measure it", *figures, *further)
             self._list("dark", self.darks)
-            return
-        if self.charts and not mono and not self._measured_sensor:
-            return  # photos do without
-        self._list("white", self.whites)
-        self._list("dark", self.darks)
-        example = (("frames", ["a_1.tif", "a_2.tif"]), ("exposure_s", 0.01))
-        if not self.whites:
-            out.todo_table("[[white]]", "even light at several exposures up to saturation, two frames each", *example)
-        if not self.darks:
-            out.todo_table("[[dark]]", "no light, at two exposures or more, two frames each", *example)
+        elif self.steps or not self.charts or (self.whites and self.darks):
+            self._list("white", self.whites)
+            self._list("dark", self.darks)
+            example = (("frames", ["a_1.tif", "a_2.tif"]), ("exposure_s", 0.01))
+            if not self.whites:
+                out.todo_table("[[white]]", "even light at several exposures up to saturation, two frames each", *example)
+            if not self.darks:
+                out.todo_table("[[dark]]", "no light, at two exposures or more, two frames each", *example)
 
     def _list(self, kind: str, groups: Sequence[Group]) -> None:
         for group in groups:
@@ -290,11 +356,3 @@ class _Composer:
             self._common(group, f"[[{kind}]]")
             if len(group.frames) < PAIR:
                 self.out.todo("frames", ["a_1.tif", "a_2.tif"], "two frames or more", group.first.name.path)
-
-    def _datasheet(self) -> None:
-        top = self.seen.top
-        self.out.todo_table(
-            "[datasheet]", "the sensor's figures: bands do not measure it",
-            ("black_level_dn", round(self._black)), ("white_level_dn", top), ("well_capacity_e", 10000),
-            ("read_noise_e", 5.0),
-        )  # fmt: skip

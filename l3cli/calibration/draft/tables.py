@@ -4,13 +4,12 @@ import re
 from collections.abc import Sequence
 
 from l3cli.artifacts.camera import MAX_CHANNELS, CameraModel
+from l3cli.calibration.draft.compose import HEAD, PITCH, known_body, unknown_optics
 from l3cli.calibration.draft.matching import Spectra
 from l3cli.calibration.draft.names import read_name
 from l3cli.calibration.draft.text import DraftText
 from l3cli.errors import InputFileError
-from l3cli.io.curves import DIODE
-from l3cli.stages.drafting.body import PITCH, known_body, unknown_optics
-from l3cli.stages.drafting.compose import HEAD
+from l3cli.frames.measurement import DIODE
 from l3cli.system.text import counted
 
 LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # a sweep's column of a channel
@@ -42,8 +41,7 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
         out.key("name", camera.name)
         known_body(out, camera)
     if sweep is not None:
-        out.table("[sweep]")
-        out.key("table", sweep.path)
+        out.table("[sweep]", table=sweep.path)
         _photodiode(out, sweep, tables)
     else:
         out.table("[curves]")
@@ -151,11 +149,8 @@ def _sheet(out: DraftText, camera: CameraModel | None) -> None:
         out.todo_table("[datasheet]", "the sensor's figures: no white and dark frames measure them", *SHEET)
         return
     noise = camera.noise
-    out.table("[datasheet]")
-    for key, value in (
-        ("black_level_dn", camera.black_level), ("white_level_dn", camera.white_level), ("gain_dn_per_e", camera.gain),
-        ("well_capacity_e", noise.well_capacity), ("read_noise_e", noise.read_noise),
-        ("dark_current_e_per_s", noise.dark_current), ("dsnu_e", noise.dsnu), ("prnu", noise.prnu),
-        ("column_noise_e", noise.column_noise),
-    ):  # fmt: skip
-        out.key(key, value)
+    out.table(
+        "[datasheet]", black_level_dn=camera.black_level, white_level_dn=camera.white_level, gain_dn_per_e=camera.gain,
+        well_capacity_e=noise.well_capacity, read_noise_e=noise.read_noise, dark_current_e_per_s=noise.dark_current,
+        dsnu_e=noise.dsnu, prnu=noise.prnu, column_noise_e=noise.column_noise,
+    )  # fmt: skip
