@@ -9,7 +9,7 @@
 
 Stages take paths or artifacts, write the file that the command of their name writes, byte for byte, and return its content.
 They raise the errors of `l3cli.errors`: RecipeError (a wrong call or recipe), InputFileError, DeviceError, L3Error. They say
-nothing unless they are given a `console` (`l3cli.stages.console.Console`).
+nothing unless they are given a `console` (`l3cli.system.console.Console`).
 """
 
 from l3cli.api.artifacts import load, load_camera, load_table, load_training_set, save

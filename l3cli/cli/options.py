@@ -16,7 +16,7 @@ from l3cli.options.option import Choice, Declaration, File, Flag, Options, Reade
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from l3cli.stages.console import Console
+    from l3cli.system.console import Console
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -139,7 +139,7 @@ def _log(context: click.Context, parameter: click.Parameter, path: Path | None) 
 def _console(context: click.Context, parameter: click.Parameter, quiet: bool) -> "Console":
     console: Console = ErrorsOnly() if quiet else Terminal()
     if context.meta[LOG] is not None:
-        from l3cli.stages.log import Logged
+        from l3cli.system.console import Logged
 
         console = Logged(console, context.meta[LOG], context.info_name or "l3", with_options)
     return recorded(console)

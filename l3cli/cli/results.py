@@ -9,7 +9,7 @@ from typing import Any, ClassVar, TypeVar
 from l3cli import __version__
 from l3cli.cli.terminal import Terminal, finite, show_json, with_options
 from l3cli.errors import InputFileError, L3Error
-from l3cli.stages.console import Console
+from l3cli.system.console import Console, Passing
 from l3cli.system.files import require_regular, sha256
 from l3cli.system.ledger import Dated, Ledger, close_ledger, dated, open_ledger, outputs_of
 
@@ -107,11 +107,12 @@ def begin(arguments: list[str]) -> Record | None:
     return Record.current
 
 
-class Recorded:
-    """A console that passes everything on to another one and keeps it for the record."""
+class Recorded(Passing):
+    """A console that keeps everything for the record."""
 
     def __init__(self, console: Console, record: Record) -> None:
-        self._console, self._record = console, record
+        super().__init__(console)
+        self._record = record
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
         """As the other console shows it; steps of one name count together."""
@@ -122,17 +123,8 @@ class Recorded:
             done += 1
             self._record.steps[what] = (done, before + time.monotonic() - start)
 
-    def info(self, message: str) -> None:
-        self._console.info(message)
-        self._record.keep(self._record.messages, message)
-
-    def warn(self, message: str) -> None:
-        self._console.warn(message)
-        self._record.keep(self._record.warnings, message)
-
-    def report(self, message: str) -> None:
-        self._console.report(message)
-        self._record.keep(self._record.warnings, message)
+    def heard(self, level: str, message: str) -> None:
+        self._record.keep(self._record.messages if level == "info" else self._record.warnings, message)
 
 
 def recorded(console: Console) -> Console:

@@ -13,11 +13,11 @@ from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from l3cli.stages.console import Silent
+from l3cli.system.console import Silent
 from l3cli.system.text import columns, printable
 
 if TYPE_CHECKING:
-    from l3cli.stages.console import Console
+    from l3cli.system.console import Console
 
 T = TypeVar("T")
 PARAMETER = re.compile("‹([a-z_]+)›")  # as messages from below the command line mark it

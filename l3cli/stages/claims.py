@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from l3cli.errors import L3Error, RecipeError
-from l3cli.stages.console import Console
+from l3cli.system.console import Console
 from l3cli.system.files import protecting, refuse_existing, refuse_filled_folder, refuse_protected
 from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder
 
@@ -28,15 +28,15 @@ class OutputGuard(contextlib.ExitStack):
         for path, globs in self._claimed:
             _refuse_protected(path, globs)
 
-    def claim_file(self, path: Path, force: bool) -> None:
+    def claim_file(self, path: Path, force: bool, recipe: bool = False) -> None:
         """`hold_file`, and refuse an output that is there already."""
-        self.hold_file(path)  # first: the run that holds it may be about to end
+        self.hold_file(path, recipe)  # first: the run that holds it may be about to end
         refuse_existing(path, force)
 
-    def hold_file(self, path: Path) -> None:
-        """Refuse before any work an output that is read, is no file, would pass for a recipe or cannot be written; keep
-        other runs off it until the end."""
-        if path.suffix == ".toml":
+    def hold_file(self, path: Path, recipe: bool = False) -> None:
+        """Refuse before any work an output that is read, is no file, would pass for a `recipe` but is none, or cannot be
+        written; keep other runs off it until the end."""
+        if path.suffix == ".toml" and not recipe:
             raise RecipeError(f"{path}: .toml is for recipes; name an output that ends otherwise")
         self._claim(path)
         refuse_existing(path, force=True)  # a folder or device

@@ -30,9 +30,9 @@ from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.rendering.white.lights import Mix, described, mix_for, mixed
 from l3cli.stages.checkpoint import run_key
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_if_trained_on, warn_if_unlike, warn_of_kernels
 from l3cli.stages.plan import Made, before_work
+from l3cli.system.console import Console
 from l3cli.system.files import sha256
 from l3cli.system.limits import read_bounded
 from l3cli.system.locks import finished_together, refuse_other_run

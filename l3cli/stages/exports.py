@@ -18,8 +18,8 @@ from l3cli.export.camera_profile import datasheet
 from l3cli.export.profiles import export_curves, export_paths
 from l3cli.options.tools import ExportOptions
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
+from l3cli.system.console import Console
 from l3cli.system.files import write_whole
 from l3cli.system.text import printable
 

@@ -10,7 +10,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.rendering.exposure import CoverageMeter
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.raw_checks import best_phases, beyond_converter, mistaken
-from l3cli.stages.console import Console
+from l3cli.system.console import Console
 from l3cli.system.files import sha256
 
 if TYPE_CHECKING:

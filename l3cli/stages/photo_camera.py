@@ -13,8 +13,8 @@ from l3cli.io import priors
 from l3cli.io.measurements import photo_measurements
 from l3cli.io.raw.cfa_codes import code_of
 from l3cli.io.raw.stated import Stated
-from l3cli.stages.console import Console
 from l3cli.stages.photo_recipe import PhotoCamera, SensorNoise, noise_of
+from l3cli.system.console import Console
 
 SEARCHED = 4  # photos of a camera that a chart is looked for in
 Taken = Sequence[tuple[Path, Stated]]  # the raw files of a camera, and what each states of it

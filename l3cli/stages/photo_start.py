@@ -12,11 +12,11 @@ from l3cli.io.raw.stated import Stated, stated
 from l3cli.options.tools import InitOptions
 from l3cli.recipes.builtin import recipe_folder
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console
 from l3cli.stages.photo_camera import photographed
 from l3cli.stages.photo_recipe import CURVES, PhotoCamera
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.starting import COMMON, known_camera, write_folder
+from l3cli.system.console import Console
 from l3cli.system.files import blamed_on, refuse_protected, require_regular
 
 NEW_FOLDER = "mine"  # as the documentation calls it

@@ -31,10 +31,10 @@ from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
 from l3cli.simulation.procedural import chart_places
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console, Silent
 from l3cli.stages.evaluation import FrameRenderers, document, evaluate_frame, raw_of, read_sequence_figures
 from l3cli.stages.input_warnings import warn_if_unlike, warn_of_kernels
 from l3cli.stages.plan import Made, before_work
+from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256, write_whole
 from l3cli.system.text import counted, short_names
 

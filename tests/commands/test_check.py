@@ -26,8 +26,8 @@ from l3cli.stages.checking.check import judge
 from l3cli.stages.checking.classes import meaning
 from l3cli.stages.checking.kinds import KINDS, kind_of, names
 from l3cli.stages.checking.source import Source
-from l3cli.stages.console import Silent
 from l3cli.stages.simulation.preparation import fitting, prepare
+from l3cli.system.console import Silent
 from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera

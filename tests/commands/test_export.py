@@ -18,8 +18,8 @@ from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, delta_e_2000, lab, srgb_from_xyz_matrix, white_point
 from l3cli.physics.matrices import colour_errors
 from l3cli.simulation.light import colour_matrix, make_light
-from l3cli.stages.console import Silent
 from l3cli.stages.exports import write
+from l3cli.system.console import Silent
 from tests.helpers.calls import L3, Refused
 
 GRID = np.arange(380.0, 781.0, 5.0)

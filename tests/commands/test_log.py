@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.stages.log import HEADING
+from l3cli.system.console import HEADING
 from tests.helpers.calls import L3
 
 LINE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ (info|warning|error) (\w+) (.*)")

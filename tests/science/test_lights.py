@@ -17,10 +17,10 @@ from l3cli.physics import spectra
 from l3cli.physics.near_lights import mired_of
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.white.lights import Mix, described, mix_for, mixed, nearest_for
-from l3cli.stages.console import Silent
 from l3cli.stages.evaluation import FrameRenderers, raw_of
 from l3cli.stages.rendering.executors import Renderers, RenderSetup
 from l3cli.stages.rendering.rendition import OUTPUTS
+from l3cli.system.console import Silent
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import XYZ, random_table, with_later, with_lights, with_tree

@@ -34,10 +34,10 @@ from l3cli.errors import InputFileError
 from l3cli.options.pipeline import TrainOptions
 from l3cli.parallel import workers
 from l3cli.physics import spectra
-from l3cli.stages.console import Silent
 from l3cli.stages.training.held_frames import HELD
 from l3cli.stages.training.passes import Execution, first_pass
 from l3cli.stages.training.run import open_run
+from l3cli.system.console import Silent
 from l3cli.training import division
 from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, work_shares
 from l3cli.training.patches import colourless_frame

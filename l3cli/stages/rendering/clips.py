@@ -17,7 +17,6 @@ from l3cli.io.video import is_video
 from l3cli.options.render import RenderOptions
 from l3cli.stages.checkpoint import run_key
 from l3cli.stages.claims import OutputGuard, refuse_unwritable
-from l3cli.stages.console import Gathering
 from l3cli.stages.plan import Planned, is_dry
 from l3cli.stages.rendering.clip_inputs import name_of, refuse_one_name
 from l3cli.stages.rendering.destination import destination_of, overrides
@@ -25,6 +24,7 @@ from l3cli.stages.rendering.executors import Renderers
 from l3cli.stages.rendering.job_state import Entry, JobState, Standing, identity_of_clip, identity_of_output
 from l3cli.stages.rendering.render import render
 from l3cli.stages.rendering.sequence import Tally
+from l3cli.system.console import Gathering
 from l3cli.system.files import FULL, STDIN, UNFINISHED, refuse_existing, refuse_filled_folder, sha256
 from l3cli.system.ledger import dated
 from l3cli.system.locks import sole_writer_of_folder

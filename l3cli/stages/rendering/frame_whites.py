@@ -4,9 +4,9 @@ from l3cli.frames.frame import RawFrame
 from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
 from l3cli.rendering.white.scene_white import SceneWhite
 from l3cli.rendering.white.source import WhiteSource
-from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_odd_white, warn_of_stated_white
 from l3cli.stages.rendering.chart_white import ChartSceneWhite
+from l3cli.system.console import Console
 
 
 class FrameWhites:

@@ -14,7 +14,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.io.sequences import FrameSequence
 from l3cli.rendering.white.lights import Mix, described, nearest_for
 from l3cli.rendering.white.source import WhiteSource, given_white
-from l3cli.stages.console import Console
+from l3cli.system.console import Console
 
 Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for or nearest_for
 

@@ -21,7 +21,6 @@ from l3cli.rendering.white.lights import mixed, nearest_for
 from l3cli.rendering.white.source import given_white, usual_balance
 from l3cli.stages.checkpoint import run_key
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_exposure_time, warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.chart_white import source_of
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
@@ -42,6 +41,7 @@ from l3cli.stages.rendering.plan import plan
 from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
 from l3cli.stages.rendering.sequence import Tally, follows, render_frames
 from l3cli.stages.rendering.shards import part_of
+from l3cli.system.console import Console
 from l3cli.system.files import sha256
 
 if TYPE_CHECKING:

@@ -24,13 +24,13 @@ from l3cli.rendering.temporal.chunks import Chunks, needed
 from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
 from l3cli.rendering.white.scene_white import SceneWhite
 from l3cli.rendering.white.source import WhiteSource
-from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import FrameWarnings
 from l3cli.stages.rendering.destination import Destination, open_sink
 from l3cli.stages.rendering.executors import Local, Remote
 from l3cli.stages.rendering.frame_whites import FrameWhites, WhiteReport
 from l3cli.stages.rendering.mark import Mark, Origins
 from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread
+from l3cli.system.console import Console
 from l3cli.system.files import sha256
 
 if TYPE_CHECKING:

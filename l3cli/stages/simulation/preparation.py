@@ -20,9 +20,9 @@ from l3cli.simulation.sensor import noise_plugin
 from l3cli.simulation.sources import FileSource, name_of
 from l3cli.simulation.targets import make_target
 from l3cli.spectra.file import read_table
-from l3cli.stages.console import Console
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import files_of, refusals
+from l3cli.system.console import Console
 from l3cli.system.files import sha256
 from l3cli.system.plugins import package
 

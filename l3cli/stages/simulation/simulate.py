@@ -12,7 +12,6 @@ from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work, is_dry
 from l3cli.stages.simulation.parts import (
     StoredFrames,
@@ -27,6 +26,7 @@ from l3cli.stages.simulation.pictures import WRITTEN, write_beside
 from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.units import frame_bytes, received, simulate_unit, units_of
+from l3cli.system.console import Console
 from l3cli.system.files import refuse_existing
 from l3cli.system.ledger import note_inputs, note_places
 from l3cli.system.locks import finished_together, refuse_other_run

@@ -13,9 +13,9 @@ from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import fixed_point, opponent_basis
 from l3cli.physics.display import XYZ
-from l3cli.stages.console import Console
 from l3cli.stages.training.passes import Execution
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
+from l3cli.system.console import Console
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
 from l3cli.training.layers.rules import (
     PILOT_MOSAICS,

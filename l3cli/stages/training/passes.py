@@ -10,8 +10,8 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.classes.recipe import left_out
 from l3cli.parallel import WorkerPool
-from l3cli.stages.console import Console
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
+from l3cli.system.console import Console
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.division import WorkShare, frame_blocks, work_shares
 from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning

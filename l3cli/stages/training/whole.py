@@ -11,7 +11,6 @@ from l3cli.errors import RecipeError
 from l3cli.options.pipeline import TrainOptions
 from l3cli.parallel import workers
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.held_frames import held_for_a_run
 from l3cli.stages.training.later_layers import learn_refinement_layers
@@ -19,6 +18,7 @@ from l3cli.stages.training.lights import learn_lights, runs_by_light
 from l3cli.stages.training.passes import Execution, first_pass, learn_first
 from l3cli.stages.training.quiet import learn_quiet
 from l3cli.stages.training.run import TrainingRun, open_run
+from l3cli.system.console import Console
 
 
 def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> TransformTable:

@@ -1,1 +1,0 @@
-"""A folder of captures → the draft of a measurement file."""
