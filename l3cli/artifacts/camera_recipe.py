@@ -317,11 +317,6 @@ def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:
         yield fault(f"{key} is {value:g}; it is a share, at most {most:g}{percent}", key)
 
 
-def check_share(value: float, key: str, most: float, path: Path) -> None:
-    """Raise RecipeError if a share that cannot be more than `most` is."""
-    refuse_first(share_faults(value, key, most), path)
-
-
 def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
     """Yield the faults of a pixel pitch, focal length or f-number whose size shows that it is in another unit."""
     least, most = PITCHES_UM
@@ -337,11 +332,6 @@ def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
         yield fault(message, "optics.focal_length_mm")
     if 0 < f_number < LEAST_F_NUMBER:
         yield fault(f"optics.f_number is {f_number:g}; no lens in air is below {LEAST_F_NUMBER}", "optics.f_number")
-
-
-def check_lengths(pitch_um: float, optics: OpticsRecipe, path: Path) -> None:
-    """Raise RecipeError if pixel pitch, focal length or f-number are none by their size: given in another unit."""
-    refuse_first(length_faults(pitch_um, optics), path)
 
 
 def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:

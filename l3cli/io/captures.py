@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, L3Error
-from l3cli.io.photos import raw_content
+from l3cli.io.frames import raw_content
 from l3cli.io.raw.registry import BY_SUFFIX
 from l3cli.spectra.file import SUFFIXES, read_table
 from l3cli.spectra.table import CurveTable

@@ -1,17 +1,20 @@
-"""Files of curves: CSV spectra, tables of sweeps, and the JSON of rawtoaces (camera spectral sensitivities per energy)."""
+"""Files of curves: CSV spectra, tables of sweeps, the JSON of rawtoaces (camera spectral sensitivities per energy); and the
+statistics of measured cameras' curves, those that come with l3 or of a folder (docs/method.md#charts-in-photographs)."""
 
 import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frames.measurement import DIODE, FinishedCurves, SweepTable
-from l3cli.recipes.toml import LARGEST
+from l3cli.frames.measurement import DIODE, CurveStatistics, FinishedCurves, SweepTable
+from l3cli.recipes.builtin import recipe_folder
+from l3cli.recipes.toml import LARGEST, Recipe, load_recipe
 from l3cli.spectra.file import other_unit, read_table
 from l3cli.spectra.table import CurveTable
 from l3cli.system.files import write_whole
@@ -89,3 +92,51 @@ def _read_json(path: Path) -> CurveTable:
     values = table[:, 1:].T
     named = isinstance(names, list) and len(names) == len(values) and all(isinstance(name, str) for name in names)
     return CurveTable(path, table[:, 0], values, tuple(names) if named else None, (None,) * len(values))
+
+
+# ---------------------------------------------------------------------------------- statistics of measured curves
+
+ROLES = ("r", "g", "b")  # channels of the table that comes with l3, and of the cameras of a folder
+CURVE_FILES = (".csv", ".json")
+LEAST = 8  # cameras of a folder: fewer say nothing of how curves vary
+MOST = 2000
+
+
+class PriorRecipe(Recipe):
+    """Statistics of measured curves."""
+
+    title: ClassVar[str] = "a table of curve statistics"
+
+    source: str  # whose curves, by whom, under which licence
+    wavelength_nm: list[float]
+    mean: dict[str, list[float]]  # channel → wavelength
+    modes: list[dict[str, list[float]]]  # channel → wavelength, each mode by its standard deviation
+    log_peak: list[float]
+    log_peak_covariance: list[list[float]]
+
+
+def shipped_statistics() -> CurveStatistics:
+    """Return the statistics that come with l3, of r, g and b."""
+    recipe = load_recipe(recipe_folder() / "priors" / "rgb.toml", PriorRecipe)
+    return CurveStatistics(
+        np.array(recipe.wavelength_nm),
+        np.array([recipe.mean[role] for role in ROLES]),
+        np.array([[mode[role] for role in ROLES] for mode in recipe.modes]),
+        np.array(recipe.log_peak),
+        np.array(recipe.log_peak_covariance),
+    )
+
+
+def prior_files(folder: Path) -> list[Path]:
+    """Return the files of curves in a folder; InputFileError if there are too few."""
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in CURVE_FILES) if folder.is_dir() else []
+    if not LEAST <= len(files) <= MOST:
+        raise InputFileError(
+            f"{folder} holds {len(files)} files of curves (CSV or rawtoaces JSON); a prior needs {LEAST} cameras or more"
+        )
+    return files
+
+
+def read_cameras(files: Sequence[Path]) -> tuple[FinishedCurves, ...]:
+    """Return the curves of measured cameras, r g b, per energy in the files; InputFileError names one that holds none."""
+    return tuple(read_finished(path, ROLES, per_energy=True) for path in files)

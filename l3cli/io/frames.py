@@ -1,5 +1,4 @@
-"""Frames of a lab: single-channel 16-bit pictures (TIFF, PNG, PGM) or raw files of the whole sensor, raw DN, CFA phase
-(0, 0)."""
+"""Frames of a lab as they stand, never developed: single-channel 16-bit pictures (TIFF, PNG, PGM) or raw files, raw DN."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,17 +7,37 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import shifted_cfa
 from l3cli.io.images import mono_of, opened
 from l3cli.io.isolated import isolated
-from l3cli.io.photos import raw_content
 from l3cli.io.raw.cfa_codes import FilterArray, find_phase
-from l3cli.io.raw.registry import BY_SUFFIX, format_of
+from l3cli.io.raw.files import read_raw
+from l3cli.io.raw.registry import BY_SUFFIX, RawContent, format_of
 from l3cli.io.raw.tiff import read_plain
+from l3cli.system.files import require_regular
+from l3cli.system.limits import require_picture
 
 TIFF = (".tif", ".tiff")
+RAW_FILE = "give a raw file of a chart (DNG, CR2, NEF, ARW…)"
 PICTURES = (".tif", ".png")  # of formats whose depth is checked before their pixels are read
+
+
+def raw_content(path: Path) -> RawContent:
+    """Return the content of a raw file of one frame; InputFileError if it is no mosaic of one channel."""
+    require_regular(path, RAW_FILE)
+    kind = format_of(path)
+    if not kind.holds_frame or kind.wants_geometry:
+        raise InputFileError(f"{path} is no raw file of a camera; {RAW_FILE}, or a picture of one channel")
+    try:
+        content = kind.read(path)
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror or error}") from error
+    if content["values"].ndim != 2 or content["values"].size == 0:
+        raise InputFileError(f"{path} is no mosaic; {RAW_FILE}")
+    require_picture(str(path), *content["values"].shape)
+    return content
 
 
 @dataclass(frozen=True)
@@ -35,6 +54,26 @@ class FrameFiles:
             yield read_frame(path, self.shape, self.bits, self.array)
 
 
+@dataclass(frozen=True)
+class WholeFrames:
+    """Raw files of a known camera's whole sensor, read one by one each time they are gone through."""
+
+    paths: tuple[Path, ...]
+    camera: CameraModel
+
+    def __iter__(self) -> Iterator[NDArray[np.uint16]]:
+        shape = (self.camera.rows, self.camera.cols)
+        for path in self.paths:
+            frame = read_raw(path, self.camera)
+            if frame.values.shape != shape or frame.phase != (0, 0):
+                raise InputFileError(
+                    f"{path} of {frame.values.shape[0]}×{frame.values.shape[1]} pixels, first site {frame.phase}, is no "
+                    f"whole frame of camera {self.camera.name} of {shape[0]}×{shape[1]}; give whole raw frames"
+                )
+            require_bits(path, frame.values, self.camera.bits)
+            yield frame.values
+
+
 def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray | None = None) -> NDArray[np.uint16]:
     """Return a single-channel 16-bit picture (row, col) in DN, an 8-bit one of a sensor of 8 bits or less, or a raw file's
     mosaic.
@@ -45,7 +84,10 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
         content = raw_content(path)
         values, pattern = content["values"], content.get("pattern")
         if array is not None and pattern is not None:
-            _check_array(path, pattern, array)
+            phase = phase_of(path, pattern, array)
+            if not np.array_equal(shifted_cfa(array.cfa, phase), array.cfa):
+                begins = f"row {phase[0]}, column {phase[1]} of cfa.pattern"
+                raise InputFileError(f"{path} begins at {begins}; begin cfa.pattern there")
     elif bits > 8 and path.suffix.lower() in TIFF and (plain := read_plain(path, (16,))) is not None:
         values = plain["values"]
     else:
@@ -68,14 +110,14 @@ def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
         return mono_of(path, picture, spec)[0]
 
 
-def _check_array(path: Path, pattern: NDArray[np.int64], array: FilterArray) -> None:
+def phase_of(path: Path, pattern: NDArray[np.int64], array: FilterArray) -> tuple[int, int]:
+    """Return the site of a sensor's array that the first pixel of a file of this CFA `pattern` has. InputFileError if there
+    is none."""
     try:
-        phase = find_phase(str(path), pattern, array)
+        return find_phase(str(path), pattern, array)
     except InputFileError as error:
         reason = str(error).partition(";")[0].replace("the table", "cfa.pattern")
         raise InputFileError(f"{reason}; correct cfa.pattern") from error
-    if not np.array_equal(shifted_cfa(array.cfa, phase), array.cfa):
-        raise InputFileError(f"{path} begins at row {phase[0]}, column {phase[1]} of cfa.pattern; begin cfa.pattern there")
 
 
 def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: tuple[int, int], bits: int) -> None:

@@ -13,24 +13,44 @@
     spectra             CSV: wavelength in nm, then radiances in photons/s/sr/m²/nm, one column a light or a patch; other
                         units as a heading or the key `unit` states
 
+A measurement file of [[dark]] and [[white]] frames alone takes all else from a camera model or recipe, its `base`.
+
 Names of files are relative to the folder of the measurement file.
 """
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
 import msgspec
+import numpy as np
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import MAX_BITS, CameraModel
 from l3cli.artifacts.camera_curves import column_faults
-from l3cli.artifacts.camera_recipe import CfaRecipe, ChannelRecipe, NoiseRecipe, OpticsRecipe, settings_of
+from l3cli.artifacts.camera_recipe import (
+    MOST_PRNU,
+    CfaRecipe,
+    ChannelRecipe,
+    NoiseRecipe,
+    OpticsRecipe,
+    cfa_faults,
+    channel_faults,
+    length_faults,
+    settings_of,
+    share_faults,
+)
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, Recipe, toml_key, toml_value
+from l3cli.recipes.toml_lines import KeyPath
 from l3cli.spectra.file import SUFFIXES
 from l3cli.system.files import write_whole
+from l3cli.system.limits import MEGAPIXELS, most_pixels
 
 EXPOSURES = ("exposure_s", "exposure_ms", "exposure_us")
+CAPTURES = ("mono", "band", "chart", "white", "dark")  # lists of tables that name frames
+MOST_MONITOR = 10.0  # and its inverse: a lamp that changes more is another lamp
+SITE_PIXELS = 8  # rows and columns of super-pixels from which a local mean can be taken
 
 
 class BodyRecipe(Recipe):
@@ -177,8 +197,111 @@ class MeasurementRecipe(Recipe):
         return self.photo if isinstance(self.photo, list) else [self.photo]
 
 
-def key_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
-    """Yield the faults of [uncertainty], and of the columns that [curves] names."""
+class CorrectionRecipe(Recipe):
+    """MEASUREMENTS.toml of a camera that is known but for its defects and flat field."""
+
+    title: ClassVar[str] = MeasurementRecipe.title
+
+    base: str  # camera model or recipe, relative to this file
+    dark: list[CaptureRecipe]  # lens cap: one exposure or several
+    white: list[CaptureRecipe]  # an even white, neither clipped nor dark
+
+
+def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[str, int, CaptureRecipe]]:
+    """Yield the section and number of every capture, and the capture."""
+    for section in CAPTURES:
+        for number, capture in enumerate(getattr(recipe, section, [])):
+            yield section, number, capture
+
+
+# -------------------------------------------------------------------------------------------------------- faults
+
+
+def key_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
+    """Yield the faults of numbers and names that depend on no other file."""
+    if isinstance(recipe, CorrectionRecipe):
+        for section in ("dark", "white"):
+            if not getattr(recipe, section):
+                yield fault(f"there is no [[{section}]] capture; add some", section)
+    else:
+        yield from _sensor_faults(recipe)
+        yield from _source_faults(recipe)
+    for section, number, capture in captures_of(recipe):
+        yield from _capture_faults(capture, (section, number))
+    if isinstance(recipe, MeasurementRecipe):
+        yield from _section_faults(recipe)
+
+
+def _section_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
+    """Yield a fault unless there are one source of responsivity, one of the sensor's figures, and all that they need."""
+    given = [name for name in ("mono", "sweep", "curves", "band", "photo") if getattr(recipe, name)]
+    rules = (
+        (
+            len(given) != 1,
+            "give one source of responsivity, [[mono]] [sweep] [curves] [[band]] or [photo]; "
+            f"given: {' and '.join(given) or 'none'}",
+        ),
+        (recipe.prior and not recipe.photos, "prior is for a [photo], and there is none; leave it out"),
+        (
+            bool(recipe.white) == (recipe.datasheet is not None) and (recipe.white or not recipe.photos),
+            "give either [[white]] frames, and measure the sensor, or its [datasheet]",
+        ),
+        (recipe.white and not recipe.dark, "there is no [[dark]] capture; add some"),
+        (recipe.mono and recipe.datasheet, "[[mono]] frames need [[white]] and [[dark]] frames, not a [datasheet]"),
+        (recipe.band and recipe.white, "[[band]] captures need a [datasheet], not [[white]] frames"),
+        (
+            recipe.chart and not recipe.white,
+            "[[chart]] captures need [[white]] and [[dark]] frames; take them or leave the charts out",
+        ),
+        (
+            len(recipe.chart) == 1 or (recipe.mono and not recipe.chart),
+            "one [[chart]] does not separate gain from light; give charts under two illuminants",
+        ),
+    )
+    yield from (fault(message, ()) for holds, message in rules if holds)
+
+
+def _sensor_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
+    sensor, optics = recipe.sensor, recipe.optics
+    for key in ("rows", "cols", "pixel_pitch_um", "bits"):
+        if not getattr(sensor, key) > 0 or (key == "bits" and sensor.bits > MAX_BITS):
+            yield fault("sensor needs rows, cols and pixel_pitch_um above 0 and 1 to 16 bits", f"sensor.{key}")
+    for key in ("focal_length_mm", "f_number"):
+        if not getattr(optics, key) > 0:
+            yield fault("optics needs focal_length_mm and f_number above 0", f"optics.{key}")
+    if optics.focal_length_mm > 0 and 0 < optics.object_distance_m <= optics.focal_length_mm * 1e-3:
+        yield fault(
+            "optics.object_distance_m is nearer than the focal length; give 0 for infinity", "optics.object_distance_m"
+        )
+    yield from length_faults(sensor.pixel_pitch_um, optics)
+    array = list(cfa_faults(recipe.cfa))
+    yield from array
+    size = "sensor.rows", "sensor.cols"
+    if sensor.rows * sensor.cols > most_pixels():
+        yield fault(f"{sensor.rows}×{sensor.cols} pixels are more than inputs may have; raise {MEGAPIXELS}", *size)
+    elif min(sensor.rows, sensor.cols) > 0 and not array:
+        rows, cols = len(recipe.cfa.pattern), len(recipe.cfa.pattern[0].split())
+        if sensor.rows < SITE_PIXELS * rows or sensor.cols < SITE_PIXELS * cols:
+            yield fault(f"{sensor.rows}×{sensor.cols} pixels are too few to measure noise; check sensor", *size)
+    yield from channel_faults(recipe.channel, recipe.cfa.channels)
+    if recipe.datasheet is not None:
+        yield from _datasheet_faults(recipe.datasheet, 2 ** min(max(sensor.bits, 1), MAX_BITS) - 1)
+
+
+def _datasheet_faults(declared: DatasheetRecipe, most: int) -> Iterator[Fault]:
+    """`most`: the largest DN."""
+    spreads = (declared.read_noise_e, declared.dark_current_e_per_s, declared.dsnu_e, declared.prnu)
+    levels = 0 <= declared.black_level_dn < declared.white_level_dn <= most
+    if not (levels and 0 < declared.well_capacity_e < math.inf and min(spreads) >= 0):
+        message = f"datasheet needs 0 ≤ black_level_dn < white_level_dn ≤ {most}, a well, and no negative figure"
+        yield fault(message, "datasheet")
+    yield from share_faults(declared.prnu, "datasheet.prnu", MOST_PRNU)
+    if declared.gain_dn_per_e is not None and not 0 < declared.gain_dn_per_e < math.inf:
+        yield fault("datasheet.gain_dn_per_e must be above 0", "datasheet.gain_dn_per_e")
+
+
+def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
+    """Yield the faults of [uncertainty], of the columns that [curves] names, and of photos."""
     for key, most in (("lamp_drift", 1), ("photodiode", 1), ("wavelength_nm", 100)):
         if not 0 <= getattr(recipe.uncertainty, key) < most:
             message = f"uncertainty is a standard deviation: {key} in 0…{most}"
@@ -187,12 +310,37 @@ def key_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
         yield fault("uncertainty.photodiode is of the photodiode of a [sweep]; leave it out", "uncertainty.photodiode")
     if recipe.curves is not None:
         yield from column_faults(recipe.curves.columns, recipe.cfa.channels, "curves.columns")
+    for number, photo in enumerate(recipe.photos):
+        place: KeyPath = ("photo", number) if isinstance(recipe.photo, list) else ("photo",)
+        if not photo.frames:
+            yield fault("a [photo] needs frames, one raw file or more of one scene", (*place, "frames"))
+        if photo.corners is not None and (len(photo.corners) != 4 or not np.isfinite(photo.corners).all()):
+            message = "a [photo] has four corners, col, row of its first, last of row, last, first of last row"
+            yield fault(message, (*place, "corners"))
+
+
+def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
+    """Yield the faults of the exposure, the monitor's reading and the corners of a capture."""
+    table = key[0]
+    if capture.seconds is None or not 0 < capture.seconds < math.inf:
+        message = f"a [[{table}]] capture needs one of exposure_s, exposure_ms and exposure_us, above 0"
+        yield fault(message, *((*key, name) for name in EXPOSURES))
+    if not 1 / MOST_MONITOR <= capture.monitor <= MOST_MONITOR:
+        message = f"monitor is {capture.monitor:g}; give the lamp's reading over the one when its spectrum was measured"
+        yield fault(f"{message}, 1 where it is the same", (*key, "monitor"))
+    if not capture.frames:
+        yield fault(f"a [[{table}]] capture needs frames", (*key, "frames"))
+    if isinstance(capture, ChartRecipe) and (len(capture.corners) != 4 or not np.isfinite(capture.corners).all()):
+        message = f"a [[{table}]] has {len(capture.corners)} corners; give col, row of patches 1, 6, 24, 19"
+        yield fault(message, (*key, "corners"))
+
+
+# -------------------------------------------------------------------------------------------- files that are named
 
 
 def frame_names(recipe: MeasurementRecipe) -> list[str]:
     """Return every frame a measurement file names, in order."""
-    captures: list[CaptureRecipe] = [*recipe.mono, *recipe.band, *recipe.chart, *recipe.white, *recipe.dark]
-    names = [name for capture in captures for name in capture.frames]
+    names = [name for _, _, capture in captures_of(recipe) for name in capture.frames]
     return names + [name for photo in recipe.photos for name in (*photo.frames, *photo.dark, *photo.white)]
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.camera import Noise, Optics
-from l3cli.artifacts.camera_recipe import MOST_PRNU, check_lengths, check_share, parse_cfa, settings_from
+from l3cli.artifacts.camera_recipe import camera_files, load_camera, parse_cfa, settings_from
 from l3cli.artifacts.schema import Stage
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.measurement import (
@@ -28,12 +28,12 @@ from l3cli.frames.measurement import (
     SensorFigures,
     SweepTable,
 )
-from l3cli.io.correction_recipe import correction_files, correction_measurements, has_base
-from l3cli.io.curves import read_finished, read_sweep
-from l3cli.io.frames import FrameFiles
+from l3cli.io.curves import prior_files, read_cameras, read_finished, read_sweep, shipped_statistics
+from l3cli.io.frames import FrameFiles, WholeFrames
 from l3cli.io.measurement_recipe import (
     CaptureRecipe,
     ChartRecipe,
+    CorrectionRecipe,
     DatasheetRecipe,
     MeasurementRecipe,
     MonoRecipe,
@@ -42,16 +42,11 @@ from l3cli.io.measurement_recipe import (
     spectrum_names,
 )
 from l3cli.io.photos import Levels, load_photos, recipe_of_photos
-from l3cli.io.priors import prior_files, read_cameras, shipped
 from l3cli.recipes.faults import refuse_first
-from l3cli.recipes.toml import load_recipe, read_text
+from l3cli.recipes.toml import parse_recipe, parse_toml, read_text
 from l3cli.spectra.file import read_table
 from l3cli.spectra.table import RELATIVE, CurveTable
 from l3cli.system.files import sha256, stamp
-from l3cli.system.limits import MEGAPIXELS, most_pixels
-
-MOST_MONITOR = 10.0  # and its inverse: a lamp that changes more is another lamp
-SITE_PIXELS = 8  # rows and columns of super-pixels from which a local mean can be taken
 
 
 def load_measurements(path: Path) -> Measurements:
@@ -59,72 +54,57 @@ def load_measurements(path: Path) -> Measurements:
 
     RecipeError if the file asks for what cannot be, InputFileError if a spectrum or a frame is missing or broken.
     """
-    return correction_measurements(path) if has_base(path) else measurements_of(load_recipe(path, MeasurementRecipe), path)
+    recipe = _load(path)
+    return _corrections(recipe, path) if isinstance(recipe, CorrectionRecipe) else measurements_of(recipe, path)
+
+
+def _load(path: Path) -> MeasurementRecipe | CorrectionRecipe:
+    text = read_text(path, MeasurementRecipe.title)
+    if "base" in parse_toml(text, str(path)):
+        return parse_recipe(text, CorrectionRecipe, str(path))
+    return parse_recipe(text, MeasurementRecipe, str(path))
+
+
+def _corrections(recipe: CorrectionRecipe, path: Path) -> Measurements:
+    """Return the dark and white frames of a known camera."""
+    refuse_first(key_faults(recipe), path)
+    camera = load_camera(path.parent / recipe.base)
+    body = Body(
+        camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa, camera.optics
+    )
+
+    def captures(listed: list[CaptureRecipe]) -> tuple[Capture, ...]:
+        files = [WholeFrames(tuple(path.parent / name for name in each.frames), camera) for each in listed]
+        return tuple(Capture(each.frames[0], each.seconds or 0.0, of) for each, of in zip(listed, files, strict=True))
+
+    return Measurements(body=body, darks=captures(recipe.dark), whites=captures(recipe.white), base=camera)
 
 
 def measurements_of(recipe: MeasurementRecipe, path: Path) -> Measurements:
     """Return the measurements of a measurement file that lies, or would lie, at `path`; errors as of `load_measurements`."""
+    refuse_first(key_faults(recipe), path)
     body = _body(recipe, path)
-    _check_sources(recipe, path)
     for name in frame_names(recipe):
         if not (path.parent / name).is_file():
             raise InputFileError(f"{path.parent / name} does not exist; {path.name} names it as a frame")
-    refuse_first(key_faults(recipe), path)
     return Measurements(
         body=body,
         mono=_mono(recipe, body, path),
         charts=tuple(ChartCapture(**_chart(chart, "chart", body, path)) for chart in recipe.chart),
-        darks=tuple(Capture(**_common(capture, "dark", body, path)) for capture in recipe.dark),
-        whites=tuple(Capture(**_common(capture, "white", body, path)) for capture in recipe.white),
+        darks=tuple(Capture(**_common(capture, body, path)) for capture in recipe.dark),
+        whites=tuple(Capture(**_common(capture, body, path)) for capture in recipe.white),
         bands=tuple(BandCapture(**_chart(band, "band", body, path)) for band in recipe.band),
         curve=_curve(recipe, path),
         photos=load_photos(recipe.photos, body, _levels(recipe), path),
         cameras=_cameras(recipe, path),
-        datasheet=_datasheet(recipe.datasheet, body, path),
+        datasheet=None if recipe.datasheet is None else _figures(recipe.datasheet),
         lamp_drift=math.hypot(recipe.uncertainty.lamp_drift, recipe.uncertainty.photodiode),
         wavelength_uncertainty=recipe.uncertainty.wavelength_nm,
     )
 
 
-def _check_sources(recipe: MeasurementRecipe, path: Path) -> None:
-    """One source of responsivity, one of the sensor's figures, and all that they need; RecipeError otherwise."""
-    sources: dict[str, Any] = {"mono": recipe.mono, "sweep": recipe.sweep, "curves": recipe.curves, "band": recipe.band}
-    sources |= {"photo": recipe.photos}
-    given = [name for name, source in sources.items() if source]
-    if len(given) != 1:
-        named = " and ".join(given) or "none"
-        raise RecipeError(
-            f"{path}: give one source of responsivity, [[mono]] [sweep] [curves] [[band]] or [photo]; given: {named}"
-        )
-    if recipe.prior and not recipe.photos:
-        raise RecipeError(f"{path}: prior is for a [photo], and there is none; leave it out")
-    if bool(recipe.white) == (recipe.datasheet is not None) and (recipe.white or not recipe.photos):
-        raise RecipeError(f"{path}: give either [[white]] frames, and measure the sensor, or its [datasheet]")
-    if recipe.white and not recipe.dark:
-        raise RecipeError(f"{path}: there is no [[dark]] capture; add some")
-    if recipe.mono and recipe.datasheet:
-        raise RecipeError(f"{path}: [[mono]] frames need [[white]] and [[dark]] frames, not a [datasheet]")
-    if recipe.band and recipe.white:
-        raise RecipeError(f"{path}: [[band]] captures need a [datasheet], not [[white]] frames")
-    if recipe.chart and not recipe.white:
-        raise RecipeError(
-            f"{path}: [[chart]] captures need [[white]] and [[dark]] frames; take them or leave the charts out"
-        )
-    if len(recipe.chart) == 1 or (recipe.mono and not recipe.chart):
-        raise RecipeError(f"{path}: one [[chart]] does not separate gain from light; give charts under two illuminants")
-
-
-def _common(capture: CaptureRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:
+def _common(capture: CaptureRecipe, body: Body, path: Path) -> dict[str, Any]:
     """Return the keywords that every capture has."""
-    if capture.seconds is None:
-        raise RecipeError(f"{path}: a [[{table}]] capture needs one of exposure_s, exposure_ms and exposure_us")
-    if not capture.frames or not 0 < capture.seconds < math.inf or not 0 < capture.monitor < math.inf:
-        raise RecipeError(f"{path}: a [[{table}]] capture needs frames, and exposure_s and monitor above 0")
-    if not 1 / MOST_MONITOR <= capture.monitor <= MOST_MONITOR:
-        raise RecipeError(
-            f"{path}: monitor of {capture.frames[0]} is {capture.monitor:g}; give the lamp's reading over the one when its "
-            f"spectrum was measured, 1 where it is the same"
-        )
     files = FrameFiles(tuple(path.parent / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 
@@ -137,7 +117,7 @@ def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCaptur
         radiance = light.photons(step.unit)
         if radiance.max() <= 0:
             raise InputFileError(f"{path.parent / step.spectrum}: column {step.column} is dark; measure the light again")
-        common = _common(step, "mono", body, path)
+        common = _common(step, body, path)
         absolute = not {step.unit, *light.units} & set(RELATIVE)
         mono.append(MonoCapture(**common, wavelength=light.wavelength, radiance=radiance[0], absolute=absolute))
     return tuple(mono)
@@ -152,8 +132,6 @@ def _light(table: CurveTable, step: MonoRecipe, path: Path) -> CurveTable:
 
 def _chart(chart: ChartRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:
     """Return a chart capture as keywords."""
-    if len(chart.corners) != 4 or not np.isfinite(chart.corners).all():
-        raise RecipeError(f"{path}: a [[{table}]] has {len(chart.corners)} corners; give col, row of patches 1, 6, 24, 19")
     measured = read_table(path.parent / chart.radiance).ordered(PATCH_NAMES, patch_name)
     if table == "chart" and {chart.unit, *measured.units} & set(RELATIVE):
         raise InputFileError(
@@ -163,7 +141,7 @@ def _chart(chart: ChartRecipe, table: str, body: Body, path: Path) -> dict[str, 
     if radiance.max(axis=1).min() <= 0:
         raise InputFileError(f"{path.parent / chart.radiance}: a patch without light; measure the chart again")
     return {
-        **_common(chart, table, body, path),
+        **_common(chart, body, path),
         "illuminant": chart.illuminant,
         "corners": np.array(chart.corners, dtype=np.float64),
         "wavelength": measured.wavelength,
@@ -201,40 +179,18 @@ def _cameras(recipe: MeasurementRecipe, path: Path) -> CurveStatistics | tuple[F
     """Return the prior knowledge of curves, before a photo is taken."""
     if not recipe.photos:
         return None
-    return shipped() if recipe.prior is None else read_cameras(prior_files(path.parent / recipe.prior))
+    return shipped_statistics() if recipe.prior is None else read_cameras(prior_files(path.parent / recipe.prior))
 
 
-def _datasheet(declared: DatasheetRecipe | None, body: Body, path: Path) -> SensorFigures | None:
-    if declared is None:
-        return None
+def _figures(declared: DatasheetRecipe) -> SensorFigures:
     black_level, white_level, well = declared.black_level_dn, declared.white_level_dn, declared.well_capacity_e
-    spreads = (declared.read_noise_e, declared.dark_current_e_per_s, declared.dsnu_e, declared.prnu)
-    if not (0 <= black_level < white_level <= 2**body.bits - 1 and 0 < well < math.inf and min(spreads) >= 0):
-        raise RecipeError(
-            f"{path}: datasheet needs 0 ≤ black_level_dn < white_level_dn ≤ {2**body.bits - 1}, a well, "
-            "and no negative figure"
-        )
-    check_share(declared.prnu, "datasheet.prnu", MOST_PRNU, path)
+    noise = Noise(declared.read_noise_e, declared.dark_current_e_per_s, declared.dsnu_e, declared.prnu, well)
     gain = (white_level - black_level) / well if declared.gain_dn_per_e is None else declared.gain_dn_per_e
-    if not 0 < gain < math.inf:
-        raise RecipeError(f"{path}: datasheet.gain_dn_per_e must be above 0")
-    return SensorFigures(gain, black_level, white_level, Noise(*spreads, well))
+    return SensorFigures(gain, black_level, white_level, noise)
 
 
 def _body(recipe: MeasurementRecipe, path: Path) -> Body:
     sensor, optics = recipe.sensor, recipe.optics
-    if not (sensor.rows > 0 and sensor.cols > 0 and sensor.pixel_pitch_um > 0 and 1 <= sensor.bits <= 16):
-        raise RecipeError(f"{path}: sensor needs rows, cols and pixel_pitch_um above 0 and 1 to 16 bits")
-    if sensor.rows * sensor.cols > most_pixels():
-        raise RecipeError(f"{path}: {sensor.rows}×{sensor.cols} pixels are more than inputs may have; raise {MEGAPIXELS}")
-    if not (optics.focal_length_mm > 0 and optics.f_number > 0):
-        raise RecipeError(f"{path}: optics needs focal_length_mm and f_number above 0")
-    check_lengths(sensor.pixel_pitch_um, optics, path)
-    if 0 < optics.object_distance_m <= optics.focal_length_mm * 1e-3:
-        raise RecipeError(f"{path}: optics.object_distance_m is nearer than the focal length; give 0 for infinity")
-    cfa = parse_cfa(recipe.cfa, str(path))
-    if sensor.rows < SITE_PIXELS * cfa.shape[0] or sensor.cols < SITE_PIXELS * cfa.shape[1]:
-        raise RecipeError(f"{path}: {sensor.rows}×{sensor.cols} pixels are too few to measure noise; check sensor")
     return Body(
         name=recipe.name,
         rows=sensor.rows,
@@ -242,7 +198,7 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
         pixel_pitch=sensor.pixel_pitch_um * 1e-6,
         bits=sensor.bits,
         channels=tuple(recipe.cfa.channels),
-        cfa=cfa,
+        cfa=parse_cfa(recipe.cfa, str(path)),
         optics=Optics(optics.focal_length_mm * 1e-3, optics.f_number, optics.object_distance_m),
         readout=settings_from(recipe.channel, recipe.cfa.channels, path),
     )
@@ -270,20 +226,15 @@ class Inputs:
 
 def inputs_of(path: Path) -> Inputs:
     """Return the measurement file and all files that it names, to be called before they are read."""
-    first = stamp(path)
-    if has_base(path):
-        files = correction_files(path)
-        return Inputs(
-            read_text(path), files, {file: stamp(file) for each in files.values() for file in each} | {path: first}
-        )
-    recipe = load_recipe(path, MeasurementRecipe)
-    files = {
-        "measurements": [path],
-        "frames": [path.parent / name for name in frame_names(recipe)],
-        "spectra": [path.parent / name for name in spectrum_names(recipe)],
-    }
-    if recipe.prior is not None:
-        files["spectra"] += prior_files(path.parent / recipe.prior)
+    first, recipe = stamp(path), _load(path)
+    if isinstance(recipe, CorrectionRecipe):
+        refuse_first(key_faults(recipe), path)
+        frames = [name for capture in [*recipe.dark, *recipe.white] for name in capture.frames]
+        others = {"camera": camera_files(path.parent / recipe.base)}
+    else:
+        frames, priors = frame_names(recipe), [] if recipe.prior is None else prior_files(path.parent / recipe.prior)
+        others = {"spectra": [path.parent / name for name in spectrum_names(recipe)] + priors}
+    files = {"measurements": [path], "frames": [path.parent / name for name in frames]} | others
     stamps = {file: stamp(file) for named in files.values() for file in named} | {path: first}
     return Inputs(read_text(path), files, stamps)
 

@@ -14,15 +14,13 @@ from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, PITCH_UM, CfaRecip
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.measurement import Body, Chart, PhotoCapture
+from l3cli.io.frames import phase_of, raw_content
 from l3cli.io.measurement_recipe import BodyRecipe, MeasurementRecipe, PhotoRecipe, is_table
-from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, find_phase
-from l3cli.io.raw.registry import RawContent, format_of
+from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS
 from l3cli.physics import charts, spectra
 from l3cli.spectra.file import read_table
-from l3cli.system.files import require_regular, write_whole
-from l3cli.system.limits import require_picture
+from l3cli.system.files import write_whole
 
-RAW_FILE = "give a raw file of a chart (DNG, CR2, NEF, ARW…)"
 SEEN = (400.0, 700.0)  # nm: what a measured light must cover
 GRID = np.arange(380.0, 781.0, 5.0)  # nm, of named lights and charts
 MOST = 65535  # DN
@@ -41,12 +39,6 @@ def load_photos(photos: Sequence[PhotoRecipe], body: Body, levels: Levels, path:
     file of this camera, no light or no chart."""
     captures = []
     for photo in photos:
-        if not photo.frames:
-            raise RecipeError(f"{path}: a [photo] needs frames, one raw file or more of one scene")
-        if photo.corners is not None and (len(photo.corners) != 4 or not np.isfinite(photo.corners).all()):
-            raise RecipeError(
-                f"{path}: a [photo] has four corners, col, row of its first, last of row, last, first of last row"
-            )
         wavelength, radiance = _light(photo, path)
         if photo.dark:  # measures the black level
             levels = levels._replace(black=levels.black or 0.0)
@@ -79,34 +71,13 @@ def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
     black, white = content.get("black_level", levels.black), content.get("white_level", levels.white)
     if black is None:
         raise InputFileError(f"{path} states no black level; name a dark frame, as dark, or give a [datasheet]")
-    pattern, phase = content.get("pattern"), (0, 0)
-    if pattern is not None:
-        try:
-            phase = find_phase(str(path), pattern, body)
-        except InputFileError as error:
-            reason = str(error).partition(";")[0].replace("the table", "cfa.pattern")
-            raise InputFileError(f"{reason}; correct cfa.pattern") from error
+    pattern = content.get("pattern")
+    phase = (0, 0) if pattern is None else phase_of(path, pattern, body)
     values = np.ascontiguousarray(content["values"], np.uint16)
     try:
         return RawFrame(str(path), values, float(black), float(2**body.bits - 1 if white is None else white), phase)
     except ValueError as error:
         raise InputFileError(str(error)) from error
-
-
-def raw_content(path: Path) -> RawContent:
-    """Return the content of a raw file of one frame; InputFileError if it is no mosaic of one channel."""
-    require_regular(path, RAW_FILE)
-    kind = format_of(path)
-    if not kind.holds_frame or kind.wants_geometry:
-        raise InputFileError(f"{path} is no raw file of a camera; {RAW_FILE}, or a picture of one channel")
-    try:
-        content = kind.read(path)
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from error
-    if content["values"].ndim != 2 or content["values"].size == 0:
-        raise InputFileError(f"{path} is no mosaic; {RAW_FILE}")
-    require_picture(str(path), *content["values"].shape)
-    return content
 
 
 def _light(photo: PhotoRecipe, path: Path) -> tuple[Array, Array]:

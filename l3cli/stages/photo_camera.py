@@ -9,7 +9,7 @@ from l3cli.calibration.photo import matrices
 from l3cli.calibration.photo.matrices import ColourMatrix
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Measurements
-from l3cli.io import priors
+from l3cli.io.curves import shipped_statistics
 from l3cli.io.measurements import photo_measurements
 from l3cli.io.raw.cfa_codes import code_of
 from l3cli.io.raw.stated import Stated
@@ -68,7 +68,7 @@ def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
 def _without_chart(path: Path, told: Stated, measured: Measurements) -> tuple[matrices.Curves, str]:
     """The curves by the colour matrices of a file, or the usual ones, and where they are from."""
     channels = measured.body.channels
-    prior = matrices.prior_of(channels, priors.shipped())
+    prior = matrices.prior_of(channels, shipped_statistics())
     codes = [code_of(name) for name in channels]
     known = [each for each in told.matrices if set(codes) <= each.rows.keys()]
     if known:

@@ -20,8 +20,7 @@ import tifffile
 
 from l3cli.artifacts.camera_recipe import ChannelRecipe, load_camera
 from l3cli.cli import run
-from l3cli.io.correction_recipe import CorrectionRecipe
-from l3cli.io.measurement_recipe import MeasurementRecipe
+from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
 from l3cli.recipes import builtin
 from l3cli.recipes.toml import Recipe, load_recipe
 from l3cli.simulation.recipe import SceneRecipe

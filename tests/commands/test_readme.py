@@ -13,8 +13,8 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, load_camera
 from l3cli.artifacts.store import load
 from l3cli.cli import COMMANDS, l3
+from l3cli.io.curves import PriorRecipe
 from l3cli.io.measurement_recipe import MeasurementRecipe
-from l3cli.io.priors import PriorRecipe
 from l3cli.recipes import builtin
 from l3cli.recipes.toml import TELLING, Recipe, load_recipe
 from l3cli.simulation.lab_recipe import LabRecipe

@@ -8,7 +8,7 @@ from l3cli.calibration.photo import estimate
 from l3cli.calibration.photo.estimate import Posterior, Shot
 from l3cli.calibration.photo.prior import WAVELENGTH
 from l3cli.charts.patches import corner_cells, homography, through
-from l3cli.io.priors import shipped
+from l3cli.io.curves import shipped_statistics
 from l3cli.physics import charts, spectra
 
 Array = NDArray[np.floating]
@@ -46,7 +46,7 @@ def chart_mosaic(camera: CameraModel, light: str, share: float = 0.8) -> np.ndar
 
 def drawn(seed: int) -> Array:
     """The responsivities (channel, wavelength) per photon of a camera that resembles measured ones."""
-    known, rng = shipped(), np.random.default_rng([seed, 1])
+    known, rng = shipped_statistics(), np.random.default_rng([seed, 1])
     shape = known.mean + np.tensordot(rng.standard_normal(len(known.modes)), known.modes, axes=1)
     shape = np.maximum(shape, 0.0)
     return shape / shape.max(axis=1, keepdims=True) * np.exp(known.log_peak)[:, None]

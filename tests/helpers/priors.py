@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.calibration.photo.prior import ROLES, statistics
 from l3cli.frames.measurement import CurveStatistics
-from l3cli.io.priors import prior_files, read_cameras
+from l3cli.io.curves import prior_files, read_cameras
 from tests.helpers.paths import ROOT
 
 TABLE = ROOT / "configs" / "priors" / "rgb.toml"

@@ -14,7 +14,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration.photo import lights
 from l3cli.calibration.photo.estimate import Posterior, estimate
 from l3cli.calibration.photo.prior import WAVELENGTH, Prior, camera_prior, smooth
-from l3cli.io.priors import shipped
+from l3cli.io.curves import shipped_statistics
 from l3cli.physics import spectra
 from tests.helpers import photos, priors
 from tests.helpers.paths import ROOT
@@ -32,7 +32,7 @@ def one_thread() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def prior() -> Prior:
-    return camera_prior(shipped())
+    return camera_prior(shipped_statistics())
 
 
 def figures(prior: Prior, glare: float = 0.0, uneven: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

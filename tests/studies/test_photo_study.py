@@ -16,8 +16,7 @@ from l3cli.calibration.photo.estimate import estimate
 from l3cli.calibration.photo.matrices import ColourMatrix, curves_of_matrices, usual_curves
 from l3cli.calibration.photo.prior import WAVELENGTH, Prior, camera_prior, statistics
 from l3cli.frames.measurement import FinishedCurves
-from l3cli.io.curves import read_finished
-from l3cli.io.priors import prior_files, read_cameras
+from l3cli.io.curves import prior_files, read_cameras, read_finished
 from l3cli.physics import spectra
 from tests.helpers import photos
 

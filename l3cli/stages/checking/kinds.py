@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe
-from l3cli.io.correction_recipe import CorrectionRecipe
-from l3cli.io.measurement_recipe import MeasurementRecipe
+from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
 from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.toml import TELLING, Recipe
 from l3cli.simulation.lab_recipe import LabRecipe

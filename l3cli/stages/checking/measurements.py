@@ -5,24 +5,22 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from l3cli.artifacts.camera_recipe import MOST_PRNU, cfa_faults, length_faults, load_camera, share_faults
+from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import PATCH_NAMES
-from l3cli.io.correction_recipe import CorrectionRecipe
-from l3cli.io.curves import read_finished, read_sweep
+from l3cli.io.curves import prior_files, read_finished, read_sweep
 from l3cli.io.measurement_recipe import (
     CaptureRecipe,
     ChartRecipe,
+    CorrectionRecipe,
     MeasurementRecipe,
     MonoRecipe,
     PhotoRecipe,
+    captures_of,
     is_table,
     key_faults,
 )
-from l3cli.io.measurements import MOST_MONITOR, load_measurements, patch_name
-from l3cli.io.priors import prior_files
+from l3cli.io.measurements import load_measurements, patch_name
 from l3cli.physics import charts
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml_lines import KeyPath
@@ -31,44 +29,18 @@ from l3cli.spectra.table import RELATIVE
 from l3cli.stages.checking.scenes import GRID, named_light
 from l3cli.stages.checking.source import Source
 
-CAPTURES = ("mono", "band", "chart", "white", "dark")  # lists of tables that name frames
-
 
 def faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> Iterator[Fault]:
-    """Yield the faults of the numbers of the sensor and of captures, and of every file that is named; the rest, such as
-    sections that do not go together, `meaning` finds one by one."""
-    if isinstance(recipe, CorrectionRecipe):
-        yield from _correction_faults(recipe, source)
-        return
-    sensor = recipe.sensor
-    for key in ("rows", "cols", "pixel_pitch_um", "bits"):
-        if not getattr(sensor, key) > 0 or (key == "bits" and sensor.bits > 16):
-            yield fault("sensor needs rows, cols and pixel_pitch_um above 0 and 1 to 16 bits", f"sensor.{key}")
-    for key in ("focal_length_mm", "f_number"):
-        if not getattr(recipe.optics, key) > 0:
-            yield fault("optics needs focal_length_mm and f_number above 0", f"optics.{key}")
-    yield from length_faults(sensor.pixel_pitch_um, recipe.optics)
-    yield from cfa_faults(recipe.cfa)
-    if recipe.datasheet is not None:
-        yield from share_faults(recipe.datasheet.prnu, "datasheet.prnu", MOST_PRNU)
+    """Yield the faults of the keys and of every file that is named; the rest `meaning` finds one by one."""
     yield from key_faults(recipe)
-    for section in CAPTURES:
-        for number, capture in enumerate(getattr(recipe, section)):
-            yield from _capture_faults(capture, (section, number), source)
+    for section, number, capture in captures_of(recipe):
+        yield from _capture_faults(capture, (section, number), source)
+    if isinstance(recipe, CorrectionRecipe):
+        yield from source.attempt(("base",), load_camera, source.file(recipe.base))
+        return
     yield from _curve_faults(recipe, source)
     for number, photo in enumerate(recipe.photos):
         yield from _photo_faults(photo, ("photo", number) if isinstance(recipe.photo, list) else ("photo",), source)
-
-
-def _correction_faults(recipe: CorrectionRecipe, source: Source) -> Iterator[Fault]:
-    """Yield the faults of the camera that is taken from another file, and of the captures."""
-    yield from source.attempt(("base",), load_camera, source.file(recipe.base))
-    for section in ("dark", "white"):
-        captures = getattr(recipe, section)
-        if not captures:
-            yield fault(f"there is no [[{section}]] capture; add some", section)
-        for number, capture in enumerate(captures):
-            yield from _capture_faults(capture, (section, number), source)
 
 
 def _photo_faults(photo: PhotoRecipe, key: KeyPath, source: Source) -> Iterator[Fault]:
@@ -87,24 +59,12 @@ def _named_chart(name: str) -> None:
 
 
 def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: Source) -> Iterator[Fault]:
-    """Yield the faults of the frames, the exposure and the spectra of a capture."""
-    table = key[0]
-    if capture.seconds is None or not 0 < capture.seconds < float("inf"):
-        message = f"a [[{table}]] capture needs one of exposure_s, exposure_ms and exposure_us, above 0"
-        yield fault(message, *((*key, f"exposure_{unit}") for unit in ("s", "ms", "us")))
-    if not 1 / MOST_MONITOR <= capture.monitor <= MOST_MONITOR:
-        message = f"monitor is {capture.monitor:g}; give the lamp's reading over the one when its spectrum was measured"
-        yield fault(f"{message}, 1 where it is the same", (*key, "monitor"))
-    if not capture.frames:
-        yield fault(f"a [[{table}]] capture needs frames", (*key, "frames"))
+    """Yield the faults of the frames and the spectra of a capture."""
     yield from _missing(capture.frames, (*key, "frames"), source)
     if isinstance(capture, MonoRecipe):
         yield from source.attempt((*key, "spectrum"), _check_light, source.file(capture.spectrum), capture)
     if isinstance(capture, ChartRecipe):
-        if len(capture.corners) != 4 or not np.isfinite(capture.corners).all():
-            message = f"a [[{table}]] has {len(capture.corners)} corners; give col, row of patches 1, 6, 24, 19"
-            yield fault(message, (*key, "corners"))
-        yield from source.attempt((*key, "radiance"), _check_chart, source.file(capture.radiance), capture, table)
+        yield from source.attempt((*key, "radiance"), _check_chart, source.file(capture.radiance), capture, key[0])
 
 
 def _missing(names: Sequence[str], key: KeyPath, source: Source) -> Iterator[Fault]:
@@ -167,14 +127,14 @@ def meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> tup
 
 def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
     """Return the numbers of captures and frames of each section, and their exposures."""
-    sections: dict[str, Any] = {}
-    for section in CAPTURES:
-        captures: list[CaptureRecipe] = getattr(recipe, section, [])
-        if captures:
-            exposures = [capture.seconds or 0.0 for capture in captures]
-            sections[section] = {
-                "captures": len(captures),
-                "frames": sum(len(capture.frames) for capture in captures),
-                "exposure_s": [min(exposures), max(exposures)],
-            }
-    return sections
+    sections: dict[str, list[CaptureRecipe]] = {}
+    for section, _, capture in captures_of(recipe):
+        sections.setdefault(section, []).append(capture)
+    return {
+        section: {
+            "captures": len(captures),
+            "frames": sum(len(capture.frames) for capture in captures),
+            "exposure_s": [least(capture.seconds or 0.0 for capture in captures) for least in (min, max)],
+        }
+        for section, captures in sections.items()
+    }
