@@ -18,7 +18,7 @@ from l3cli.stages.plan import Planned
 from l3cli.system.console import Logged
 from l3cli.system.ledger import close_ledger
 from l3cli.system.limits import require_address_space, require_settings
-from l3cli.system.signals import Terminated, end_process, heed, leave_to_python
+from l3cli.system.signals import Terminated, heed, leave_to_python
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -107,7 +107,7 @@ def main() -> None:
     without_plots()
     code = run(sys.argv[1:])
     leave_to_python()
-    end_process(code)
+    sys.exit(code)
 
 
 def run(arguments: list[str]) -> int:

@@ -5,15 +5,12 @@ what was not written for written; another complains on stderr that it was left w
 been made stays; a condition that has just been acquired stays so for ever.
 """
 
-import atexit
-import contextlib
-import os
 import signal
 import sys
 import threading
 from collections.abc import Callable
 from types import CodeType, FrameType
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -86,19 +83,6 @@ def leave_to_python() -> None:
     for each in SIGNALS:
         if signal.getsignal(each) is end:
             signal.signal(each, signal.SIG_DFL)
-
-
-def end_process(code: int) -> NoReturn:
-    """End the process with this exit code, once all is done. What is to be done at exit is done, but modules, objects and
-    libraries are not taken apart, which takes a tenth of the time of a short command: the system has their memory back
-    anyway. Where somebody watches or a thread still runs, Python ends as usual."""
-    if threading.active_count() > 1 or sys.gettrace() or sys.getprofile():
-        sys.exit(code)
-    atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # closed, or flushed in vain before
-            stream.flush()
-    os._exit(code)
 
 
 def end(number: int, frame: FrameType | None) -> None:

@@ -41,23 +41,3 @@ def test_a_signal_waits_for_the_end_of_an_import(tmp_path: Path, name: str, endi
     known = {"PYTHONPATH": f"{CONFIGS.parent}:{tmp_path}"}
     ended = subprocess.run([sys.executable, "-c", PROGRAM], env=known, capture_output=True, text=True, check=True)
     assert ended.stdout == f"{ending} True\n"
-
-
-END = """
-import atexit, sys, threading
-from l3cli.system.signals import end_process
-atexit.register(lambda: print("at exit"))
-print("said", end=" ")
-{before}
-end_process(3)
-"""
-
-
-@pytest.mark.parametrize(
-    "before", ["", "threading.Thread(target=lambda: print('thread', end=' ')).start()", "sys.setprofile(lambda *_: None)"]
-)
-def test_a_process_ends_with_its_code_and_what_is_to_be_done_at_exit(before: str) -> None:
-    call = [sys.executable, "-c", END.format(before=before)]
-    ended = subprocess.run(call, env={"PYTHONPATH": str(CONFIGS.parent)}, capture_output=True, text=True, check=False)
-    said = "said thread at exit\n" if "Thread" in before else "said at exit\n"
-    assert (ended.returncode, ended.stdout, ended.stderr) == (3, said, "")
