@@ -41,8 +41,7 @@ from l3cli.artifacts.camera_recipe import (
     share_faults,
 )
 from l3cli.recipes.faults import Fault, fault
-from l3cli.recipes.toml import Count, Recipe, toml_key, toml_value
-from l3cli.recipes.toml_lines import KeyPath
+from l3cli.recipes.toml import Count, KeyPath, Recipe, toml_key, toml_value
 from l3cli.spectra.file import SUFFIXES
 from l3cli.system.files import write_whole
 from l3cli.system.limits import MEGAPIXELS, most_pixels

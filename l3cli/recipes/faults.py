@@ -12,8 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args
 import msgspec
 
 from l3cli.errors import RecipeError
-from l3cli.recipes.toml import Recipe, place, plain, refusals
-from l3cli.recipes.toml_lines import KeyPath
+from l3cli.recipes.toml import KeyPath, Recipe, place, plain, refusals
 
 R = TypeVar("R", bound=Recipe)
 LISTED = 100  # faults of a recipe with a message; what is beyond is counted

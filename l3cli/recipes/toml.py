@@ -1,4 +1,5 @@
-"""TOML recipes → typed structures: every key is declared, units stand in the keys' names, unknown keys are refused."""
+"""TOML recipes → typed structures: every key is declared, units stand in the keys' names, unknown keys are refused; and the
+lines of keys, which tomllib does not tell."""
 
 import json
 import re
@@ -10,13 +11,18 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_ori
 import msgspec
 
 from l3cli.errors import MOST_SHOWN, InputFileError, RecipeError, shortened, suggestion
-from l3cli.recipes.toml_lines import STRING, KeyPath, key_lines, line_of
 from l3cli.system.limits import read_bounded
 from l3cli.system.numbers import LARGEST_WHOLE
 
 LARGEST = 1e24  # of any number in a recipe: beyond lies what no lamp gives and floats run over at
 DEEPEST = 100  # tables and lists in one another
-TOKEN = re.compile(rf"{STRING.pattern}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.|\n", re.DOTALL)  # of TOML, as far as depth goes
+STRING = (
+    r'"""(?:[^"\\]++|\\.|"{1,2}(?!"))*+"{3,5}'  # up to two quotation marks may stand before the three that end it
+    r"|'''(?:[^']++|'{1,2}(?!'))*+'{3,5}"
+    r'|"(?:[^"\\\n]++|\\.)*+"'
+    r"|'[^'\n]*'"
+)
+TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # of TOML: a word has the blanks around it
 PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # of a place as msgspec writes it, `$.scene[1].size`: a key or a number
 MOST = 1_000_000  # of anything that can be counted
 Count = Annotated[int, msgspec.Meta(ge=1, le=MOST)]
@@ -24,6 +30,7 @@ CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MOST)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+KeyPath = tuple[str | int, ...]  # keys, and numbers of entries from 0: ("scene", 1, "size")
 BOUNDS = {">=": "the least is", "<=": "the most is", ">": "give more than", "<": "give less than"}
 
 
@@ -104,6 +111,107 @@ def _refuse_deep_keys(text: str, name: str) -> None:
             line, column = text.count("\n", 0, token.start()) + 1, token.start() - text.rfind("\n", 0, token.start())
             message = f"a key has more than {DEEPEST} parts (at line {line}, column {column}); recipes are not that deep"
             raise RecipeError(f"{name}: {message}")
+
+
+def line_of(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
+    """Return the line of a key or, where it is missing, of the table that lacks it; 1 of what is missing at the top."""
+    return next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), 1)
+
+
+def key_lines(text: str) -> dict[KeyPath, int]:
+    """Return the line, from 1, of every key, table and entry of a list in `text`, which tomllib has read without an
+    error."""
+    return _Scanner(text.replace("\r\n", "\n")).document()
+
+
+class _Scanner:
+    """Goes through a text once; each method begins at a token and leaves the one behind what it is named after."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.tokens = text, TOKEN.finditer(text)
+        self.token, self.start, self.line = "", 0, 1
+        self.lines: dict[KeyPath, int] = {}
+        self.entries: dict[KeyPath, int] = {}  # tables that a list of tables has so far
+        self._next()
+
+    def _next(self) -> str:
+        """Go on to the next token, "" at the end; return the one before."""
+        before, self.token = self.token, ""
+        for found in self.tokens:
+            token = found.group().strip(" \t")
+            if token and token[0] != "#":
+                self.line += self.text.count("\n", self.start, found.start())
+                self.token, self.start = token, found.start()
+                break
+        return before
+
+    def document(self) -> dict[KeyPath, int]:
+        table: KeyPath = ()
+        while self.token:
+            if self.token == "\n":
+                self._next()
+            elif self.token == "[":
+                table = self._heading()
+            else:
+                self._pair(table)
+        return self.lines
+
+    def _heading(self) -> KeyPath:
+        several, line = self.text.startswith("[[", self.start), self.line
+        table: KeyPath = ()
+        *outer, last = self._key()
+        for name in outer if several else (*outer, last):
+            table = (*table, name)
+            self.lines.setdefault(table, line)
+            if table in self.entries:  # of a list of tables its last one
+                table = (*table, self.entries[table])
+        if several:
+            table = (*table, last)
+            self.lines.setdefault(table, line)
+            self.entries[table] = self.entries.get(table, -1) + 1
+            table = (*table, self.entries[table])
+            self.lines[table] = line
+        while self.token == "]":
+            self._next()
+        return table
+
+    def _key(self) -> list[str]:
+        names = []
+        while self.token not in ("=", "]"):
+            written = self._next()
+            if written[0] in "\"'":
+                names.append(tomllib.loads(f"key = {written}")["key"])
+            elif written not in ".[":
+                names.append(written)
+        return names
+
+    def _pair(self, table: KeyPath) -> None:
+        line = self.line
+        for name in self._key():
+            table = (*table, name)
+            self.lines.setdefault(table, line)
+        self._next()  # =
+        self._value(table)
+
+    def _value(self, path: KeyPath) -> None:
+        if self.token in ("[", "{"):
+            self._entries(path, "]" if self._next() == "[" else "}")
+        while self.token not in (",", "]", "}", "\n", ""):
+            self._next()
+
+    def _entries(self, path: KeyPath, end: str) -> None:
+        """Go through a list, or an inline table, whose bracket is behind."""
+        number = 0
+        while self.token != end:
+            if self.token in (",", "\n"):
+                self._next()
+            elif end == "]":
+                self.lines[*path, number] = self.line
+                self._value((*path, number))
+                number += 1
+            else:
+                self._pair(path)
+        self._next()
 
 
 def toml_value(value: Any) -> str:

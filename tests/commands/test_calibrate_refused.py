@@ -54,7 +54,7 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ("[sensor]", "[sensor", "not valid TOML"),
         ("f_number = 2.8", "f_number = 0", "above 0"),
         ("object_distance_m = 0.0", "object_distance_m = 0.01", "nearer than the focal length"),
-        ("exposure_s = ", "exposure_s = -", "exposure_s and monitor above 0"),
+        ("exposure_s = ", "exposure_s = -", "exposure_us, above 0"),
         ("exposure_s = ", "exposure_s = nan #", "mono.exposure_s is nan"),
         ("monitor = ", "monitor = inf #", "mono.monitor is inf"),
         (

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from l3cli.recipes.toml_lines import KeyPath, key_lines, line_of
+from l3cli.recipes.toml import KeyPath, key_lines, line_of
 from tests.helpers.paths import CONFIGS
 
 

@@ -14,8 +14,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
 from l3cli.recipes.builtin import known_benchmarks
 from l3cli.recipes.faults import LISTED, Fault, about_others, typed
-from l3cli.recipes.toml import parse_toml, read_text
-from l3cli.recipes.toml_lines import KeyPath, key_lines, line_of
+from l3cli.recipes.toml import KeyPath, key_lines, line_of, parse_toml, read_text
 from l3cli.stages.checking import cameras as camera_recipes
 from l3cli.stages.checking import classes, labs, measurements, scenes
 from l3cli.stages.checking.kinds import CAMERA, KINDS, Kind, kind_of, names

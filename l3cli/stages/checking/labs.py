@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from l3cli.recipes.faults import Fault
-from l3cli.recipes.toml_lines import KeyPath
+from l3cli.recipes.toml import KeyPath
 from l3cli.simulation.lab import plan
 from l3cli.simulation.lab_recipe import LabRecipe, lab_faults
 from l3cli.stages.checking.scenes import named_light

@@ -23,7 +23,7 @@ from l3cli.io.measurement_recipe import (
 from l3cli.io.measurements import load_measurements, patch_name
 from l3cli.physics import charts
 from l3cli.recipes.faults import Fault, fault
-from l3cli.recipes.toml_lines import KeyPath
+from l3cli.recipes.toml import KeyPath
 from l3cli.spectra.file import read_table
 from l3cli.spectra.table import RELATIVE
 from l3cli.stages.checking.scenes import GRID, named_light

@@ -12,7 +12,7 @@ from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes.registry import is_folder
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
-from l3cli.recipes.toml_lines import KeyPath
+from l3cli.recipes.toml import KeyPath
 from l3cli.simulation.light import MEASURED, SCENE_LIGHT, mixture
 from l3cli.simulation.recipe import SceneRecipe, scene_faults, shots
 from l3cli.simulation.sources import FileSource, name_of, wanted_scenes

@@ -12,7 +12,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError, L3Error, shortened
 from l3cli.io.file_names import find_scenes
 from l3cli.recipes.faults import Fault
-from l3cli.recipes.toml_lines import KeyPath
+from l3cli.recipes.toml import KeyPath
 
 SUFFIX = re.compile("_(dn|e|s|nm|um|mm|m)$")  # of a key with a unit
 SHORTEST = 4  # letters of a text that an error is known by
