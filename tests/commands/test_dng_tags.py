@@ -158,6 +158,13 @@ def test_what_is_not_read_is_refused_in_its_words(tmp_path: Path, name: str) -> 
     assert "a.dng" in str(caught.value)
 
 
+@pytest.mark.parametrize("drop", [(), (50706,)])
+def test_a_mosaic_by_another_name_is_refused(tmp_path: Path, drop: tuple[int, ...]) -> None:
+    path = write_dng(tmp_path / "a.tif", MOSAIC, PATTERN, tags={50975: (LONG, [2])}, drop=drop)
+    with pytest.raises(InputFileError, match=r"a\.tif is a DNG's mosaic"):
+        read_raw(path, RGGB)
+
+
 @pytest.mark.parametrize("name", NOTED)
 def test_what_is_left_to_the_user_is_said(tmp_path: Path, name: str) -> None:
     tags, words = NOTED[name]

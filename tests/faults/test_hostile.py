@@ -25,7 +25,7 @@ from tests.helpers.hostile_identities import Identities
 from tests.helpers.hostile_large_recipes import SHAPES, LargeRecipes
 from tests.helpers.hostile_numbers import OPTIONS, RECIPES, Call
 from tests.helpers.hostile_special_files import SpecialFiles
-from tests.helpers.hostile_wavelengths import WavelengthGrids
+from tests.helpers.hostile_wavelengths import SOURCES, Grid, WavelengthGrids
 from tests.helpers.tables import random_table
 
 IDENTITIES = 40
@@ -111,9 +111,12 @@ def test_a_place_that_is_no_file_is_refused_at_once(shop: Workshop, seed: int) -
     assert SpecialFiles().judge(shop, trial) is None, trial
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_camera_of_any_wavelengths_is_shown_the_same(shop: Workshop, seed: int) -> None:
-    grid = WavelengthGrids().draw(Seeded(seed))
+@pytest.mark.parametrize(
+    "grid",
+    [*(Grid((first, 710, 10), SOURCES[0]) for first in (350, 390)), *(WavelengthGrids().draw(Seeded(n)) for n in range(4))],
+    ids=str,
+)
+def test_a_camera_of_any_wavelengths_is_shown_the_same(shop: Workshop, grid: Grid) -> None:
     assert WavelengthGrids().judge(shop, grid) is None, str(grid)
 
 
@@ -123,7 +126,7 @@ def test_a_dng_is_read_to_the_pixels_that_its_tags_describe_or_refused(shop: Wor
         assert DngTags().judge(shop, trial) is None, trial
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(12))
 def test_frames_keep_their_times_or_it_is_said(shop: Workshop, seed: int) -> None:
     clip = FrameTimes().draw(Seeded(seed))
     assert FrameTimes().judge(shop, clip) is None, clip

@@ -18,7 +18,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.images import mono_of, open_image, opened, require_bearable, require_whole_stack
 from l3cli.io.isolated import isolated, named_in_utf8
 from l3cli.io.raw.registry import MultiFrameFile, RawContent
-from l3cli.io.tags import ONE_OF_MANY, UPRIGHT, flip_of, shot_of_spec
+from l3cli.io.tags import COLOUR_FILTER_ARRAY, ONE_OF_MANY, UPRIGHT, flip_of, shot_of_spec
 from l3cli.system.files import open_regular, stamp
 from l3cli.system.limits import most_pixels
 
@@ -37,7 +37,7 @@ def read(path: Path) -> RawContent:
 @isolated("OpenImageIO", "tifffile")
 def read_by_library(path: Path) -> RawContent:
     """As `read`, of any picture."""
-    _refuse_orientation(path)
+    _check_first_page(path)
     with opened(path) as (source, spec):
         return _content(path, source, spec)
 
@@ -119,22 +119,31 @@ def _count(path: Path) -> int:
         if len(following) < file.tiff.offsetsize or any(following):
             raise broken
         for page in file.pages:
-            flip_of(path, page.tags.valueof("Orientation", UPRIGHT))
+            _check_tags(path, page)
             if not all(below.is_reduced for below in page.pages or ()):
                 raise InputFileError(f"{path} holds images beside its pages; give a file whose pages are its frames")
         return len(file.pages)
 
 
-def _refuse_orientation(path: Path) -> None:
-    """Raise InputFileError if a TIFF's first page has an orientation that TIFF does not know: OpenImageIO passes over it."""
+def _check_first_page(path: Path) -> None:
+    """As `_check_tags`, of the first page of a TIFF, if it is one."""
     import tifffile
 
     try:
         with tifffile.TiffFile(path) as file:
-            orientation = file.pages.first.tags.valueof("Orientation", UPRIGHT)
+            _check_tags(path, file.pages.first)
+    except InputFileError:
+        raise
     except Exception:  # of a file that is damaged or no TIFF, of which OpenImageIO says what is wrong
         return
-    flip_of(path, orientation)
+
+
+def _check_tags(path: Path, page: Any) -> None:
+    """Raise InputFileError for what OpenImageIO passes over: an orientation that TIFF does not know, a DNG's mosaic."""
+    tags = page.tags
+    flip_of(path, tags.valueof("Orientation", UPRIGHT))
+    if "DNGVersion" in tags or tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY:
+        raise InputFileError(f"{path} is a DNG's mosaic, whose tags are read of files called .dng alone; rename it")
 
 
 # ------------------------------------------------------------------------------------------------- plain mosaics
