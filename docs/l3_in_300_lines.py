@@ -68,8 +68,8 @@ def draw_scene(size, rng):
         reflectance[inside] = np.minimum(draw_spectrum(rng) * stripes[inside, None], 1)
     for axis in (0, 1):  # the lens: a binomial blur of three pixels
         shifted = np.pad(reflectance, [(1, 1) if each == axis else (0, 0) for each in range(3)], mode="edge")
-        before, here, after = (np.take(shifted, np.arange(size) + step, axis) for step in range(3))
-        reflectance = (before + 2 * here + after) / 4
+        before, middle, after = (np.take(shifted, np.arange(size) + step, axis) for step in range(3))
+        reflectance = (before + 2 * middle + after) / 4
     return Frame(reflectance @ TO_SIGNAL.T, reflectance @ TO_XYZ.T)
 
 
@@ -144,20 +144,20 @@ def classify(values):
     """Return the class (row, col) of every pixel of a raw frame of DN (row, col), and its site (row, col)."""
     rows, cols = values.shape
     channel = channel_of(rows, cols)
-    taps, of_tap = windows_of(values.astype(np.int64), RADIUS), windows_of(channel, RADIUS)
-    near, of_near = windows_of(values, SATURATION_RADIUS), windows_of(channel, SATURATION_RADIUS)
+    taps, tap_channel = windows_of(values.astype(np.int64), RADIUS), windows_of(channel, RADIUS)
+    inner_taps, inner_channel = windows_of(values, SATURATION_RADIUS), windows_of(channel, SATURATION_RADIUS)
     level_sum = np.zeros((rows, cols), np.int64)
     variance = np.zeros((rows, cols), np.int64)
     case = np.zeros((rows, cols), np.int64)
     for each in range(CHANNELS):
-        mine = of_tap == each
-        count, total, squares = mine.sum(-1), (taps * mine).sum(-1), (taps**2 * mine).sum(-1)
+        same_channel = tap_channel == each
+        count, total, squares = same_channel.sum(-1), (taps * same_channel).sum(-1), (taps**2 * same_channel).sum(-1)
         scaled = total * ((2 * 65536 + count) // (2 * count))  # 65536 × the channel's mean
         mean = scaled >> 16
         level_sum += scaled >> 8
         deviation = squares - mean * (2 * total - count * mean)
         variance += np.minimum(deviation * ((2 * 512 + count) // (2 * count)), (2**32 - 1) // CHANNELS)
-        case |= ((near >= SATURATION) & (of_near == each)).any(-1).astype(np.int64) << each
+        case |= ((inner_taps >= SATURATION) & (inner_channel == each)).any(-1).astype(np.int64) << each
     level = np.searchsorted(LEVEL_EDGES, level_sum, side="right")
     contrast = variance > CONTRAST_EDGES[level]
     site = np.arange(rows)[:, None] % CFA.shape[0] * CFA.shape[1] + np.arange(cols)[None] % CFA.shape[1]
@@ -198,9 +198,9 @@ def learn(frames, exposures, rng):
     weights = np.zeros((CLASSES, 3, PATCH**2), np.float32)
     intercept = np.zeros((CLASSES, 3), np.float32)
     for one in range(CLASSES):
-        helped = one if counts[one] >= FEWEST else fullest_neighbour(one, counts)
-        ridge = RIDGE * np.trace(squares[helped]) / size * np.eye(size)
-        solution = np.linalg.solve(squares[helped] + ridge, products[helped])
+        source = one if counts[one] >= FEWEST else fullest_neighbour(one, counts)
+        ridge = RIDGE * np.trace(squares[source]) / size * np.eye(size)
+        solution = np.linalg.solve(squares[source] + ridge, products[source])
         weights[one], intercept[one] = solution[:-1].T, solution[-1]
     return weights, intercept
 

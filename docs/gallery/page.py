@@ -47,7 +47,7 @@ def verdict(entries: Entries) -> str:
     for name, entry in entries.items():
         ours = entry["figures"]["ours"]
         for rival, of in entry["figures"].items():
-            ahead = [
+            better = [
                 text
                 for text, better in (
                     ("ΔE00", of["mean_delta_e"] < ours["mean_delta_e"]),
@@ -55,8 +55,8 @@ def verdict(entries: Entries) -> str:
                 )
                 if better
             ]
-            if ahead:
-                lost.append(f"{NAMES.get(rival, rival)} on {name} ({', '.join(ahead)})")
+            if better:
+                lost.append(f"{NAMES.get(rival, rival)} on {name} ({', '.join(better)})")
     if lost:
         return f"Better than ours: {'; '.join(lost)}."
     return "No pipeline that learns nothing is better on any of them, in either figure."

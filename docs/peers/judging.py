@@ -78,7 +78,7 @@ def best_settings(means: Mapping[str, Figures]) -> dict[str, Any]:
 # ----------------------------------------------------------------------------------------------------- what is measured
 
 
-def of_codes() -> Protocol:
+def code_protocol() -> Protocol:
     """CPSNR (dB) of the codes of all channels, as published."""
 
     def figures(planes: Array, frame: TrainingPair) -> Figures:
@@ -87,7 +87,7 @@ def of_codes() -> Protocol:
     return Protocol(_bands, figures)
 
 
-def of_bands() -> Protocol:
+def band_protocol() -> Protocol:
     """PSNR (dB) of codes and SSIM, means over the bands, and the mean spectral angle (degrees)."""
 
     def figures(planes: Array, frame: TrainingPair) -> Figures:
@@ -99,7 +99,7 @@ def of_bands() -> Protocol:
     return Protocol(_bands, figures)
 
 
-def of_pictures() -> Protocol:
+def picture_protocol() -> Protocol:
     """PSNR (dB) of sRGB and mean CIEDE2000, as displayed; all rivals have the matrix that is fitted for camera and light."""
 
     def figures(planes: Array, frame: TrainingPair) -> Figures:
@@ -159,22 +159,22 @@ def put_seconds(
     cfa = head.camera.cfa
     share = (frame.raw - head.camera.black_level) / (head.camera.white_level - head.camera.black_level)
 
-    def of_table(table: TransformTable) -> Callable[[int], Callable[[], object]]:
+    def table_figures(table: TransformTable) -> Callable[[int], Callable[[], object]]:
         _, renderer = _renderer(table)
         return lambda side: lambda: renderer.outputs(raw_frame(tiled_to(frame.raw, side, cfa.shape), frame, head.camera))
 
-    def of_rival(demosaic: Demosaic) -> Callable[[int], Callable[[], object]]:
+    def rival_figures(demosaic: Demosaic) -> Callable[[int], Callable[[], object]]:
         return lambda side: lambda: demosaic(tiled_to(share, side, cfa.shape), cfa)
 
     by_name = {(rival.name, rival.program): rival for rival in rivals}
-    methods, of_row = {}, []
+    methods, row_figures = {}, []
     for row in rows:
         rival = by_name.get((row["name"], row["program"]))
         chosen = {row["settings"].get(figure, "") for figure in row["figures"]}
         for setting in chosen:
             key = f"{row['program']} {row['name']} {setting}"
-            methods[key] = of_table(tables[row["name"]]) if rival is None else of_rival(rival.settings[setting])
-            of_row.append((row, key))
+            methods[key] = table_figures(tables[row["name"]]) if rival is None else rival_figures(rival.settings[setting])
+            row_figures.append((row, key))
     taken = per_megapixel(methods)
-    for row, key in of_row:
+    for row, key in row_figures:
         row["seconds"] = max(row.get("seconds", 0.0), float(f"{taken[key]:.3g}"))

@@ -18,7 +18,7 @@ import making
 import network
 import provenance
 import rawtherapee
-from judging import OURS, Protocol, judged, of_bands, of_codes, of_pictures, put_seconds
+from judging import OURS, Protocol, judged, band_protocol, code_protocol, picture_protocol, put_seconds
 from peers_page import Part, page
 from rivals import PLAIN, Demosaic, Rival, gathered, installed
 from seconds import core_seconds
@@ -67,7 +67,7 @@ def bayer(folder: Path, data: Path, jobs: int) -> Comparison:
     sets, table = making.codes(folder, data, "bayer", jobs)
     programs: Programs = [_plain_bayer, _colour_demosaicing, functools.partial(libraw_rivals.bayer, False)]
     programs += [functools.partial(rawtherapee.bayer, False), functools.partial(network.rivals, (2, 2), False)]
-    return Comparison(sets, {"benchmark-bayer": table}, *_rivals(programs, of_codes()), _absent(sets))
+    return Comparison(sets, {"benchmark-bayer": table}, *_rivals(programs, code_protocol()), _absent(sets))
 
 
 def xtrans(folder: Path, data: Path, jobs: int) -> Comparison:
@@ -75,21 +75,23 @@ def xtrans(folder: Path, data: Path, jobs: int) -> Comparison:
     own = [Rival("bilinear", OUR_METHODS, {PLAIN: interpolate})]
     programs: Programs = [lambda: own, libraw_rivals.xtrans, rawtherapee.xtrans]
     programs.append(functools.partial(network.rivals, (6, 6), False))
-    return Comparison(sets, {"benchmark-bayer, its array X-Trans": table}, *_rivals(programs, of_codes()), _absent(sets))
+    return Comparison(
+        sets, {"benchmark-bayer, its array X-Trans": table}, *_rivals(programs, code_protocol()), _absent(sets)
+    )
 
 
 def bands(folder: Path, data: Path, jobs: int) -> Comparison:
     sets, table = making.bands(folder, data, jobs)
     methods = {"weighted bilinear": bilinear, "spectral difference": spectral_difference, "PPID": ppi_difference}
     rivals = [Rival(name, OUR_METHODS, {PLAIN: demosaic}) for name, demosaic in methods.items()]
-    return Comparison(sets, {"bands": table}, rivals, of_bands())
+    return Comparison(sets, {"bands": table}, rivals, band_protocol())
 
 
 def noise(folder: Path, data: Path, jobs: int) -> Comparison:
     sets, tables = making.noise(folder, data, jobs)
     programs: Programs = [_plain_bayer, _colour_demosaicing, functools.partial(libraw_rivals.bayer, True)]
     programs += [functools.partial(rawtherapee.bayer, True), functools.partial(network.rivals, (2, 2), True)]
-    return Comparison(sets, tables, *_rivals(programs, of_pictures()))
+    return Comparison(sets, tables, *_rivals(programs, picture_protocol()))
 
 
 PARTS: dict[str, Callable[[Path, Path, int], Comparison]] = {
@@ -126,8 +128,8 @@ def main(names: list[str], folder: Path, jobs: int, seconds: bool = False) -> in
         return 2
     data = making.data_folder()
     run = provenance.origin()
-    held = (names or seconds) and FIGURES.exists()
-    parts = json.loads(FIGURES.read_text(encoding="utf-8")) if held else {}
+    partial = (names or seconds) and FIGURES.exists()
+    parts = json.loads(FIGURES.read_text(encoding="utf-8")) if partial else {}
     for name in names or (parts if seconds else PARTS):
         start = core_seconds()
         compared = PARTS[name](folder / name, data, jobs)

@@ -73,11 +73,11 @@ def page(parts: dict[str, Part]) -> str:
         for name in TEXTS
         if name not in parts
     ]
-    said = f"\n**Not measured for this page**: {', '.join(lacking)}.\n" if lacking else ""
-    return HEAD + origins(parts) + said + "".join(f"\n{section(name, parts[name])}" for name in TEXTS if name in parts)
+    text = f"\n**Not measured for this page**: {', '.join(lacking)}.\n" if lacking else ""
+    return HEAD + common_run(parts) + text + "".join(f"\n{section(name, parts[name])}" for name in TEXTS if name in parts)
 
 
-def origins(parts: dict[str, Part]) -> str:
+def common_run(parts: dict[str, Part]) -> str:
     """The run that all parts are of, if they are of one."""
     runs = {_run(part[key]) for part in parts.values() for key in ("run", "timed") if key in part}
     every = f"All of it is of one run: {runs.pop()}." if len(runs) == 1 else "Parts are of several runs; each says of which."
@@ -86,15 +86,15 @@ def origins(parts: dict[str, Part]) -> str:
 
 def origin(part: Part) -> str:
     """The run that a part is of, and those of tables that were trained before it."""
-    said = f"Measured: {_run(part['run'])}."
+    text = f"Measured: {_run(part['run'])}."
     if "timed" in part:
-        said += f" Seconds: {_run(part['timed'])}."
+        text += f" Seconds: {_run(part['timed'])}."
     for name, trained in part["trained"].items():
         if trained is None:
-            said += f" The table of {name} was trained by a run that was not noted."
+            text += f" The table of {name} was trained by a run that was not noted."
         elif trained["source"] != part["run"]["source"]:
-            said += f" The table of {name} was trained on {trained['date']}, source `{trained['source']}`."
-    return f"{said}\n"
+            text += f" The table of {name} was trained on {trained['date']}, source `{trained['source']}`."
+    return f"{text}\n"
 
 
 def _run(run: dict[str, str]) -> str:
@@ -135,16 +135,16 @@ def table(name: str, columns: Sequence[tuple[str, str]], rows: Sequence[Row]) ->
 
 def verdict(columns: Sequence[tuple[str, str]], rows: Sequence[Row]) -> str:
     """By figure who is better than the best of ours, or that nobody is."""
-    said = []
+    text = []
     for key, title in columns:
         best = _best(key)
         ours = best(row["figures"][key] for row in rows if row["ours"])
-        ahead = [row for row in rows if not row["ours"] and best(row["figures"][key], ours) != ours]
-        for row in ahead:
+        better = [row for row in rows if not row["ours"] and best(row["figures"][key], ours) != ours]
+        for row in better:
             by = abs(row["figures"][key] - ours)
-            said.append(f"{row['name']} of {row['program']} in {title}, by {by:.{_digits(key)}f}")
-    if said:
-        return f"Better than ours: {'; '.join(said)}.\n"
+            text.append(f"{row['name']} of {row['program']} in {title}, by {by:.{_digits(key)}f}")
+    if text:
+        return f"Better than ours: {'; '.join(text)}.\n"
     return "Nothing measured here is better than ours, in any of these figures.\n"
 
 

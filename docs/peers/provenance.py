@@ -37,7 +37,7 @@ def machine() -> str:
 
 
 def stamp(made: Path) -> None:
-    """Note beside a file which run has made it, so that a later run that takes it can say so."""
+    """Note beside a file which run has made it, for later runs that take it."""
     write_whole(_stamp_of(made), (json.dumps(origin()) + "\n").encode())
 
 

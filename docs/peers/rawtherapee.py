@@ -100,8 +100,8 @@ def xtrans() -> list[Rival]:
 def _program() -> str:
     if shutil.which(COMMAND) is None:
         raise NotInstalled("RawTherapee")
-    said = subprocess.run([COMMAND, "-v"], capture_output=True, text=True, timeout=SECONDS).stdout
-    number = re.search(r"version ([\d.]+\d)", said)
+    answer = subprocess.run([COMMAND, "-v"], capture_output=True, text=True, timeout=SECONDS).stdout
+    number = re.search(r"version ([\d.]+\d)", answer)
     return f"RawTherapee {number[1]}" if number else "RawTherapee"
 
 
@@ -122,8 +122,8 @@ def _planes(profile: str, path: Path) -> Array:
     recipe, output = path.with_suffix(".pp3"), path.with_suffix(".tif")
     recipe.write_text(profile, encoding="utf-8")
     command = [COMMAND, "-q", "-o", str(output), "-p", str(recipe), "-t", "-b32", "-Y", "-c", str(path)]
-    said = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS)
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS)
     if not output.exists():
-        raise ValueError(f"RawTherapee made no picture: {(said.stderr or said.stdout).strip()[-300:]}")
+        raise ValueError(f"RawTherapee made no picture: {(answer.stderr or answer.stdout).strip()[-300:]}")
     picture = tifffile.imread(output).astype(np.float64)
     return srgb_decoded(np.moveaxis(picture, -1, 0))

@@ -57,7 +57,7 @@ def _place(tables: dict[str, Any], name: str, path: str, several: bool, places: 
 
 
 def section(declared: dict[str, Any], places: list[str], needed: list[str]) -> str:
-    """A table; `needed`: keys that tell one of several kinds of file."""
+    """A table; `needed`: keys that distinguish kinds of file."""
     rows, kinds = [], []
     for key, value in declared["properties"].items():
         if len(value.get("enum", [])) == 1 and "default" not in value:

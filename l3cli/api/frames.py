@@ -99,15 +99,15 @@ class Renderer:
         """Return a function that makes the `picture` of each frame of a sequence, called with one after the other.
         Exposure and white that are measured follow at `rate` (frames/s), as in `l3 render` of a sequence; None: they stay
         those of the first frame that it is called with, and the others may come in any order, from any thread.
-        `temporal`: frames come in their order, and share what is not noise, as in `l3 render --temporal`; RecipeError if
-        the table does not know its camera's noise."""
+        `temporal`: frames come in their order and are filtered in time, as in `l3 render --temporal`; RecipeError if the
+        table does not know its camera's noise."""
         how = (exposure, white, space, bits)
         shown, starting = shown_as(self.table, *how), ThreadLock()
-        quiet = Chunks(filters(self._backend, self.table, **self._chosen)) if temporal else None
+        temporal_filter = Chunks(filters(self._backend, self.table, **self._chosen)) if temporal else None
 
         def begin(renderer: QuietRenderer) -> tuple[QuietRenderer, Rendition, Following]:
             rendition, source = shown if renderer is self._renderer else shown_as(renderer.table, *how, self.table)
-            return renderer, rendition, Following(renderer.table, rendition, source, rate, quiet)
+            return renderer, rendition, Following(renderer.table, rendition, source, rate, temporal_filter)
 
         begun = None if self.table.lights else begin(self._renderer)
 

@@ -119,8 +119,8 @@ def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
         alike = np.flatnonzero((areas > areas[seed] / 3) & (areas < areas[seed] * 3))
         offsets = centres[alike] - centres[seed]
         isolated = np.hypot(*offsets.T)
-        near = np.argsort(isolated)[1 : NEIGHBOURS + 1]
-        for one, other in itertools.permutations(near, 2):
+        close = np.argsort(isolated)[1 : NEIGHBOURS + 1]
+        for one, other in itertools.permutations(close, 2):
             u, v = offsets[one], offsets[other]
             if not _may_be_steps(u, v):
                 continue
@@ -169,8 +169,8 @@ def _grown(centres: Array, matrix: Array, reach: int) -> tuple[int, Array]:
             coordinates = through(np.linalg.inv(matrix), centres)
         except np.linalg.LinAlgError:
             break
-        near = np.isfinite(coordinates).all(axis=1) & (np.abs(coordinates).max(axis=1) < radius + 0.5)
-        places, on = _on_grid(np.where(near[:, None], coordinates, 1e6), reach)
+        close = np.isfinite(coordinates).all(axis=1) & (np.abs(coordinates).max(axis=1) < radius + 0.5)
+        places, on = _on_grid(np.where(close[:, None], coordinates, 1e6), reach)
         if on.sum() < LEAST_ON or min(np.ptp(places[on], axis=0)) < 1:
             break
         count, matrix = int(on.sum()), homography(places[on].astype(np.float64), centres[on])
@@ -183,12 +183,12 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
     for tolerance in REFINED:
         cells = through(np.linalg.inv(matrix), centres)
         places = np.floor(np.where(np.isfinite(cells), cells, -1.0)) + 0.5
-        near = (
+        close = (
             (np.abs(cells - places) < tolerance).all(axis=1) & (places > 0).all(axis=1) & (places < grid[::-1]).all(axis=1)
         )
-        if len(np.unique(places[near], axis=0)) < LEAST_ON:
+        if len(np.unique(places[close], axis=0)) < LEAST_ON:
             break
-        matrix = homography(places[near], centres[near])
+        matrix = homography(places[close], centres[close])
     return Located(matrix, located.fit)
 
 

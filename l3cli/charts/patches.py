@@ -145,8 +145,8 @@ def _robust_variance(values: Array) -> float:
     if values.size < LEAST_PIXELS:
         return 0.0
     spread = max(MAD * float(np.median(np.abs(values - np.median(values)))), 1e-3)
-    near = values[np.abs(values - np.median(values)) <= FAR * spread]
-    return float(near.var())
+    typical = values[np.abs(values - np.median(values)) <= FAR * spread]
+    return float(typical.var())
 
 
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:

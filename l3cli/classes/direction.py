@@ -70,12 +70,12 @@ def axis(keys: Options, camera: CameraModel, rule: ClassRule, dark: float, obser
 
 
 def inner_span(span: int) -> int:
-    """Return the distance, down and across, of boxes that are about `span` apart along a diagonal and equally symmetric."""
+    """Return the distance, down and across, of equally symmetric boxes at a distance of about `span` along a diagonal."""
     return max(2 - span % 2, span - 2 * round((span - span / math.sqrt(2)) / 2))
 
 
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
-    """Return the boxes of the four differences. Where none lies in the middle, the two beside it are both taken."""
+    """Return the boxes of the four differences. Where none lies in the middle, both of its neighbours are taken."""
     span = patch - period
     near, far = (span - inner) // 2, (span + inner) // 2
     middle = sorted({span // 2, (span + 1) // 2})
@@ -117,7 +117,7 @@ def check(axis: Axis, rule: ClassRule) -> None:
 
 
 def observe(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-    """Nothing: the camera's noise says all."""
+    """Do nothing: the camera's noise gives all edges."""
     return np.empty((*level.shape, 0))
 
 

@@ -21,7 +21,7 @@ from l3cli.recipes.toml import Recipe
 
 
 class Feature(Protocol):
-    """Interface of a feature's module, beside its formula."""
+    """Interface of a feature's module."""
 
     SNIPPET: str  # file of opencl/ with its formula
 
@@ -67,7 +67,7 @@ class FurtherFeature(Feature, Protocol):
     def axis(
         self, keys: Any, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
     ) -> Axis:
-        """Return what a table stores of the feature, from its `keys` in the recipe, beside the features of `rule`, for
+        """Return what a table stores of the feature, from its `keys` in the recipe, next to the features of `rule`, for
         frames from which `dark` DN of dark current have been subtracted. `observed` (patch, …) comes from the pilot; None
         before it. Raise RecipeError if the keys are impossible."""
 

@@ -9,12 +9,12 @@ from l3cli.classes.features import BASIC, further_features
 
 
 def snippets(rule: ClassRule) -> tuple[str, ...]:
-    """Files of opencl/ with the formulas of a rule's features; `joined` goes behind them, then rule.cl."""
+    """Files of opencl/ with the formulas of a rule's features; `joined` follows them, then rule.cl."""
     return tuple(feature.SNIPPET for feature in (*BASIC, *(feature for feature, _ in further_features(rule))))
 
 
 def joined(rule: ClassRule) -> str:
-    """Return the further features as rule.cl asks for them: FURTHER values together, from WINDOW_SUMS sums over the windows
+    """Return the further features as rule.cl asks for them: FURTHER values in one, from WINDOW_SUMS sums over the windows
     that EACH_WINDOW names, by `further_of`. Values past the end of an axis are its last. BOX_ROWS and BOX_COLUMNS are the
     size of the windows where all have one."""
     windows, values = [], []
@@ -52,7 +52,7 @@ def kernel_macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
-    """Return the constants of the features, in the order in which kernels take them. Behind those that noise tells, edges of
+    """Return the constants of the features, in the order in which kernels take them. After those that noise gives, edges of
     contrast and what further features read, lie those of `others`, which differ in nothing else."""
     basic = [
         np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])

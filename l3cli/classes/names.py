@@ -74,7 +74,7 @@ def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> d
 def _of(index: int, count: int, ends: tuple[str, str]) -> str:
     """Return a place among so many, with words for the first and the last one."""
     if count == 1:
-        return "not told apart"
+        return "not distinguished"
     words = {0: f", the {ends[0]}", count - 1: f", the {ends[1]}"}.get(index, "")
     return f"{index} of 0…{count - 1}{words}"
 

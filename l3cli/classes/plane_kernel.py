@@ -10,7 +10,7 @@ from l3cli.artifacts.plane_rules import DIRECTIONS, GRADIENT, TESTS, StructureRu
 from l3cli.classes import tree
 from l3cli.classes.structure import NOISE_TRACE
 
-TOGETHER = 16  # leaves at most that are decided together
+TOGETHER = 16  # leaves at most that are decided at once
 NEVER = np.finfo(np.float32).max  # what nothing exceeds: the threshold of leaves
 
 
@@ -86,9 +86,9 @@ def _parts(rule: TreeRule) -> list[int]:
 
 
 def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
-    """Return the number (node) of the leaf behind those below each node."""
+    """Return the number (node) of the leaf after those below each node."""
     end = rule.leaf + 1
-    for node in np.flatnonzero(rule.branch)[::-1].tolist():  # branches lie behind their node
+    for node in np.flatnonzero(rule.branch)[::-1].tolist():  # branches follow their node
         end[node] = end[rule.branch[node] + 1]
     return end
 

@@ -15,7 +15,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, tap_order
 from l3cli.recipes.toml import Count, CountOrNone, Recipe
 
-SMALLEST_SHARE = 2e-4  # of the training patches: rarer patterns join the nearest kept one
+SMALLEST_SHARE = 2e-4  # of the training patches: rarer patterns join the nearest of these
 SNIPPET = "features/saturation.cl"
 
 
@@ -30,9 +30,9 @@ class Options(Recipe):
 def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[int] | None = None) -> NDArray[np.uint16]:
     """Case of every saturation code (code) from how often each occurred (code); `filters` (channel), None: each its own.
 
-    Code 0 is case 0. The most frequent others are kept, `most` cases in all. Every other code goes to the kept one that
-    differs in the fewest channels, one that also clips its clipped channels before others, and one that has lost a filter
-    or none as it has before all others; to case 0 only if none is kept.
+    Code 0 is case 0. The most frequent others get cases, `most` in all. Every other code joins the nearest of these: first
+    one that has lost a filter if it has, then the one that differs in the fewest channels, among equals one that clips all
+    its clipped channels. Only if there is none it joins case 0.
     """
     codes = np.arange(len(occurrences))
     lost = lost_filters(codes, filters or range(int(codes[-1]).bit_length())) > 0
@@ -119,7 +119,7 @@ def _channels(table: TransformTable, code: int) -> list[str]:
 
 
 def _apart(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
-    """Return the distance of each pattern from all together, as choose_cases measures it: channels that differ, and half
+    """Return the distance of each pattern from every other, as choose_cases measures it: channels that differ, and half
     for each of the others that is not within it. There may be 2¹⁶ patterns: too many to compare them in pairs."""
     holds = codes[:, None] >> np.arange(channels) & 1
     often = holds.sum(axis=0)

@@ -69,7 +69,7 @@ def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
     both, a mirror image that of b, a transposition that of a."""
     row, col = np.divmod(turn.reshape(3, 3), 3)
     down, right = (row[2, 1] - row[1, 1], col[2, 1] - col[1, 1]), (row[1, 2] - row[1, 1], col[1, 2] - col[1, 1])
-    swapped = down[0] == 0  # the tap below the centre lies beside it
+    swapped = down[0] == 0  # the tap below the centre lies to its right
     product = (down[1] if swapped else down[0]) * (right[0] if swapped else right[1])
     return (-1 if swapped else 1), int(product)
 

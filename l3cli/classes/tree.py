@@ -23,7 +23,7 @@ from l3cli.classes.windows import Integers
 
 TOP, CHROMA_TOP = 2895, 2047  # of gradients: sums of 81 squares of both, and of their differences, stay below 2³¹
 WIDE, NEAR = (1, 2, 3, 2, 1), (1, 2, 1)
-DARK = 512  # 16 pixels of luminance in planes' steps below which colours are not told apart
+DARK = 512  # 16 pixels of luminance in planes' steps below which colours are not distinguished
 REACH = 3  # pixels beyond a plane that the tests at its edge read
 
 ONE, TRACE, CHROMA, LUMA = range(4)  # denominators

@@ -26,8 +26,8 @@ class BadPixelCorrection:
     def corrected(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
         """values (row, col) with every defect replaced by the mean of the middle two of its neighbours, rounded up."""
         result = values.copy()
-        near = values.ravel()[self.source].astype(np.int32)
-        result.ravel()[self.target] = (near.sum(axis=1) - near.max(axis=1) - near.min(axis=1) + 1) >> 1
+        neighbours = values.ravel()[self.source].astype(np.int32)
+        result.ravel()[self.target] = (neighbours.sum(axis=1) - neighbours.max(axis=1) - neighbours.min(axis=1) + 1) >> 1
         return result
 
 
@@ -94,7 +94,7 @@ class Correction:
     def digest(self) -> str:
         """SHA-256 of all that it changes in a picture."""
         parts = (self.bad_pixels.target, self.bad_pixels.source) if self.bad_pixels else ()
-        gains = (self.shading.gain, self.shading.tint) if self.shading else ()
+        gains = (self.shading.gain, self.shading.colour) if self.shading else ()
         content = [each.tobytes() for each in (*parts, *gains) if each is not None]
         return hashlib.sha256(repr(self.shape).encode() + b"".join(content)).hexdigest()
 

@@ -64,8 +64,8 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
     variance = squares / (count - 1) / count if count > 1 else spread**2
     deviation = mean - level
     with np.errstate(divide="ignore", invalid="ignore"):
-        kept = np.where(deviation**2 > variance, deviation - variance / deviation, 0.0)
-    offset = np.rint(kept).astype(np.int32)
+        remaining = np.where(deviation**2 > variance, deviation - variance / deviation, 0.0)
+    offset = np.rint(remaining).astype(np.int32)
     return DarkFrame(first.name, level, offset, first.phase, first.orientation, first.exposure)
 
 

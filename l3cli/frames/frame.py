@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.frames.shading import Shading, evened
+from l3cli.frames.shading import Shading, colour_corrected
 
 
 @dataclass(frozen=True)
@@ -100,12 +100,12 @@ class RawFrame:
         black_level += (self.dark - whole) * scale
         return replace(self, values=values, black_level=black_level, white_level=white_level, dark=0.0)
 
-    def evened(self) -> "RawFrame":
-        """Return the frame with what channels differ by in their shading taken off (`shading.evened`)."""
-        if self.shading is None or self.shading.tint is None:
+    def shading_corrected(self) -> "RawFrame":
+        """Return the frame without colour shading (`shading.colour_corrected`)."""
+        if self.shading is None or self.shading.colour is None:
             return self
-        values = evened(self.values, self.shading.tint, self.black_level, self.white_level)
-        return replace(self, values=values, shading=replace(self.shading, tint=None))
+        values = colour_corrected(self.values, self.shading.colour, self.black_level, self.white_level)
+        return replace(self, values=values, shading=replace(self.shading, colour=None))
 
 
 @functools.lru_cache(maxsize=8)

@@ -31,14 +31,14 @@ class HotTest:
         """By the noise model of a camera."""
         rows, cols = camera.cfa.shape
         constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
-        noisiest = float(np.max(constant)), float(np.max(linear))  # of channels that are amplified apart
+        noisiest = float(np.max(constant)), float(np.max(linear))  # of channels of different gains
         return cls(*noisiest, quadratic, camera.white_level - camera.black_level, (rows, cols))
 
     def without_hot(self, frame: RawFrame, cfa: NDArray[np.uint8]) -> RawFrame:
         """Return the frame with its hot pixels corrected; `cfa` is the array from its first pixel on.
 
-        A hot pixel is far above the eight next of its CFA site, whichever way one looks, and the pixels beside it, of
-        whatever channel, are not: a star, or another detail that a lens has drawn, brightens those, too.
+        A hot pixel is far above the eight nearest pixels of its CFA site, and its neighbours of any channel are not: a star
+        or another detail that a lens has drawn brightens those, too.
         """
         if min(frame.values.shape) <= 2 * max(self.period):
             return frame  # too few neighbours
@@ -54,49 +54,49 @@ class HotTest:
     def _suspects(self, frame: RawFrame) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the rows and columns of pixels above all their neighbours by more than the least noise allows."""
         values, (down, across) = frame.values, self.period
-        beside = np.zeros_like(values)  # the brightest to the left and right
-        np.maximum(beside[:, across:], values[:, :-across], out=beside[:, across:])
-        np.maximum(beside[:, :-across], values[:, across:], out=beside[:, :-across])
-        line = np.maximum(beside, values)
-        np.maximum(beside[down:], line[:-down], out=beside[down:])
-        np.maximum(beside[:-down], line[down:], out=beside[:-down])
+        brightest = np.zeros_like(values)  # the brightest to the left and right
+        np.maximum(brightest[:, across:], values[:, :-across], out=brightest[:, across:])
+        np.maximum(brightest[:, :-across], values[:, across:], out=brightest[:, :-across])
+        line = np.maximum(brightest, values)
+        np.maximum(brightest[down:], line[:-down], out=brightest[down:])
+        np.maximum(brightest[:-down], line[down:], out=brightest[:-down])
         least = int(LEAST * np.sqrt(self._variance(frame, np.zeros(1))[0]))
-        np.minimum(beside, np.uint16(65535 - least), out=beside)
-        beside += np.uint16(least)
-        row, col = np.divmod(np.flatnonzero(values > beside), values.shape[1])
+        np.minimum(brightest, np.uint16(65535 - least), out=brightest)
+        brightest += np.uint16(least)
+        row, col = np.divmod(np.flatnonzero(values > brightest), values.shape[1])
         return row, col
 
     def _isolated(
         self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return those of the suspects that are hot."""
-        near = self._neighbours(frame, row, col)
-        brightest, darkest = near.max(axis=0), near.min(axis=0)
+        neighbours = self._neighbours(frame, row, col)
+        brightest, darkest = neighbours.max(axis=0), neighbours.min(axis=0)
         excess = frame.values[row, col] - brightest
-        keep = excess > np.maximum(LEAST * np.sqrt(self._variance(frame, brightest)), RANGE * (brightest - darkest))
-        row, col, excess = row[keep], col[keep], excess[keep]
+        isolated = excess > np.maximum(LEAST * np.sqrt(self._variance(frame, brightest)), RANGE * (brightest - darkest))
+        row, col, excess = row[isolated], col[isolated], excess[isolated]
         rows, cols = frame.values.shape
         brighter, variance = np.zeros(row.size), np.zeros(row.size)
         for down, across in AROUND:
-            beside = np.clip(row + down, 0, rows - 1), np.clip(col + across, 0, cols - 1)
-            usual = np.median(self._neighbours(frame, *beside), axis=0)
-            inside = (beside[0] != row) | (beside[1] != col)
-            brighter += np.where(inside, frame.values[beside] - usual, 0.0)
+            place = np.clip(row + down, 0, rows - 1), np.clip(col + across, 0, cols - 1)
+            usual = np.median(self._neighbours(frame, *place), axis=0)
+            inside = (place[0] != row) | (place[1] != col)
+            brighter += np.where(inside, frame.values[place] - usual, 0.0)
             variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)  # 0.2: of a median of eight
         hot = brighter < np.maximum(NEXT_SIGMAS * np.sqrt(variance), NEXT_SHARE * excess)
         return row[hot], col[hot]
 
     def _neighbours(self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]) -> Array:
-        """Return the DN (neighbour, pixel) of the eight next of each pixel's CFA site; past an edge those on the other
-        side."""
+        """Return the DN (neighbour, pixel) of the eight nearest pixels of each pixel's CFA site; past an edge those on
+        the other side."""
         rows, cols = frame.values.shape
         down, across = self.period
         values = []
         for by_row, by_col in AROUND:
-            below, beside = row + by_row * down, col + by_col * across
-            below = np.where((below < 0) | (below >= rows), row - 2 * by_row * down, below)
-            beside = np.where((beside < 0) | (beside >= cols), col - 2 * by_col * across, beside)
-            values.append(frame.values[below, beside].astype(np.float64))
+            other_row, other_col = row + by_row * down, col + by_col * across
+            other_row = np.where((other_row < 0) | (other_row >= rows), row - 2 * by_row * down, other_row)
+            other_col = np.where((other_col < 0) | (other_col >= cols), col - 2 * by_col * across, other_col)
+            values.append(frame.values[other_row, other_col].astype(np.float64))
         return np.array(values)
 
     def _variance(self, frame: RawFrame, level: Array) -> Array:

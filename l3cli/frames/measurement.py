@@ -69,7 +69,7 @@ class Capture:
     name: str  # what errors call it: its first frame, as the measurement file names it
     exposure: float  # s
     frames: Iterable[NDArray[np.uint16]]  # each (row, col) DN; may be gone through more than once
-    monitor: float = field(default=1.0, kw_only=True)  # the lamp's light over what its measured spectrum says
+    monitor: float = field(default=1.0, kw_only=True)  # the lamp's light over that of its measured spectrum
 
     @property
     def lit(self) -> float:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-BRIGHTEST = 1e6  # times a perfect white: the sun on a sheet of paper, seen beside it
+BRIGHTEST = 1e6  # times a perfect white: the sun beside a sheet of paper
 BRIGHTEST_UNLIT = 1e26  # of a scene without illuminant: a linear picture may hold values of any scale
 SHOWN = 390.0, 710.0  # nm: what drawn scenes hold for every camera, and what is compared of any scene
 PROJECTIONS = 8  # in a fingerprint
@@ -96,5 +96,5 @@ class SpectralCube:
     """A cube as a file stores it, before anything is known about its scale and light."""
 
     values: NDArray  # (row, col, band)
-    wavelength: NDArray[np.float64] | None  # (band) nm; None: the file does not say
+    wavelength: NDArray[np.float64] | None  # (band) nm; None: the file states none
     white: float | None = None  # stored value of a perfect white, where the file states it

@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # the process that decodes starts without it
 
 CLIPPED = 0.985  # share of full scale from which a pixel is left as it is, since what the light added is not known
 STEP = 16  # columns from one node of the gain to the next
-FRACTION = 15  # bits of a tint behind the point
+FRACTION = 15  # fractional bits of colour shading
 LEAST_COLOUR_SHADING = 8  # of these units, 0.02 %: below, channels are shaded alike
 
 
@@ -25,7 +25,9 @@ class Shading:
     """The shading of one sensor's frames."""
 
     gain: NDArray[np.float32]  # (row, node) of the outputs, at every STEP-th column; linear in between
-    tint: NDArray[np.int16] | None  # (row, col) gain of the values, less 1, in 1/2^FRACTION; None: 0 everywhere
+    colour: (
+        NDArray[np.int16] | None
+    )  # (row, col) colour shading: gain of the values, less 1, in 1/2^FRACTION; None: 0 everywhere
 
     def gain_map(self, cols: int) -> NDArray[np.float64]:
         """Return the gain (row, col) of the outputs."""
@@ -40,10 +42,10 @@ class Shading:
     def of_patches(
         self, taken: tuple[NDArray[np.integer], ...], rows: NDArray[np.integer], cols: NDArray[np.integer]
     ) -> "Shading":
-        """Return the shading of patches instead of rows: tint (patch, tap) of the pixels `taken`, one gain for the middle
-        of each, where `rows` and `cols` cross."""
-        tint = None if self.tint is None else self.tint[taken].reshape(rows.size * cols.size, -1)
-        return Shading(self.gain_at(rows, cols).reshape(-1, 1).astype(np.float32), tint)
+        """Return the shading of patches instead of rows: colour shading (patch, tap) of the pixels `taken`, one gain for
+        the middle of each, where `rows` and `cols` cross."""
+        colour = None if self.colour is None else self.colour[taken].reshape(rows.size * cols.size, -1)
+        return Shading(self.gain_at(rows, cols).reshape(-1, 1).astype(np.float32), colour)
 
 
 def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8]) -> Shading:
@@ -53,14 +55,14 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
     mean = field.shading_gain.mean(axis=0)
     down = _between(field.grid_row, np.arange(rows))
     nodes = down @ mean @ _between(field.grid_col, np.arange(0, cols + STEP, STEP)).T
-    tint = np.zeros(shape, np.int16)
+    colour = np.zeros(shape, np.int16)
     across = _between(field.grid_col, np.arange(cols))
     for row, col in np.ndindex(cfa.shape):
         own = field.shading_gain[cfa[row, col]] / mean - 1.0
-        tint[row :: cfa.shape[0], col :: cfa.shape[1]] = np.rint(
+        colour[row :: cfa.shape[0], col :: cfa.shape[1]] = np.rint(
             (down[row :: cfa.shape[0]] @ own @ across[col :: cfa.shape[1]].T) * 2**FRACTION
         )
-    return Shading(nodes.astype(np.float32), tint if np.abs(tint).max() >= LEAST_COLOUR_SHADING else None)
+    return Shading(nodes.astype(np.float32), colour if np.abs(colour).max() >= LEAST_COLOUR_SHADING else None)
 
 
 def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shading:
@@ -69,12 +71,12 @@ def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shad
     (rows, cols), (down, across) = gain.shape, period
     first = np.clip(np.arange(0, cols + STEP, STEP) - across // 2, 0, max(cols - across, 0))
     columns = np.minimum(first[:, None] + np.arange(across), cols - 1)
-    beside = gain[:, columns].mean(axis=2, dtype=np.float64)  # (row, node) over a period of columns
+    means = gain[:, columns].mean(axis=2, dtype=np.float64)  # (row, node) over a period of columns
     first = np.clip(np.arange(rows) - down // 2, 0, max(rows - down, 0))
-    nodes = np.mean([beside[np.minimum(first + row, rows - 1)] for row in range(down)], axis=0).astype(np.float32)
-    tint = gain / Shading(nodes, None).gain_map(cols) - 1.0
+    nodes = np.mean([means[np.minimum(first + row, rows - 1)] for row in range(down)], axis=0).astype(np.float32)
+    colour = gain / Shading(nodes, None).gain_map(cols) - 1.0
     limit = 2**FRACTION - 1
-    whole = np.clip(np.rint(tint * 2**FRACTION), -limit, limit).astype(np.int16)
+    whole = np.clip(np.rint(colour * 2**FRACTION), -limit, limit).astype(np.int16)
     return Shading(nodes, whole if np.abs(whole).max() >= LEAST_COLOUR_SHADING else None)
 
 
@@ -93,12 +95,12 @@ def clipped_from(black_level: float, white_level: float) -> int:
     return int(np.ceil(black_level + CLIPPED * (white_level - black_level)))
 
 
-def evened(
-    values: NDArray[np.uint16], tint: NDArray[np.int16], black_level: float, white_level: float
+def colour_corrected(
+    values: NDArray[np.uint16], colour: NDArray[np.int16], black_level: float, white_level: float
 ) -> NDArray[np.uint16]:
-    """values of any shape with `tint` as gain about the black level, in integers as opencl/common/shading.cl. Clipped
-    pixels stay as they are, and no other becomes one."""
+    """Return values of any shape with `colour` as gain about the black level, in integers as opencl/common/shading.cl.
+    Clipped pixels stay as they are, and no other becomes one."""
     black, clipped = round(black_level), clipped_from(black_level, white_level)
     wide = values.astype(np.int32)
-    gained = wide + (((wide - black) * tint.astype(np.int32) + (1 << FRACTION >> 1)) >> FRACTION)
+    gained = wide + (((wide - black) * colour.astype(np.int32) + (1 << FRACTION >> 1)) >> FRACTION)
     return np.where(values < clipped, np.clip(gained, 0, clipped - 1), wide).astype(np.uint16)

@@ -81,7 +81,7 @@ def interpolation_matrix(source: Array, grid: Array) -> Array:
     return matrix
 
 
-def _step_matrix(source: Array, grid: Array, held: bool) -> Array:
+def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
     """M (grid, source): the mean over each step of `grid`, for `sampling_matrix` and, `held`, `average`.
 
     The source is linear between its samples and constant in the outer half of its outermost steps; beyond, it is zero or
@@ -94,7 +94,7 @@ def _step_matrix(source: Array, grid: Array, held: bool) -> Array:
     if min(np.diff(low, prepend=-np.inf).min(), np.diff(high, prepend=-np.inf).min()) <= 0:
         raise ValueError("a wavelength occurs twice")
     ends, known = bin_edges(high)[[0, -1]], bin_edges(low)[[0, -1]]
-    first, last = ends if held else (max(ends[0], known[0]), min(ends[1], known[1]))
+    first, last = ends if extended else (max(ends[0], known[0]), min(ends[1], known[1]))
     knots = np.unique(np.concatenate([[first, last], low, high]))
     knots = knots[(knots >= first) & (knots <= last)]
     pieces = np.diff(knots) / 2
@@ -111,7 +111,7 @@ def sampling_matrix(source: Array, grid: Array) -> Array:
 
     Grids are in any order. On a finer grid this is linear interpolation, on the same grid it changes nothing.
     """
-    return _step_matrix(source, grid, held=False)
+    return _step_matrix(source, grid, extended=False)
 
 
 def resample(spectrum: Array, source: Array, grid: Array) -> Array:
@@ -123,7 +123,7 @@ def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
     """A ratio (…, source) such as a transmittance or a responsivity, averaged over the steps of another grid like a density
     in `sampling_matrix`; at its ends over what is known of it, and zero at wavelengths outside its range."""
     inside = (grid >= source.min()) & (grid <= source.max())
-    return np.asarray(curve @ (_step_matrix(source, grid, held=True) * inside[:, None]).T, dtype=np.float64)
+    return np.asarray(curve @ (_step_matrix(source, grid, extended=True) * inside[:, None]).T, dtype=np.float64)
 
 
 def held_interpolation(bands: Array, wavelength: Array) -> Array:
@@ -141,12 +141,12 @@ def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...])
     steps = np.diff(source)
     even = source.size >= 6 and np.ptp(steps) < 1e-6 * steps[0] and steps[0] <= SPRAGUE_STEP
     if not even or np.array_equal(source, grid):
-        return _step_matrix(source, grid, held=True)
+        return _step_matrix(source, grid, extended=True)
     sprague = colour_science().SpragueInterpolator
     fine = np.union1d(source, grid)
     inside = np.clip(fine, source[0], source[-1])
     smooth = np.stack([sprague(source, unit)(inside) for unit in np.eye(source.size)], axis=1)
-    return _step_matrix(fine, grid, held=True) @ smooth
+    return _step_matrix(fine, grid, extended=True) @ smooth
 
 
 OBSERVERS = {
@@ -224,7 +224,7 @@ def _tabulated(name: str, wavelength: Array) -> Array:
         every = f'documentation, "Lights", lists all {len(illuminant_names())}'
         raise RecipeError(f'illuminant "{shortened(name)}" is unknown; {close} {every}')
     table = colour_science().SDS_ILLUMINANTS[key]
-    return table.values @ _step_matrix(table.wavelengths, wavelength, held=True).T
+    return table.values @ _step_matrix(table.wavelengths, wavelength, extended=True).T
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
@@ -233,7 +233,7 @@ def _daylight(temperature: float, wavelength: Array) -> Array:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         table = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(temperature))
-    return table.values @ _step_matrix(table.wavelengths, wavelength, held=True).T
+    return table.values @ _step_matrix(table.wavelengths, wavelength, extended=True).T
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:

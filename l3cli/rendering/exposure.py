@@ -64,7 +64,7 @@ def spread_patches(frame: RawFrame, table: TransformTable, gains: np.ndarray | N
     cut, site = replace(frame, values=patches, shading=shading), frame.phase[0] * period_col + frame.phase[1]
     if gains is not None:
         cut = balanced_patches(cut, window_channels(table.cfa, table.first.rule.patch)[site], gains)
-    return cut.at_levels(table.black_level, table.white_level, table.bits).evened(), site
+    return cut.at_levels(table.black_level, table.white_level, table.bits).shading_corrected(), site
 
 
 def spread_shape(frame: RawFrame, table: TransformTable) -> tuple[int, int]:

@@ -100,7 +100,7 @@ class ReferenceRenderer:
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
     """The frame on the black level, white level and depth that the table was trained for, its channels shaded alike."""
-    return frame.at_levels(table.black_level, table.white_level, table.bits).evened()
+    return frame.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
 
 
 def table_labels(frame: RawFrame, table: TransformTable) -> Integers:

@@ -35,7 +35,7 @@ from l3cli.stages.plan import Made, before_work
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
 from l3cli.system.limits import read_bounded
-from l3cli.system.locks import finished_together, refuse_other_run
+from l3cli.system.locks import incomplete_folder, refuse_other_run
 
 MOST_KEPT = 8  # renderers: frames of one scene under several lights follow one another
 Planes = NDArray[np.float32]
@@ -74,7 +74,7 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
             theirs = {f"pictures of {name}": files for name, (_, files) in others.items()}
             before_work({"table": [table], "frames": [frames], **theirs}, *made)
             if pictures is not None:
-                unfinished.enter_context(finished_together(pictures, key, options.force))
+                unfinished.enter_context(incomplete_folder(pictures, key, options.force))
             warn_if_trained_on(transforms, table, frames, console)
             warn_if_unlike((table, transforms), (frames, reader.head.camera), console)
             renderers = FrameRenderers(options.backend, transforms, console)

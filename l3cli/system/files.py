@@ -57,14 +57,14 @@ def atomic_output(path: Path) -> Iterator[Path]:
 
     The temporary file keeps the suffix of `path`, since writers choose their format by it; it must be written in place, not
     replaced. No two processes ever write to the same one. L3Error if `path` cannot be written, or the disk is full;
-    RecipeError if it is a file that is spared.
+    RecipeError if it is a protected input.
     """
     refuse_protected(path)
-    temporary, held = None, None
+    temporary, descriptor = None, None
     try:
         with blamed_on(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            temporary, held = _new_temporary(path)
+            temporary, descriptor = _new_temporary(path)
         with blamed_on(path, FULL):  # of what goes wrong inside: inputs may be read there
             yield temporary
         with blamed_on(path):
@@ -72,8 +72,8 @@ def atomic_output(path: Path) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
-        if held is not None:
-            os.close(held)
+        if descriptor is not None:
+            os.close(descriptor)
 
 
 def write_whole(path: Path, content: bytes | memoryview | str) -> None:
@@ -88,12 +88,12 @@ def _new_temporary(path: Path) -> tuple[Path, int]:
     stem, suffix = _hidden_name(path)
     while True:
         temporary = path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
-        held = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(path))
+        descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(path))
         with contextlib.suppress(OSError):  # storage without locks: nobody can take it for a dead run's
-            fcntl.flock(held, fcntl.LOCK_EX)
-        if os.fstat(held).st_nlink:
-            return temporary, held
-        os.close(held)  # swept between the two calls
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        if os.fstat(descriptor).st_nlink:
+            return temporary, descriptor
+        os.close(descriptor)  # swept between the two calls
 
 
 def _hidden_name(path: Path) -> tuple[str, str]:
@@ -176,15 +176,15 @@ def sweep(folder: Path, output: Path | None = None) -> None:
         match = TEMPORARY.fullmatch(name)
         if not match or wanted not in (None, (match[1], match[2] or "")):
             continue
-        if identity(folder / name) in _spared:
+        if identity(folder / name) in _protected:
             continue
         with contextlib.suppress(OSError):  # a living writer's, or gone already, or none of l3's
-            held = open_quietly(folder / name)
+            descriptor = open_quietly(folder / name)
             try:
-                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 os.unlink(folder / name)
             finally:
-                os.close(held)
+                os.close(descriptor)
 
 
 def is_ours(name: str) -> bool:
@@ -195,28 +195,28 @@ def is_ours(name: str) -> bool:
 # --------------------------------------------------------------------------------------------------------- inputs
 
 Identity = tuple[int, int]  # device and number on it: the same for every name, symbolic and hard link of a file
-_spared: dict[Identity, Path] = {}  # files that the command reads, each with a name it was given by
+_protected: dict[Identity, Path] = {}  # files that the command reads, each with a name it was given by
 
 
 @contextlib.contextmanager
 def protecting(paths: Iterable[Path]) -> Iterator[None]:
     """While the block lasts, no output of this process takes the place of these files, under whatever name; "-": stdin."""
     named = ((identity(0 if path == STDIN else path), path) for path in paths)
-    added = {key: path for key, path in named if key is not None and key not in _spared}
-    _spared.update(added)
+    added = {key: path for key, path in named if key is not None and key not in _protected}
+    _protected.update(added)
     try:
         yield
     finally:
         for key in added:
-            del _spared[key]
+            del _protected[key]
 
 
 def refuse_protected(output: Path | int) -> None:
-    """RecipeError if an output, a path or a descriptor, is a file that is spared."""
-    key = identity(output) if _spared else None
-    if key is None or key not in _spared:
+    """Raise RecipeError if an output, a path or a descriptor, is a protected input."""
+    key = identity(output) if _protected else None
+    if key is None or key not in _protected:
         return
-    source = _spared[key]
+    source = _protected[key]
     name, other = "stdout" if isinstance(output, int) else str(output), "stdin" if source == STDIN else str(source)
     raise RecipeError(f"{name} is an input{'' if name == other else f', {other}'}; name another output")
 
@@ -291,7 +291,7 @@ def require_same(path: Path, digest: str) -> None:
             f"{path} cannot be read by a worker ({error.strerror}); put it on storage that all share"
         ) from error
     if _known_sha256(path, known) != digest:
-        raise InputFileError(f"{path} is another file for a worker than here; put it on storage that all share")
+        raise InputFileError(f"{path} is another file for a worker; put it on storage that all share")
 
 
 @functools.lru_cache(10_000)

@@ -1,6 +1,6 @@
 """The files that a command reads and makes, for whoever reports it. Nothing is kept unless somebody has opened a ledger.
 
-Like locks and spared inputs it is the process's: pictures are put in place by several threads. What worker processes write
+Like locks and protected inputs it is the process's: pictures are put in place by several threads. What worker processes write
 has to be noted by who has sent them.
 """
 
@@ -18,7 +18,7 @@ class Ledger:
 
     inputs: dict[str, dict[Path, Dated | None]] = field(default_factory=dict)
     outputs: dict[Path, None] = field(default_factory=dict)
-    places: dict[Path, None] = field(default_factory=dict)  # files and folders that the command was told to make
+    places: dict[Path, None] = field(default_factory=dict)  # files and folders that the command is to make
 
 
 _open: Ledger | None = None
@@ -63,13 +63,13 @@ def note_output(path: Path) -> None:
 
 
 def outputs_of(ledger: Ledger) -> list[Path]:
-    """The files made that are there, and lie where the command was told to make something."""
+    """Return the files made that exist, where the command was to make something."""
     folders = {place.parent for place in ledger.places} | set(ledger.places)
     return [path for path in ledger.outputs if not folders.isdisjoint(path.parents) and path.is_file()]
 
 
 def dated(path: Path) -> Dated | None:
-    """Size and time of what is there, which tell one content of a file from another; None if nothing is."""
+    """Return size and time of a file, which distinguish its contents; None if it does not exist."""
     try:
         state = os.stat(path)
     except OSError:

@@ -37,12 +37,12 @@ class ThreadLock:
         self._of_process: dict[int, threading.Lock] = {}
 
     def __enter__(self) -> None:
-        self._here().acquire()
+        self._of_this_process().acquire()
 
     def __exit__(self, *exception: object) -> None:
-        self._here().release()
+        self._of_this_process().release()
 
-    def _here(self) -> threading.Lock:
+    def _of_this_process(self) -> threading.Lock:
         return self._of_process.setdefault(os.getpid(), threading.Lock())
 
 
@@ -62,7 +62,7 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
 
     Yields whether the storage knows locks at all. L3Error if another run writes the file, or its folder cannot be written.
     """
-    with _claim(path, path.with_name(_lock_name(path.name))) as locked:
+    with _locked(path, path.with_name(_lock_name(path.name))) as locked:
         if locked and not _WITHOUT_WRITING.get():
             sweep(path.parent, path)
         yield locked
@@ -75,7 +75,7 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
 
     The folder is made; it is removed again if it is empty in the end. What worker processes left that were ended goes, too.
     """
-    with _claim(folder / name, folder / (_lock_name(name) if name else LOCK)) as locked:
+    with _locked(folder / name, folder / (_lock_name(name) if name else LOCK)) as locked:
         swept = [folder, *(folder / each for each in inside)] if locked and not _WITHOUT_WRITING.get() else []
         for each in swept:
             sweep(each)
@@ -91,31 +91,31 @@ def _lock_name(name: str) -> str:
 
 
 @contextlib.contextmanager
-def finished_together(folder: Path, run: str, force: bool) -> Iterator[None]:
+def incomplete_folder(folder: Path, run: str, force: bool) -> Iterator[None]:
     """Mark `folder` as of the run called `run` until the block ends without an error: if it is stopped, the same run may go
     on there. L3Error if the folder holds something else, unless `force`."""
-    mark = folder / UNFINISHED
+    marker = folder / UNFINISHED
     refuse_other_run(folder, run, force)
-    write_whole(mark, run)
+    write_whole(marker, run)
     try:
         yield
     except BaseException:
         sweep(folder)
         if all(is_ours(each.name) for each in folder.iterdir()):
-            mark.unlink(missing_ok=True)
+            marker.unlink(missing_ok=True)
         raise
-    mark.unlink(missing_ok=True)
+    marker.unlink(missing_ok=True)
 
 
 def refuse_other_run(folder: Path, run: str, force: bool) -> None:
     """L3Error if `folder` holds anything but what a stopped run called `run` has left, unless `force`."""
-    mark = folder / UNFINISHED
-    goes_on = mark.is_file() and mark.read_bytes() == run.encode()
+    marker = folder / UNFINISHED
+    goes_on = marker.is_file() and marker.read_bytes() == run.encode()
     refuse_filled_folder(folder, force or goes_on)
 
 
 @contextlib.contextmanager
-def _claim(output: Path, lock: Path) -> Iterator[bool]:
+def _locked(output: Path, lock: Path) -> Iterator[bool]:
     """Hold `lock` while the block lasts; folders that had to be made for it go again if they stay empty."""
     refuse_protected(lock)  # it is removed in the end
     if _WITHOUT_WRITING.get():
@@ -124,12 +124,12 @@ def _claim(output: Path, lock: Path) -> Iterator[bool]:
         return
     made = [folder for folder in (lock.parent, *lock.parent.parents) if not folder.exists()]
     try:
-        held = _take(lock, output)
+        descriptor = _take(lock, output)
         try:
-            yield held is not None
+            yield descriptor is not None
         finally:
-            if held is not None:
-                _let_go(lock, held)
+            if descriptor is not None:
+                _let_go(lock, descriptor)
     finally:
         for folder in made:
             with contextlib.suppress(OSError):
@@ -138,17 +138,17 @@ def _claim(output: Path, lock: Path) -> Iterator[bool]:
 
 def _refuse_held(lock: Path, output: Path) -> None:
     """L3Error if another run holds the lock; no file is made or removed."""
-    held = _existing(lock)
-    if held is None:
+    descriptor = _existing(lock)
+    if descriptor is None:
         return
     try:
-        fcntl.flock(held, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise _busy(output) from error
     except OSError:
         pass  # storage without locks
     finally:
-        os.close(held)
+        os.close(descriptor)
 
 
 def _busy(output: Path) -> L3Error:
@@ -161,25 +161,25 @@ def _take(lock: Path, output: Path) -> int | None:
     while True:
         with blamed_on(output):
             lock.parent.mkdir(parents=True, exist_ok=True)
-            held: int | None
+            descriptor: int | None
             try:
-                held = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(output))
+                descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(output))
             except FileExistsError:
-                held = _existing(lock)
-        if held is None:
+                descriptor = _existing(lock)
+        if descriptor is None:
             continue  # its holder has just removed it
         try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            os.close(held)
+            os.close(descriptor)
             raise _busy(output) from error
         except OSError:
-            _let_go(lock, held)
+            _let_go(lock, descriptor)
             return None
         with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.lstat(lock), os.fstat(held)):
-                return held
-        os.close(held)  # its holder has ended and removed it between the two calls
+            if os.path.samestat(os.lstat(lock), os.fstat(descriptor)):
+                return descriptor
+        os.close(descriptor)  # its holder has ended and removed it between the two calls
 
 
 def _existing(lock: Path) -> int | None:
@@ -196,7 +196,7 @@ def _existing(lock: Path) -> int | None:
 
 
 @uninterrupted
-def _let_go(lock: Path, held: int) -> None:
+def _let_go(lock: Path, descriptor: int) -> None:
     with contextlib.suppress(FileNotFoundError, PermissionError):  # another user's, where only they may remove it
         lock.unlink()
-    os.close(held)
+    os.close(descriptor)

@@ -54,11 +54,11 @@ def short_names(paths: Iterable[Path]) -> list[str]:
     """Return the shortest end of each path that no other path has, as tables call files."""
     every = [path.absolute().parts for path in paths]
 
-    def told_apart(parts: tuple[str, ...]) -> str:
+    def distinguished(parts: tuple[str, ...]) -> str:
         ends = (parts[-length:] for length in range(1, len(parts) + 1))
         return "/".join(next(end for end in ends if all(parts == other or other[-len(end) :] != end for other in every)))
 
-    return [told_apart(parts) for parts in every]
+    return [distinguished(parts) for parts in every]
 
 
 def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:

@@ -13,7 +13,7 @@ from l3cli.classes.features import further_features
 from l3cli.classes.names import class_name, kind_name
 from l3cli.classes.tree import EVERY
 from l3cli.classes.windows import window_channels
-from l3cli.physics.near_lights import temperature
+from l3cli.physics.correlated_lights import temperature
 
 WORST = 8  # classes named
 

@@ -70,12 +70,12 @@ class L3Render(GstBase.BaseTransform):
     camera = GObject.Property(type=str, default="", blurb="File of a model whose defects and flat field are corrected")
     backend = GObject.Property(type=str, default="opencl", blurb="opencl or reference")
     device = GObject.Property(type=str, default="", blurb="OpenCL device, by a part of its name or its number")
-    temporal = GObject.Property(type=bool, default=False, blurb="Blend frames with what is not noise of those before them")
+    temporal = GObject.Property(type=bool, default=False, blurb="Filter the frames in time")
 
     def __init__(self) -> None:
         super().__init__()
         self._mosaics: Any = None  # a Mosaics, from start to stop
-        self._said = ""  # the error reported since the start: caps are tried several times
+        self._reported = ""  # the error reported since the start: caps are tried several times
         self._picture: Any = None  # what makes the picture of the next frame
         self._source: Any = None  # _Layout of the negotiated caps of frames
         self._target: Any = None  # _Layout of the negotiated caps of pictures
@@ -83,7 +83,7 @@ class L3Render(GstBase.BaseTransform):
     # ------------------------------------------------------------------------------------------------- start and stop
 
     def do_start(self) -> bool:
-        self._said = ""
+        self._reported = ""
         try:
             self._mosaics = self._opened()
         except Exception as error:  # nothing may fall through to GStreamer, which would print a traceback and go on
@@ -164,8 +164,8 @@ class L3Render(GstBase.BaseTransform):
     def _failed(self, error: Exception) -> bool:
         """Tell the application, once, what went wrong."""
         text = format_error(error, "-")
-        if text != self._said:
-            self._said, code = text, Gst.ResourceError.FAILED
+        if text != self._reported:
+            self._reported, code = text, Gst.ResourceError.FAILED
             self.post_message(Gst.Message.new_error(self, GLib.Error.new_literal(Gst.ResourceError.quark(), text, code), ""))
         return False
 

@@ -1,4 +1,4 @@
-"""Errors as a host tells them."""
+"""Errors as a host reports them."""
 
 import re
 

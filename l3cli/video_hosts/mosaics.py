@@ -57,14 +57,14 @@ class Mosaics:
                 f"expected; if they are meant, give ‹size› {rows}x{cols}, and ‹phase› if they begin at another CFA site"
             )
 
-    def in_time(self, read: Callable[[int], RawFrame], keep: int) -> AnyOrder:
+    def in_time(self, read: Callable[[int], RawFrame], cache: int) -> AnyOrder:
         """Return a temporal filter of frames that are asked for in any order; `read`: gives the raw frame of a number.
         RecipeError if the table does not know its camera's noise."""
-        return AnyOrder(self._filters(), read, keep)
+        return AnyOrder(self._filters(), read, cache)
 
     def frame(self, values: NDArray[Any], order: str | None = None) -> RawFrame:
         """Return the raw frame of values (row, col) in DN. `order`: colours of a Bayer array from its first pixel on,
-        "rggb", as the host states them, None: as the table says. InputFileError if they do not fit."""
+        "rggb", as the host states them, None: the table's. InputFileError if they do not fit."""
         pattern = {} if order is None else {"pattern": codes_of(order).reshape(2, 2)}
         table = self.renderer.table
         frame = frame_of("the frame", {"values": values, **pattern}, table, self._known)  # type: ignore[typeddict-item]

@@ -38,8 +38,8 @@ def render(
     for the clip, so that frames may be asked for in any order. `black_level`, `white_level` (DN), `phase` (CFA row, column
     of the first pixel, also as "1,0"): None: the table's. `size` (rows, columns, also as "240x360"): that frames
     must have, None: any. `camera`: of a model whose defects and flat field are corrected. `backend`, `device`: as there.
-    `temporal`: frames share what is not noise, as in `l3 render --temporal`, each the same in whatever order they are asked
-    for: one that does not follow the last is filtered after the up to 255 before it that it depends on.
+    `temporal`: frames are filtered in time, as in `l3 render --temporal`, each the same in any order of requests: one that
+    does not follow the last is filtered after the up to 255 before it that it depends on.
 
     Frames may be rendered from any number of threads; one is at work on the device at a time. The first is rendered at once.
     vapoursynth.Error, one line, for a clip, file or value that does not fit.
@@ -61,7 +61,7 @@ def render(
                 return mosaics.frame(np.array(raw[0]))
 
         show(read(0))
-        in_time = mosaics.in_time(read, keep=2 * vs.core.num_threads) if temporal else None
+        in_time = mosaics.in_time(read, cache=2 * vs.core.num_threads) if temporal else None
     except (L3Error, OSError) as error:
         raise vs.Error(f"l3: {format_error(error)}") from error
 
@@ -92,7 +92,7 @@ def _require_mosaics(clip: Any) -> None:
 
 
 def _colours(linear: bool) -> dict[str, int]:
-    """Return the frame properties that say what the values are: sRGB, or with its primaries and linear, in full range."""
+    """Return the frame properties of the values: sRGB, or linear with its primaries, in full range."""
     transfer = vs.TRANSFER_LINEAR if linear else vs.TRANSFER_IEC_61966_2_1
     named = {"_Matrix": vs.MATRIX_RGB, "_Primaries": vs.PRIMARIES_BT709, "_Transfer": transfer, "_Range": vs.RANGE_FULL}
     return {name: int(value) for name, value in named.items()}

@@ -1,15 +1,15 @@
 // Raw values → the same with what their channels differ by in shading taken off (l3cli/frames/shading.py is the truth).
 //
-// In place, before any other kernel reads them, a work-item RUN pixels: whole numbers, so that every device agrees. `tint` is
+// In place, before any other kernel reads them, a work-item RUN pixels: whole numbers, so that every device agrees. `colour` is
 // a gain less 1, about the black level. Clipped pixels stay as they are, and no other becomes one.
 
-INLINE ints evened(ints value, ints tint, int black, int clipped) {
-    const ints gained = value + (((value - black) * tint + (1 << FRACTION >> 1)) >> FRACTION), zero = 0, top = clipped - 1;
+INLINE ints corrected(ints value, ints colour, int black, int clipped) {
+    const ints gained = value + (((value - black) * colour + (1 << FRACTION >> 1)) >> FRACTION), zero = 0, top = clipped - 1;
     const ints positive = gained > zero ? gained : zero, unclipped = positive < top ? positive : top;
     return value > top ? value : unclipped;
 }
 
-__kernel void even_channels(__global ushort *restrict raw, __global const short *restrict tint, int black, int clipped,
+__kernel void correct_colour_shading(__global ushort *restrict raw, __global const short *restrict colour, int black, int clipped,
                             int pixels) {
     const int first = get_global_id(0) * RUN, last = min(first + RUN, pixels);
     int i = first;
@@ -17,11 +17,11 @@ __kernel void even_channels(__global ushort *restrict raw, __global const short 
     for (; i + LANES <= last; i += LANES) {
         const ints value = CONVERT(LOAD_GLOBAL(shorts, raw + i), ints);
         STORE_GLOBAL(shorts, raw + i) =
-            CONVERT(evened(value, CONVERT(LOAD_GLOBAL(signed_shorts, tint + i), ints), black, clipped), shorts);
+            CONVERT(corrected(value, CONVERT(LOAD_GLOBAL(signed_shorts, colour + i), ints), black, clipped), shorts);
     }
 #endif
     for (; i < last; i++) {
-        const int value = raw[i], gained = value + (((value - black) * tint[i] + (1 << FRACTION >> 1)) >> FRACTION);
+        const int value = raw[i], gained = value + (((value - black) * colour[i] + (1 << FRACTION >> 1)) >> FRACTION);
         raw[i] = value < clipped ? min(max(gained, 0), clipped - 1) : value;
     }
 }

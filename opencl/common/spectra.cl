@@ -13,7 +13,7 @@ INLINE floats inverse_of(floats brightness, float reach) {
 }
 
 // What the mean is multiplied by, of the pixel's brightness and the mean of the neighbours' above it.
-INLINE floats brightness_kept(floats brightness, floats brighter) {
+INLINE floats brightness_ratio(floats brightness, floats brighter) {
     return brightness > DARKEST ? brightness / (brightness + brighter) : (floats)1.0f;
 }
 

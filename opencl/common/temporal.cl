@@ -1,8 +1,8 @@
-// What temporal_motion.cl and temporal_blend.cl are written in: a mosaic and what is kept of those before it → the blend of both
+// What temporal_motion.cl and temporal_blend.cl are written in: a mosaic and the history of those before it → the blend of both
 // (l3cli/rendering/temporal/ is the truth: reference.py).
 //
 // Whole numbers throughout, so that every device agrees. A work-item takes STRIP blocks of a row of blocks, or STRIP cells or
-// periods; frames are whole blocks, `columns` wide. Values are u = DN << spare, at most 16 bits.
+// periods; frames are whole blocks, `columns` wide. Values are u = DN << free_bits, at most 16 bits.
 
 #define CELL_ROWS (BLOCK_ROWS / CELL_DOWN)
 #define CELL_COLUMNS (BLOCK_COLUMNS / CELL_ACROSS)
@@ -80,4 +80,4 @@ INLINE ints most_of(ints a, int b) {
 }
 
 // Values as u.
-INLINE ints units(ints value, int spare) { return least_of(value, (1 << (16 - spare)) - 1) << spare; }
+INLINE ints units(ints value, int free_bits) { return least_of(value, (1 << (16 - free_bits)) - 1) << free_bits; }

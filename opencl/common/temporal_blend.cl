@@ -1,6 +1,6 @@
 // Evidence of motion, weights of cells, and the blend (l3cli/rendering/temporal/reference.py).
 
-// Cells have SLACK beside them, and a row above and below them, of nought.
+// Cells have SLACK columns on either side, and a row above and below them, of nought.
 INLINE int cell_row_length(int columns) { return columns + 2 * SLACK; }
 
 INLINE int cell_place(int row, int column, int cell_columns) {
@@ -15,10 +15,10 @@ INLINE int2 cells_on(int2 vector) {
 
 // Of every cell of STRIP blocks the power of its residuals, their sum, what noise makes of either, and what was left of the
 // noise where its middle was before.
-__kernel void evidence(__global const ushort *restrict raw, __global const ushort *restrict kept,
+__kernel void evidence(__global const ushort *restrict raw, __global const ushort *restrict history,
                        __global const int2 *restrict vectors, __global const ushort *restrict left,
                        __global uint *restrict powers, __global int *restrict sums, __global uint *restrict variances,
-                       __global ushort *restrict left_before, int spare, int black, int linear, int constant_term,
+                       __global ushort *restrict left_before, int free_bits, int black, int linear, int constant_term,
                        int fixed, int uneven, int block_columns) {
     const int block_row = get_global_id(1), begin = get_global_id(0) * STRIP, last = min(begin + STRIP, block_columns);
     const int columns = block_columns * BLOCK_COLUMNS, cell_columns = block_columns * CELL_ACROSS;
@@ -32,12 +32,12 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
             const int2 vector = vectors[block_row * block_columns + block] * (int2)(PERIOD_ROWS, PERIOD_COLUMNS);
             const int2 on = cells_on(vector);
             __global const ushort *now = raw + cell_row * CELL_ROWS * columns + block * BLOCK_COLUMNS;
-            __global const ushort *before = kept + (cell_row * CELL_ROWS + vector.x) * columns + block * BLOCK_COLUMNS + vector.y;
+            __global const ushort *before = history + (cell_row * CELL_ROWS + vector.x) * columns + block * BLOCK_COLUMNS + vector.y;
             const int start = (block - begin) * BLOCK_COLUMNS, first = (block - begin) * CELL_ACROSS;
             for (int x = 0; x < BLOCK_COLUMNS; x += LANES) {
                 ints square = 0, sum = 0, light = 0;
                 for (int y = 0; y < CELL_ROWS; y++) {
-                    const ints value = units(READ(now + y * columns + x), spare);
+                    const ints value = units(READ(now + y * columns + x), free_bits);
                     const ints residual = least_of(most_of(value - READ(before + y * columns + x), -CLIPPED), CLIPPED);
                     FETCH_NEXT(now + (CELL_ROWS + y) * columns + x);
                     FETCH_NEXT(before + (CELL_ROWS + y) * columns + x);
@@ -137,16 +137,16 @@ __kernel void weigh(__global const uint *restrict powers, __global const int *re
     cuts[block_row * get_global_size(0) + get_global_id(0)] = SUM_CELLS(others);
 }
 
-// The blend, as u to be kept and as DN, and the means over a period of what is kept. `restart`: nothing is taken from before.
-__kernel void blend(__global const ushort *restrict raw, __global const ushort *restrict kept,
+// The blend, as u for the history and as DN, and the means of the history over a period. `restart`: nothing is taken from before.
+__kernel void blend(__global const ushort *restrict raw, __global const ushort *restrict history,
                     __global const int2 *restrict vectors, __global const ushort *restrict weights,
                     __global const int *restrict cuts, __global ushort *restrict new_kept,
                     __global ushort *restrict new_left, __global ushort *restrict made, __global ushort *restrict plane,
-                    int spare, int restart, int strips, int cells, int block_rows, int block_columns) {
+                    int free_bits, int restart, int strips, int cells, int block_rows, int block_columns) {
     const int block_row = get_global_id(1), begin = get_global_id(0) * STRIP, last = min(begin + STRIP, block_columns);
     const int columns = block_columns * BLOCK_COLUMNS, cell_columns = block_columns * CELL_ACROSS;
     const int across = block_columns * UNITS_ACROSS;
-    const int rounding = 1 << spare >> 1, most = (1 << (16 - spare)) - 1;
+    const int rounding = 1 << free_bits >> 1, most = (1 << (16 - free_bits)) - 1;
     int others = 0;
     if (!restart)
         for (int i = 0; i < strips; i++) others += cuts[i];
@@ -171,12 +171,12 @@ __kernel void blend(__global const ushort *restrict raw, __global const ushort *
                     ints sum = 0;
                     for (int y = 0; y < PERIOD_ROWS; y++) {
                         const int at = y * columns + x;
-                        const ints value = units(READ(raw + place + at), spare), old = READ(kept + before + at);
+                        const ints value = units(READ(raw + place + at), free_bits), old = READ(history + before + at);
                         const ints new = old + ((WEIGHTS(weight + x) * (value - old) + ONE / 2) >> SHARE_BITS);
                         FETCH_NEXT(raw + place + CELL_ROWS * columns + at);
-                        FETCH_NEXT(kept + before + CELL_ROWS * columns + at);
+                        FETCH_NEXT(history + before + CELL_ROWS * columns + at);
                         WRITE(new_kept + place + at, new);
-                        WRITE(made + place + at, least_of((new + rounding) >> spare, most));
+                        WRITE(made + place + at, least_of((new + rounding) >> free_bits, most));
                         sum += new;
                     }
                     WRITE_PRIVATE(sums[period] + (block - begin) * BLOCK_COLUMNS + x, sum);

@@ -1,4 +1,4 @@
-// Where each block was in what is kept (l3cli/rendering/temporal/motion.py): planes of means, and the search in them.
+// Where each block was in the history (l3cli/rendering/temporal/motion.py): planes of means, and the search in them.
 
 // Planes have MARGIN rows and columns about them that repeat their edge, and rows of SLACK columns more, so that windows, and
 // vectors that begin in one, may go beyond.
@@ -9,7 +9,7 @@ INLINE void fill_margin(__global ushort *row, int columns, bool left, bool right
     for (int x = MARGIN + columns; right && x < row_length(columns); x++) row[x] = row[MARGIN + columns - 1];
 }
 
-// What a plane has beside units `first` to `last` of a row of it.
+// What a plane has on either side of units `first` to `last` of a row.
 INLINE void fill_beside(__global ushort *plane, int row, int rows, int columns, int first, int last) {
     const int length = row_length(columns), from = first ? MARGIN + first : 0, to = last < columns ? MARGIN + last : length;
     __global ushort *line = plane + (MARGIN + row) * length;
@@ -63,7 +63,7 @@ INLINE int2 size_of(int level, int block_rows, int block_columns) {
     return (int2)(block_rows * UNITS_DOWN, block_columns * UNITS_ACROSS) >> level;
 }
 
-// Where a plane begins among those that lie one behind the other.
+// Where a plane begins among those stored one after the other.
 INLINE int begin_of(int level, int block_rows, int block_columns) {
     int begin = 0;
     for (int finer = 0; finer < level; finer++) {
@@ -74,14 +74,14 @@ INLINE int begin_of(int level, int block_rows, int block_columns) {
 }
 
 // Units `first` to `last` of a row of the finest plane: means over a period.
-INLINE void means(__global const ushort *values, __global ushort *plane, int row, int first, int last, int spare, int across) {
+INLINE void means(__global const ushort *values, __global ushort *plane, int row, int first, int last, int free_bits, int across) {
     const int columns = across * PERIOD_COLUMNS, count = (last - first) * PERIOD_COLUMNS;
     int sums[STRIP_COLUMNS];
     values += row * PERIOD_ROWS * columns + first * PERIOD_COLUMNS;
     for (int x = 0; x < count; x += LANES) {
         ints sum = 0;
         for (int y = 0; y < PERIOD_ROWS; y++) {
-            sum += units(READ(values + y * columns + x), spare);
+            sum += units(READ(values + y * columns + x), free_bits);
             FETCH_NEXT(values + (PERIOD_ROWS + y) * columns + x);
         }
         WRITE_PRIVATE(sums + x, sum);
@@ -99,10 +99,10 @@ INLINE void halve(__global const ushort *fine, __global ushort *coarse, int row,
     }
 }
 
-// All planes of STRIP blocks, in DEEPEST rows of the finest: of the frame and, a work-item of its own, of what is kept, whose
+// All planes of STRIP blocks, in DEEPEST rows of the finest: of the frame and, a work-item of its own, of the history, whose
 // finest plane is there already.
 __kernel void planes(__global const ushort *restrict raw, __global ushort *restrict now, __global ushort *restrict before,
-                     int spare, int block_rows, int block_columns) {
+                     int free_bits, int block_rows, int block_columns) {
     const int parts = get_global_size(1) / 2, part = get_global_id(1) % parts;
     const bool of_frame = get_global_id(1) < parts;
     __global ushort *plane = of_frame ? now : before;
@@ -110,7 +110,7 @@ __kernel void planes(__global const ushort *restrict raw, __global ushort *restr
     int row = part * DEEPEST, end = min(row + DEEPEST, size.x);
     int first = get_global_id(0) * STRIP * UNITS_ACROSS, last = min(first + STRIP * UNITS_ACROSS, size.y);
     for (int y = row; of_frame && y < end; y++) {
-        means(raw, plane, y, first, last, spare, size.y);
+        means(raw, plane, y, first, last, free_bits, size.y);
         fill_beside(plane, y, size.x, size.y, first, last);
     }
     for (int level = 1; level < PLANES; level++) {
@@ -126,7 +126,7 @@ __kernel void planes(__global const ushort *restrict raw, __global ushort *restr
     }
 }
 
-// What a block is searched by: its window in the frame, and in what is kept.
+// What a block is searched by: its window in the frame, and in the history.
 typedef struct {
     __global const ushort *now, *before;  // where the window begins
     int2 window;                          // rows and columns

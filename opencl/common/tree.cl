@@ -3,7 +3,7 @@
 // Sums over the neighbourhood of a pixel: of u and v, the planes of chroma, and of luminance.
 typedef struct {
     ints xx, yy, xy, chroma_xx, chroma_yy, u_along, v_along;         // over 5 × 5, of products of gradients
-    ints near, bend_xx, bend_yy, slope_x, slope_y, u, v, luminance;  // over 3 × 3
+    ints narrow_strength, bend_xx, bend_yy, slope_x, slope_y, u, v, luminance;  // over 3 × 3
     ints bend_x, bend_y;
 } Sums;
 
@@ -18,7 +18,7 @@ INLINE floats signed_square(ints value) { return CONVERT(value * size_of(value),
 #define TRANSPOSED 14  // bits of the gradient word: how the site's orientation turns what is seen
 #define MIRRORED_ACROSS 15
 #define MIRRORED_DOWN 16
-#define SWAP_WHERE(condition, a, b) { const ints kept = a; a = (condition) ? b : a; b = (condition) ? kept : b; }
+#define SWAP_WHERE(condition, a, b) { const ints swapped = a; a = (condition) ? b : a; b = (condition) ? swapped : b; }
 
 // What a site sees in the orientation that it is learned in.
 INLINE void turn(Sums *s, uints turns) {
@@ -44,7 +44,7 @@ INLINE void weigh(Evidence *e, const Sums *s) {
     n[3] = CONVERT(straight + diagonal, floats);
     n[4] = CONVERT(straight - diagonal, floats);
     n[5] = CONVERT(larger(larger(size_of(straight), size_of(diagonal)), both), floats);
-    n[6] = CONVERT(s->near, floats);
+    n[6] = CONVERT(s->narrow_strength, floats);
     n[7] = n[8] = CONVERT(chroma, floats);
     n[9] = CONVERT(s->chroma_xx - s->chroma_yy, floats);
     n[10] = CONVERT(s->u_along, floats);

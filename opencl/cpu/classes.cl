@@ -20,7 +20,7 @@
 // What a tile keeps of its latest rows: arrays apart from one another, which the compiler can then tell apart.
 typedef struct {
     ushort (*ring)[SPAN];  // (PATCH + 1) rows, padded row k of the tile in slot k % (PATCH + 1)
-    Columns *near;
+    Columns *window;
     Runs *runs;
 #ifdef BOX_ROWS
     box (*boxes)[SPAN];    // sums over boxes by their last row, in its slot
@@ -39,10 +39,10 @@ INLINE void see_nothing(Seen *seen) {
     for (int k = 0; k < PATCH + 1; k++)
         for (int p = 0; p < SPAN; p++) seen->ring[k][p] = 0;
     for (int j = 0; j < SPREAD; j++)
-        for (int p = 0; p < SPAN; p++) seen->near->saturated[j][p] = 0;
+        for (int p = 0; p < SPAN; p++) seen->window->saturated[j][p] = 0;
     for (int c = 0; c < CHANNELS; c++) {
-        for (int p = 0; p < SPAN; p++) seen->near->sum[c][p] = 0;
-        for (int p = 0; p < SPAN; p++) seen->near->square[c][p] = 0;
+        for (int p = 0; p < SPAN; p++) seen->window->sum[c][p] = 0;
+        for (int p = 0; p < SPAN; p++) seen->window->square[c][p] = 0;
         for (int p = 0; p < SPAN; p++) seen->runs->sum[c][p] = seen->runs->square[c][p] = 0;
     }
 }
@@ -58,13 +58,13 @@ INLINE void see_row(Seen *seen, int k, int x0, int y0, int width, int phase_row,
     ingest(entering, raw + (size_t)row_source[y0 + k] * columns, column_source, x0, columns);
     const int row_phase = PADDED_PHASE(y0 + k, phase_row, CFA_ROWS);
     const int leaving_phase = PADDED_PHASE(y0 + k + (CFA_ROWS - 1) * PATCH, phase_row, CFA_ROWS);
-    slide(seen->near, entering, member + row_phase * PERIOD, leaving, member + leaving_phase * PERIOD, padded_phase, span);
+    slide(seen->window, entering, member + row_phase * PERIOD, leaving, member + leaving_phase * PERIOD, padded_phase, span);
 #ifdef BOX_ROWS
     add_boxes(seen->boxes[k % (PATCH + 1)], seen->ring, k % (PATCH + 1), span);
 #endif
     const int late = k - (RADIUS - SATURATION_RADIUS);  // saturation counts in fewer rows: the lowest came earlier
     if (late >= 0)
-        saturated_row(seen->near->saturated[late % SPREAD], seen->ring[late % (PATCH + 1)],
+        saturated_row(seen->window->saturated[late % SPREAD], seen->ring[late % (PATCH + 1)],
                       channel_bit + PADDED_PHASE(y0 + late, phase_row, CFA_ROWS) * PERIOD, padded_phase, span);
 }
 
@@ -75,10 +75,10 @@ INLINE uints classes_at(const Seen *seen, int k, int x, size_t at, int site_row,
     no_evidence(&evidence, RULE);
     #pragma unroll
     for (int c = 0; c < CHANNELS; c++) {
-        const int here = (c * CFA_ROWS + site_row) * PERIOD + phase;
-        add_evidence(&evidence, c, LOAD_GLOBAL(uints, count + here), patch_sum(seen->runs, seen->near, c, x),
-                     patch_square(seen->runs, seen->near, c, x), LOAD_GLOBAL(uints, mean_reciprocal + here),
-                     LOAD_GLOBAL(uints, variance_reciprocal + here), RULE);
+        const int place = (c * CFA_ROWS + site_row) * PERIOD + phase;
+        add_evidence(&evidence, c, LOAD_GLOBAL(uints, count + place), patch_sum(seen->runs, seen->window, c, x),
+                     patch_square(seen->runs, seen->window, c, x), LOAD_GLOBAL(uints, mean_reciprocal + place),
+                     LOAD_GLOBAL(uints, variance_reciprocal + place), RULE);
     }
 #ifdef BOX_ROWS
 #define ADD_WINDOW(s, top, left, rows, columns, sign) \
@@ -110,7 +110,7 @@ COMPILED_ONCE classes_of_tile(int x0, int y0, CLASSES_PARAMETERS,
         see_row(&seen, k, x0, y0, width, phase_row, phase_column, columns, CLASSES_READ);
         if (k < 2 * RADIUS) continue;
         const int y = y0 + k - 2 * RADIUS, site_row = (y + phase_row) % CFA_ROWS;
-        add_runs(seen.runs, seen.near, span_of(width));
+        add_runs(seen.runs, seen.window, span_of(width));
         const size_t at = (size_t)y * columns + x0;
         __global const ushort *next = raw + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
         for (int x = 0, phase = first_phase; x < width; x += LANES, phase = PHASE_AFTER(phase, LANES)) {

@@ -8,16 +8,16 @@
 #define VECTORS ((TAPS - 1 + LANES - 1) / LANES)
 #define GROUPS ((OUTPUTS + 3) / 4)               // outputs are taken in groups …
 #define GROUP ((OUTPUTS + GROUPS - 1) / GROUPS)  // … of at most four, so that their sums stay in registers
-#define LAST_TAP (VECTORS * GROUP * LANES)       // where a group's last taps lie, behind them its intercepts
+#define LAST_TAP (VECTORS * GROUP * LANES)       // where a group's last taps lie, then its intercepts
 #ifdef RATIO_TAPS
-#define TAPS_BEHIND RATIO_TAPS  // behind those of the windows, and their weights behind the intercepts
+#define TAPS_OF_RATIOS RATIO_TAPS  // after those of the windows, their weights after the intercepts
 #else
-#define TAPS_BEHIND 0
+#define TAPS_OF_RATIOS 0
 #endif
-#define GROUP_STRIDE WHOLE(LAST_TAP + 8 + 4 * TAPS_BEHIND, 16)
+#define GROUP_STRIDE WHOLE(LAST_TAP + 8 + 4 * TAPS_OF_RATIOS, 16)
 #define CLASS_STRIDE (GROUPS * GROUP_STRIDE)
 #define PLANES_MADE (GROUPS * GROUP)
-#define READ_AHEAD (VECTORS * LANES)  // taps that may be read behind a patch
+#define READ_AHEAD (VECTORS * LANES)  // taps that may be read past a patch
 
 // The fours of each vector added up, one four after the other.
 INLINE totals fold_all(const totals v[LANES / 4]) {
@@ -32,18 +32,18 @@ INLINE totals fold_all(const totals v[LANES / 4]) {
 }
 
 // Where the sums of a pixel begin: output o's last tap and intercept, in lane o.
-INLINE four_totals last_taps(const tap *patch, const float *behind, __global const tap *weights) {
+INLINE four_totals last_taps(const tap *patch, const float *ratios, __global const tap *weights) {
     four_totals sum = LOAD_GLOBAL(four_totals, weights + LAST_TAP) * patch[TAPS - 1] + LOAD_GLOBAL(four_totals, weights + LAST_TAP + 4);
     #pragma unroll
-    for (int i = 0; i < TAPS_BEHIND; i++) sum += LOAD_GLOBAL(four_totals, weights + LAST_TAP + 8 + 4 * i) * behind[i * SPAN];
+    for (int i = 0; i < TAPS_OF_RATIOS; i++) sum += LOAD_GLOBAL(four_totals, weights + LAST_TAP + 8 + 4 * i) * ratios[i * SPAN];
     return sum;
 }
 
 // A pair's products with the weights of their classes, summed as far as a pair goes.
-INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, const float *behind, __global const tap *first_weights,
+INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, const float *ratios, __global const tap *first_weights,
                        __global const tap *second_weights) {
-    const four_totals first_last = last_taps(first, behind, first_weights);
-    const four_totals second_last = last_taps(second, behind + PAIR, second_weights);
+    const four_totals first_last = last_taps(first, ratios, first_weights);
+    const four_totals second_last = last_taps(second, ratios + PAIR, second_weights);
     totals one[GROUP], other[GROUP];
     #pragma unroll
     for (int o = 0; o < GROUP; o++) {
@@ -64,8 +64,8 @@ INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, c
     for (int o = 0; o < GROUP; o++) sum[o] = fold_two(one[o], other[o]);
 }
 
-// LANES pixels from x on, `behind` (tap, column) what they have behind their patches: output o of group g → made[g * GROUP + o].
-INLINE void apply(totals *made, const tap *patches, const float *behind, const uint *label, __global const tap *weights, int x) {
+// LANES pixels from x on, `ratios` (tap, column) of their patches: output o of group g → made[g * GROUP + o].
+INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     for (int g = 0; g < GROUPS; g++) {
         __global const tap *group = weights + g * GROUP_STRIDE;
         totals folded[GROUP][LANES / 4];
@@ -78,7 +78,7 @@ INLINE void apply(totals *made, const tap *patches, const float *behind, const u
                 const uint class = label[x + first], other = label[x + second];
                 const tap *patch = patches + (x + first) * COLUMN;
                 __global const tap *row = group + (size_t)class * CLASS_STRIDE;
-                const float *its = behind + x + first;
+                const float *its = ratios + x + first;
 #ifndef PLANES  // mostly of one frame, for its exposure: half the code takes less time to compile, which counts more
                 if (class == other)
                     apply_pair(pair[i], patch, patch + PAIR * COLUMN, its, row, row);

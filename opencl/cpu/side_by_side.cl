@@ -80,7 +80,7 @@ INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
 }
 
 // LANES pixels from x on: plane or output o → made[o].
-INLINE void apply(totals *made, const tap *patches, const float *behind, const uint *label, __global const tap *weights, int x) {
+INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     totals folded[SUMS][LANES / 4], output[4];
     #pragma clang loop unroll_count(UNROLLED)
     for (int n = 0; n < LANES / 2; n += 2) {

@@ -48,7 +48,7 @@ COMPILED_ONCE smooth_tile(int x0, int y0,
                 total += weight[n];
                 brighter += weight[n] * (there - own);
             }
-            const floats share = 1.0f / total, kept = brightness_kept(own, brighter * share);
+            const floats share = 1.0f / total, ratio = brightness_ratio(own, brighter * share);
             const int inside = x0 + x >= RADIUS && x0 + x + LANES + RADIUS <= columns;
             for (int o = 0; o < OUTPUTS; o++) {
                 const size_t plane = o * stride;
@@ -61,7 +61,7 @@ COMPILED_ONCE smooth_tile(int x0, int y0,
                 } else
                     for (int n = 0; n < NEIGHBOURS; n++)
                         change += weight[n] * (read_across(row[n / WINDOW] + plane, x0 + x + n % WINDOW - RADIUS, columns) - value);
-                const floats mean = value + change * share, result = own > DARKEST ? mean * kept : value;
+                const floats mean = value + change * share, result = own > DARKEST ? mean * ratio : value;
                 __global float *to = smoothed + o * pixels + (size_t)y * columns + x0 + x;
                 if (width - x >= LANES) STORE_GLOBAL(floats, to) = result;
                 else WRITE_FIRST(float, floats, to, result, width - x);

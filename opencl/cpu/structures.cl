@@ -9,10 +9,10 @@ typedef struct {
     int xx[REACHED], yy[REACHED], xy[REACHED];
 } Products;
 
-INLINE void multiply(Products *products, const int *above, const int *here, const int *below, const Words *words, int span) {
+INLINE void multiply(Products *products, const int *above, const int *middle, const int *below, const Words *words, int span) {
     for (int p = 1; p < span; p += LANES) {
         const uints scale = gradient_words(words, p);
-        const ints gx = gradient(LOAD_PRIVATE(ints, here + p + 1) - LOAD_PRIVATE(ints, here + p - 1), scale, GRADIENT_TOP);
+        const ints gx = gradient(LOAD_PRIVATE(ints, middle + p + 1) - LOAD_PRIVATE(ints, middle + p - 1), scale, GRADIENT_TOP);
         const ints gy = gradient(LOAD_PRIVATE(ints, below + p) - LOAD_PRIVATE(ints, above + p), scale, GRADIENT_TOP);
         STORE_PRIVATE(ints, products->xx + p) = gx * gx;
         STORE_PRIVATE(ints, products->yy + p) = gy * gy;
@@ -66,7 +66,7 @@ COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
                  span);
         if (k < 2 * STRUCTURE_REACH) continue;
         weigh_rows(&sum, ring, k - 6, span);
-        const Words *here = words + (k - STRUCTURE_REACH) % 4;
+        const Words *middle = words + (k - STRUCTURE_REACH) % 4;
         __global uint *label_row = labels + (size_t)(y0 + k - 2 * STRUCTURE_REACH) * columns + x0;
         const int next = min(y0 + k + 1, y1 + 2 * STRUCTURE_REACH - 1);
         __global const int *next_luminance = luminance_plane + (size_t)row_source[next] * columns + x0;
@@ -75,7 +75,7 @@ COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
             FETCH(next_luminance + x);
             FETCH(next_labels + x);
             const uints xx = SAME_BITS(across(sum.xx + x + 1), uints), yy = SAME_BITS(across(sum.yy + x + 1), uints);
-            const uints turns = gradient_words(here, x + STRUCTURE_REACH), first = start_words(here, x + STRUCTURE_REACH);
+            const uints turns = gradient_words(middle, x + STRUCTURE_REACH), first = start_words(middle, x + STRUCTURE_REACH);
             const uints structure = structure_of(xx, yy, across(sum.xy + x + 1), turns, strength_edges);
             write_labels(label_row, DECIDED(first) != 0 ? FIRST_CLASS(first) : first + structure, x, width);
         }

@@ -26,7 +26,7 @@ COMPILED_ONCE classes_and_transform_of_tile(int x0, int y0, TOGETHER_PARAMETERS)
         if (k < 2 * RADIUS) continue;
         const int y = y0 + k - 2 * RADIUS, site_row = (y + phase_row) % CFA_ROWS;
         const size_t at = (size_t)y * columns + x0;
-        add_runs(seen.runs, seen.near, span_of(width));
+        add_runs(seen.runs, seen.window, span_of(width));
         __global const ushort *next = raw + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
         for (int x = 0, phase = first_phase; x < width; x += LANES, phase = PHASE_AFTER(phase, LANES)) {
             FETCH(next + x);

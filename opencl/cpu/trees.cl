@@ -20,21 +20,21 @@ typedef struct {
 // Weighed down the columns: products over five rows, and over the three in their middle.
 typedef struct {
     int xx[REACHED], yy[REACHED], xy[REACHED], chroma_xx[REACHED], chroma_yy[REACHED], u_along[REACHED], v_along[REACHED];
-    int near[REACHED], bend_xx[REACHED], bend_yy[REACHED], slope_x[REACHED], slope_y[REACHED];
+    int narrow_strength[REACHED], bend_xx[REACHED], bend_yy[REACHED], slope_x[REACHED], slope_y[REACHED];
     int u[REACHED], v[REACHED], luminance[REACHED];
 } Columns;
 
 #define AT(row, p) LOAD_PRIVATE(ints, (row) + (p))
 #define PUT(row, p) STORE_PRIVATE(ints, (row) + (p))
-#define ACROSS_OF(plane, top) gradient(AT(here->plane, p + 1) - AT(here->plane, p - 1), scale, top)
+#define ACROSS_OF(plane, top) gradient(AT(middle->plane, p + 1) - AT(middle->plane, p - 1), scale, top)
 #define DOWN_OF(plane, top) gradient(AT(below->plane, p) - AT(above->plane, p), scale, top)
 
-INLINE void multiply(Products *to, const Planes *above, const Planes *here, const Planes *below, const Words *words, int span) {
+INLINE void multiply(Products *to, const Planes *above, const Planes *middle, const Planes *below, const Words *words, int span) {
     for (int p = 1; p < span; p += LANES) {
         const uints scale = gradient_words(words, p);
         const ints gx = ACROSS_OF(luminance, GRADIENT_TOP), gy = DOWN_OF(luminance, GRADIENT_TOP);
         const ints ux = ACROSS_OF(u, CHROMA_TOP), uy = DOWN_OF(u, CHROMA_TOP);
-        const ints vx = ACROSS_OF(v, CHROMA_TOP), vy = DOWN_OF(v, CHROMA_TOP), twice = 2 * AT(here->luminance, p);
+        const ints vx = ACROSS_OF(v, CHROMA_TOP), vy = DOWN_OF(v, CHROMA_TOP), twice = 2 * AT(middle->luminance, p);
         PUT(to->xx, p) = gx * gx;
         PUT(to->yy, p) = gy * gy;
         PUT(to->xy, p) = gx * gy;
@@ -44,7 +44,7 @@ INLINE void multiply(Products *to, const Planes *above, const Planes *here, cons
         PUT(to->v_along, p) = gx * vx + gy * vy;
         PUT(to->slope_x, p) = gx;
         PUT(to->slope_y, p) = gy;
-        PUT(to->bend_x, p) = gradient(AT(here->luminance, p - 1) - twice + AT(here->luminance, p + 1), scale, GRADIENT_TOP);
+        PUT(to->bend_x, p) = gradient(AT(middle->luminance, p - 1) - twice + AT(middle->luminance, p + 1), scale, GRADIENT_TOP);
         PUT(to->bend_y, p) = gradient(AT(above->luminance, p) - twice + AT(below->luminance, p), scale, GRADIENT_TOP);
     }
 }
@@ -66,7 +66,7 @@ INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLA
 #define PLANE_U(i) AT(q[i]->u, p)
 #define PLANE_V(i) AT(q[i]->v, p)
 #define PLANE_L(i) AT(q[i]->luminance, p)
-        PUT(to->near, p) = THREE_OF(ENERGY);
+        PUT(to->narrow_strength, p) = THREE_OF(ENERGY);
         PUT(to->bend_xx, p) = THREE_OF(BEND_X);
         PUT(to->bend_yy, p) = THREE_OF(BEND_Y);
         PUT(to->slope_x, p) = THREE_OF(SLOPE_X);
@@ -84,7 +84,7 @@ INLINE ints narrow(const int *at) { return AT(at, 1) + AT(at, 3) + 2 * AT(at, 2)
 INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints turns, int p) {
     Sums sums = {
         wide(c->xx + p), wide(c->yy + p), wide(c->xy + p), wide(c->chroma_xx + p), wide(c->chroma_yy + p), wide(c->u_along + p),
-        wide(c->v_along + p), narrow(c->near + p), narrow(c->bend_xx + p), narrow(c->bend_yy + p), narrow(c->slope_x + p),
+        wide(c->v_along + p), narrow(c->narrow_strength + p), narrow(c->bend_xx + p), narrow(c->bend_yy + p), narrow(c->slope_x + p),
         narrow(c->slope_y + p), narrow(c->u + p), narrow(c->v + p), narrow(c->luminance + p),
         AT(middle->bend_x, p + 2), AT(middle->bend_y, p + 2)};
     turn(&sums, turns);
@@ -148,11 +148,11 @@ INLINE void leaves_of(uints leaf[AT_ONCE], const Evidence e[AT_ONCE], __global c
         }
     }
     for (int k = 0; k < PARTS; k++) {
-        const uints here = (uint)k;
-        if (!some((part[0] == here) | (part[1] == here))) continue;
+        const uints number = (uint)k;
+        if (!some((part[0] == number) | (part[1] == number))) continue;
         rule_out(left, e, tests, WORDS + k);
         #pragma unroll
-        for (int i = 0; i < AT_ONCE; i++) leaf[i] = part[i] == here ? first_leaf[k] + lowest_bit(left[i]) : leaf[i];
+        for (int i = 0; i < AT_ONCE; i++) leaf[i] = part[i] == number ? first_leaf[k] + lowest_bit(left[i]) : leaf[i];
     }
 }
 
@@ -186,17 +186,17 @@ COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
         for (int i = 0; i < ROWS; i++) r[i] = product_rows + (k - 4 + i) % ROWS;       // about padded row k - 3
         for (int i = 1; i < 4; i++) q[i] = plane_rows + (k - 5 + i) % PLANE_ROWS;
         weigh_rows(&sums, r, q, span);
-        const Words *here = words + (k - STRUCTURE_REACH) % 4;
+        const Words *middle = words + (k - STRUCTURE_REACH) % 4;
         __global uint *label_row = labels + (size_t)(y0 + k - 2 * STRUCTURE_REACH) * columns + x0;
         for (int x = 0; x < width; x += AT_ONCE * LANES) {
             uints leaf[AT_ONCE];
             for (int i = 0; i < AT_ONCE; i++) {
                 const int p = x + i * LANES;
-                look(evidence + i, &sums, r[2], gradient_words(here, p + STRUCTURE_REACH), p + 1);
+                look(evidence + i, &sums, r[2], gradient_words(middle, p + STRUCTURE_REACH), p + 1);
             }
             leaves_of(leaf, evidence, tests);
             for (int i = 0; i < AT_ONCE; i++) {
-                const uints first = start_words(here, x + i * LANES + STRUCTURE_REACH);
+                const uints first = start_words(middle, x + i * LANES + STRUCTURE_REACH);
                 const uints label = DECIDED(first) != 0 ? FIRST_CLASS(first) : first + leaf[i];
                 write_labels(label_row, label, x + i * LANES, width);
             }

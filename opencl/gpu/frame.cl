@@ -98,11 +98,11 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
 
 #define FOURS ((OUTPUTS + 3) / 4)  // vectors of four that hold the outputs
 #ifdef RATIO_TAPS
-#define TAPS_BEHIND RATIO_TAPS
+#define TAPS_OF_RATIOS RATIO_TAPS
 #else
-#define TAPS_BEHIND 0
+#define TAPS_OF_RATIOS 0
 #endif
-#define CLASS_STRIDE ((PATCH * PATCH * SOURCES + 1 + TAPS_BEHIND) * FOURS)
+#define CLASS_STRIDE ((PATCH * PATCH * SOURCES + 1 + TAPS_OF_RATIOS) * FOURS)
 #if SOURCES == 1
 #define SOURCE ushort
 #else

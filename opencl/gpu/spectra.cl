@@ -18,8 +18,8 @@ void smooth_spectra(__global const float *restrict made,   // (output, made row,
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows) return;
     const size_t stride = (size_t)made_rows * columns, pixels = (size_t)rows * columns, at = (size_t)y * columns + x;
-    const size_t here = (size_t)(first + y - top) * columns + x;
-    const float own = brightness_at(made, here, stride), inverse = inverse_of(own, reach);
+    const size_t pixel = (size_t)(first + y - top) * columns + x;
+    const float own = brightness_at(made, pixel, stride), inverse = inverse_of(own, reach);
     float weight[NEIGHBOURS], total = 0.0f, brighter = 0.0f;
     size_t place[NEIGHBOURS];
     for (int n = 0; n < NEIGHBOURS; n++) {
@@ -30,12 +30,12 @@ void smooth_spectra(__global const float *restrict made,   // (output, made row,
         total += weight[n];
         brighter += weight[n] * difference;
     }
-    const float share = 1.0f / total, kept = brightness_kept(own, brighter * share);
+    const float share = 1.0f / total, ratio = brightness_ratio(own, brighter * share);
     for (int o = 0; o < OUTPUTS; o++) {
         __global const float *plane = made + o * stride;
-        const float value = plane[here];
+        const float value = plane[pixel];
         float change = 0.0f;
         for (int n = 0; n < NEIGHBOURS; n++) change += weight[n] * (plane[place[n]] - value);
-        smoothed[o * pixels + at] = own > DARKEST ? (value + change * share) * kept : value;
+        smoothed[o * pixels + at] = own > DARKEST ? (value + change * share) * ratio : value;
     }
 }

@@ -9,12 +9,12 @@ void structures(STRUCTURES_PARAMETERS) {
     uint xx = 0, yy = 0;
     int xy = 0;
     for (int i = 1; i < 2 * STRUCTURE_REACH; i++) {
-        const size_t above = (size_t)row_source[y + i - 1] * columns, here = (size_t)row_source[y + i] * columns;
+        const size_t above = (size_t)row_source[y + i - 1] * columns, middle = (size_t)row_source[y + i] * columns;
         const size_t below = (size_t)row_source[y + i + 1] * columns, labelled = (size_t)label_source[y + i] * columns;
         for (int j = 1; j < 2 * STRUCTURE_REACH; j++) {
             const int left = column_source[x + j - 1], at = column_source[x + j], right = column_source[x + j + 1];
             const uint scale = (uint)label_words[first_labels[labelled + at]];
-            const int gx = gradient(luminance[here + right] - luminance[here + left], scale, GRADIENT_TOP);
+            const int gx = gradient(luminance[middle + right] - luminance[middle + left], scale, GRADIENT_TOP);
             const int gy = gradient(luminance[below + at] - luminance[above + at], scale, GRADIENT_TOP);
             const int weight = (3 - abs(i - STRUCTURE_REACH)) * (3 - abs(j - STRUCTURE_REACH));
             xx += weight * gx * gx;

@@ -19,12 +19,12 @@ void structures(STRUCTURES_PARAMETERS) {
     __global const int *u = planes, *luminance = planes + stride, *v = planes + 2 * stride;
     Sums s = {0};
     for (int i = 1; i < 2 * STRUCTURE_REACH; i++) {
-        const size_t above = (size_t)row_source[y + i - 1] * columns, here = (size_t)row_source[y + i] * columns;
+        const size_t above = (size_t)row_source[y + i - 1] * columns, middle = (size_t)row_source[y + i] * columns;
         const size_t below = (size_t)row_source[y + i + 1] * columns, labelled = (size_t)label_source[y + i] * columns;
         for (int j = 1; j < 2 * STRUCTURE_REACH; j++) {
             const int left = column_source[x + j - 1], at = column_source[x + j], right = column_source[x + j + 1];
             const uint scale = (uint)label_words[first_labels[labelled + at]];
-#define ACROSS_OF(plane, top) gradient(plane[here + right] - plane[here + left], scale, top)
+#define ACROSS_OF(plane, top) gradient(plane[middle + right] - plane[middle + left], scale, top)
 #define DOWN_OF(plane, top) gradient(plane[below + at] - plane[above + at], scale, top)
             const int gx = ACROSS_OF(luminance, GRADIENT_TOP), gy = DOWN_OF(luminance, GRADIENT_TOP);
             const int ux = ACROSS_OF(u, CHROMA_TOP), uy = DOWN_OF(u, CHROMA_TOP);
@@ -39,17 +39,17 @@ void structures(STRUCTURES_PARAMETERS) {
             s.u_along += wide * (gx * ux + gy * uy);
             s.v_along += wide * (gx * vx + gy * vy);
             if (from_row > 1 || from_column > 1) continue;
-            const int narrow = (2 - from_row) * (2 - from_column), twice = 2 * luminance[here + at];
-            const int bend_x = gradient(luminance[here + left] - twice + luminance[here + right], scale, GRADIENT_TOP);
+            const int narrow = (2 - from_row) * (2 - from_column), twice = 2 * luminance[middle + at];
+            const int bend_x = gradient(luminance[middle + left] - twice + luminance[middle + right], scale, GRADIENT_TOP);
             const int bend_y = gradient(luminance[above + at] - twice + luminance[below + at], scale, GRADIENT_TOP);
-            s.near += narrow * (gx * gx + gy * gy);
+            s.narrow_strength += narrow * (gx * gx + gy * gy);
             s.bend_xx += narrow * bend_x * bend_x;
             s.bend_yy += narrow * bend_y * bend_y;
             s.slope_x += narrow * gx;
             s.slope_y += narrow * gy;
-            s.u += narrow * u[here + at];
-            s.v += narrow * v[here + at];
-            s.luminance += narrow * luminance[here + at];
+            s.u += narrow * u[middle + at];
+            s.v += narrow * v[middle + at];
+            s.luminance += narrow * luminance[middle + at];
             if (from_row == 0 && from_column == 0) {
                 s.bend_x = bend_x;
                 s.bend_y = bend_y;

@@ -41,8 +41,8 @@ def read(path: Path, values: np.ndarray, table: TransformTable, tags: Tags) -> R
 def gain_in(frame: RawFrame) -> np.ndarray:
     """What every value is multiplied by, its own part and that of the outputs."""
     assert frame.shading is not None
-    tint = 0 if frame.shading.tint is None else frame.shading.tint / 2**FRACTION
-    return np.asarray(frame.shading.gain_map(frame.values.shape[1]) * (1 + tint))
+    colour = 0 if frame.shading.colour is None else frame.shading.colour / 2**FRACTION
+    return np.asarray(frame.shading.gain_map(frame.values.shape[1]) * (1 + colour))
 
 
 def in_view(whole: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.errors import InputFileError
 from l3cli.frames.correction import NEIGHBOURS, Correction, correction_of, plan_correction
 from l3cli.frames.frame import RawFrame
-from l3cli.frames.shading import FRACTION, STEP, clipped_from, evened, shading_of
+from l3cli.frames.shading import FRACTION, STEP, clipped_from, colour_corrected, shading_of
 from l3cli.io.sequences import FrameReference
 from l3cli.physics.display import displayed, srgb_curve
 from l3cli.rendering.display import make_display
@@ -63,7 +63,7 @@ def test_backends_agree_on_shaded_frames(variant: str, monkeypatch: pytest.Monke
     table, rng = TABLES[variant](), np.random.default_rng(4)
     corners = tuple(np.linspace(0.5, 0.6, len(table.channels)))
     taken = shading_of(field_of(SHAPE, corners), SHAPE, table.cfa)
-    assert taken.tint is not None
+    assert taken.colour is not None
     frame = replace(frame_of_all_levels(table, rng, SHAPE), shading=taken, dark=1.3)
     reference, device = ReferenceRenderer(table), OpenCLRenderer(table, variant=variant)
     display = make_display(table.white_point, 1.0, 8)
@@ -90,8 +90,8 @@ def test_evening_keeps_clipped_pixels_clipped_and_others_not(bits: int, black_le
     values = np.arange(1 << bits).astype(np.uint16)
     clipped = clipped_from(black_level, top)
     for share in (-0.5, -0.01, 0.0, 0.01, 0.5):
-        tint = np.full(values.shape, round(share * 2**FRACTION), np.int16)
-        after = evened(values, tint, black_level, top)
+        colour = np.full(values.shape, round(share * 2**FRACTION), np.int16)
+        after = colour_corrected(values, colour, black_level, top)
         np.testing.assert_array_equal(after[clipped:], values[clipped:])
         assert after[:clipped].max() < clipped
         wanted = np.clip(black_level + (values[:clipped] - black_level) * (1 + share), 0, clipped - 1)

@@ -14,7 +14,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.io.raw.files import RawOverrides
 from l3cli.physics import spectra
-from l3cli.physics.near_lights import mired_of
+from l3cli.physics.correlated_lights import mired_of
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.white.lights import Mix, described, mix_for, mixed, nearest_for
 from l3cli.stages.evaluation import FrameRenderers, raw_of

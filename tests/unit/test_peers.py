@@ -210,7 +210,7 @@ def test_tables_and_rivals_are_judged_alike(
         "bad", "p", {"": lambda mosaic, cfa: bilinear(mosaic, cfa) * np.array([1.0, 0.0, 1.0])[:, None, None]}
     )
     table = random_table(BAYER, bits=12, black_level=64.0, patch=5)
-    rows = judging.judged({"s": tmp_path / "set.h5"}, {"ours": table}, [bad, good], judging.of_pictures())
+    rows = judging.judged({"s": tmp_path / "set.h5"}, {"ours": table}, [bad, good], judging.picture_protocol())
     assert [each["name"] for each in rows if not each["ours"]] == ["good", "bad"]
     assert [each["ours"] for each in rows].count(True) == 1
     best = next(each for each in rows if each["name"] == "good")

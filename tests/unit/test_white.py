@@ -12,7 +12,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame, upright
 from l3cli.frames.shading import Shading
 from l3cli.io.raw.cfa_codes import neutral_of_channels
-from l3cli.physics import near_lights, spectra
+from l3cli.physics import correlated_lights, spectra
 from l3cli.physics.display import daylight, delta_e_2000, display_white, lab, scene_white
 from l3cli.rendering.raw_checks import best_phases
 from l3cli.rendering.reference import ReferenceRenderer
@@ -68,7 +68,7 @@ def chroma(outputs: np.ndarray, balance: WhiteBalance) -> float:
     ("name", "kelvin"), [("A", 2856), ("2500K", 2500), ("D65", 6504), ("D5000K", 5000), ("9000K", 9000)]
 )
 def test_temperature_and_distance_of_known_lights(name: str, kelvin: float) -> None:
-    found, duv = near_lights.temperature(spectra.white_point(name))
+    found, duv = correlated_lights.temperature(spectra.white_point(name))
     assert found == pytest.approx(kelvin, rel=2e-3)
     assert duv == pytest.approx(0.0032 if name.startswith("D") else 0.0, abs=4e-4)  # daylight lies above the black bodies
 
@@ -78,18 +78,20 @@ def test_the_light_of_a_grey_is_found_by_the_responsivities(name: str, bayer: Ca
     """The search steps by 1 mired and 0.01 of green: 1 % of the temperature, 0.002 of the chromaticity. A black body of
     9000 K is taken for the daylight that is nearest to it, which a camera that is no eye sees another way."""
     for camera in (bayer, fiveband):
-        light = near_lights.light_of_neutral(camera.electron_weights, camera.wavelength, 7 * grey_of(camera, name))
+        light = correlated_lights.light_of_neutral(camera.electron_weights, camera.wavelength, 7 * grey_of(camera, name))
         true = spectra.white_point(name)
         black_body_of_the_sky = name == "9000K"
         assert np.abs(light.xyz[:2] / light.xyz.sum() - true[:2] / true.sum()).max() < (
             0.01 if black_body_of_the_sky else 0.002
         )
-        assert light.kelvin == pytest.approx(near_lights.temperature(true)[0], rel=0.1 if black_body_of_the_sky else 0.01)
+        assert light.kelvin == pytest.approx(
+            correlated_lights.temperature(true)[0], rel=0.1 if black_body_of_the_sky else 0.01
+        )
         assert light.misfit < 0.01
 
 
 def test_a_green_lamp_is_green(bayer: CameraModel) -> None:
-    light = near_lights.light_of_neutral(bayer.electron_weights, bayer.wavelength, grey_of(bayer, "F2"))
+    light = correlated_lights.light_of_neutral(bayer.electron_weights, bayer.wavelength, grey_of(bayer, "F2"))
     assert light.duv > 0.004
 
 
@@ -121,9 +123,9 @@ def test_plain_areas_and_squares_are_rendered_as_in_whole_frames(cfa: list) -> N
 def test_a_square_is_that_of_the_frame_whose_channels_are_shaded_alike() -> None:
     table, rng = random_table(BAYER, patch=5), np.random.default_rng(4)
     raw = rng.integers(900, 960, (60, 96)).astype(np.uint16)
-    tint = rng.integers(-3000, 3000, raw.shape).astype(np.int16)
-    shaded = RawFrame("a", raw, table.black_level, table.white_level, shading=Shading(np.ones((60, 7), np.float32), tint))
-    plain = dataclasses.replace(shaded.evened(), shading=None)
+    colour = rng.integers(-3000, 3000, raw.shape).astype(np.int16)
+    shaded = RawFrame("a", raw, table.black_level, table.white_level, shading=Shading(np.ones((60, 7), np.float32), colour))
+    plain = dataclasses.replace(shaded.shading_corrected(), shading=None)
     grey, square = GreyRenderer(table), Square(30, 41, 12).within(shaded)
     np.testing.assert_allclose(grey.of_part(shaded, square.where), grey.of_part(plain, square.where), rtol=1e-9)
     np.testing.assert_allclose(grey.signals(shaded, square), grey.signals(plain, square), rtol=1e-9)
@@ -266,7 +268,7 @@ def test_the_white_of_a_frame_is_estimated_near_its_light(light: str, table: Tra
     frame = scene(bayer, light)
     white = auto.white(frame)
     assert white is not None
-    wanted = near_lights.temperature(spectra.white_point(light))[0]
+    wanted = correlated_lights.temperature(spectra.white_point(light))[0]
     assert abs(1e6 / white.light.kelvin - 1e6 / wanted) < 35
     again = AutoWhite(Whites(table)).white(frame)
     assert again is not None

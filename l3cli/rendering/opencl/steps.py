@@ -41,21 +41,23 @@ class DeviceShading:
     @staticmethod
     def evens(frame: RawFrame) -> bool:
         """Return whether a frame's channels are shaded unlike, so that its values on the device must be writable."""
-        return frame.shading is not None and frame.shading.tint is not None
+        return frame.shading is not None and frame.shading.colour is not None
 
     def even(self, frame: RawFrame, track: Track, band: Band) -> Any:
         """Enqueue the evening of a band's raw values on the device, which are those of a frame at the table's levels and
         `evens`."""
         if self._kernel is None:
             macros: Macros = {"FRACTION": FRACTION, "RUN": self._run}
-            self._kernel = self._make(joined_files("common/vectors.cl", "common/shading.cl"), macros, "even_channels")
+            self._kernel = self._make(
+                joined_files("common/vectors.cl", "common/shading.cl"), macros, "correct_colour_shading"
+            )
         pixels = (band.raw_rows.stop - band.raw_rows.start) * band.columns
         levels = round(frame.black_level), clipped_from(frame.black_level, frame.white_level), pixels
         assert frame.shading is not None
-        tint = self._buffer(frame.shading, "tint", band.raw_rows)
+        colour = self._buffer(frame.shading, "colour", band.raw_rows)
         items, group = -(-pixels // self._run), GROUP if self._run == 1 else 1
         grid = (-(-items // group) * group,)
-        return track.run(self._kernel, grid, (group,), track.raw, tint, *map(np.int32, levels))
+        return track.run(self._kernel, grid, (group,), track.raw, colour, *map(np.int32, levels))
 
     def _buffer(self, shading: Shading, name: str, rows: slice) -> Any:
         if shading is not self._shading:

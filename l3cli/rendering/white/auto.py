@@ -8,7 +8,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_patches
 from l3cli.classes.windows import neighbourhoods
 from l3cli.frames.frame import RawFrame
-from l3cli.physics import near_lights, spectra
+from l3cli.physics import correlated_lights, spectra
 from l3cli.physics.spaces import BRADFORD
 from l3cli.rendering.exposure import spread_patches, spread_shape
 from l3cli.rendering.white.scene_white import GREY_LEVEL, SceneWhite, Whites
@@ -18,7 +18,7 @@ EDGE_NORM = 6  # of Minkowski, over the edges: the strongest count most
 PATCH_PERCENTILE = 99  # of each cone response: what counts as the white patch
 FEWEST = 24  # samples that are neither clipped nor black, below which nothing can be said
 MIREDS = np.arange(80.0, 521.0, 20.0)  # 12 500 K to 1920 K
-GREENS = np.linspace(-0.2, 0.4, 7)  # as near_lights.GREENS
+GREENS = np.linspace(-0.2, 0.4, 7)  # as correlated_lights.GREENS
 FINE = (111, 31)  # places along MIREDS and GREENS among which a white is looked for
 LIKELY_ERROR, LIKELY_GREEN = 0.1, 0.1  # of the logarithm of a cone response; of a light's green
 
@@ -108,9 +108,9 @@ def _neutrals(table: TransformTable) -> Array:
     """Signals (mired, green, channel) of a grey under lights near daylight and black bodies; of a table without its camera
     XYZ, which it is taken to show."""
     camera = table.camera
-    grid = camera.wavelength if camera else near_lights.WAVELENGTH
+    grid = camera.wavelength if camera else correlated_lights.WAVELENGTH
     weights = camera.signal_weights if camera else spectra.xyz_weights(grid)
-    lights = [[near_lights.radiance(mired, green, grid) for green in GREENS] for mired in MIREDS]
+    lights = [[correlated_lights.radiance(mired, green, grid) for green in GREENS] for mired in MIREDS]
     neutrals = np.array(lights) @ weights.T
     return np.asarray(neutrals / neutrals.max(axis=-1, keepdims=True))
 

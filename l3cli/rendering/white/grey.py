@@ -104,8 +104,8 @@ def _evened(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
     """A part of a frame, its phase still that of the whole, without what channels differ by in their shading; what all of
     them lose is about the same there, and stays."""
     shading = frame.shading
-    cut = None if shading is None else replace(shading, tint=None if shading.tint is None else shading.tint[where])
-    return replace(replace(frame, values=frame.values[where], shading=cut).evened(), shading=None)
+    cut = None if shading is None else replace(shading, colour=None if shading.colour is None else shading.colour[where])
+    return replace(replace(frame, values=frame.values[where], shading=cut).shading_corrected(), shading=None)
 
 
 def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:

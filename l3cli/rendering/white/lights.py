@@ -10,7 +10,7 @@ from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
 from l3cli.artifacts.light_set import MosaicTransforms, PlaneTransforms
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
-from l3cli.physics.near_lights import mired_of
+from l3cli.physics.correlated_lights import mired_of
 
 Transforms = MosaicTransforms | PlaneTransforms
 Layer = TypeVar("Layer", MosaicLayer, PlaneLayer)

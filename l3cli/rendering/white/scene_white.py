@@ -13,7 +13,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import display_white
 from l3cli.physics.matrices import fit_through
-from l3cli.physics.near_lights import NearLight, light_of, light_of_neutral, light_of_white, temperature, uv
+from l3cli.physics.correlated_lights import CorrelatedLight, light_of, light_of_neutral, light_of_white, temperature, uv
 from l3cli.rendering.white.balance import WhiteBalance, adaptation, balanced, plain_balance
 from l3cli.rendering.white.grey import Grey, GreyRenderer
 
@@ -33,7 +33,7 @@ class SceneWhite:
     """A white, how frames are balanced for it, and the light that has it, as far as can be told."""
 
     balance: WhiteBalance
-    light: NearLight
+    light: CorrelatedLight
     modelled: bool  # whether the responsivities of the table's camera took part
 
     @property
@@ -88,7 +88,7 @@ class Whites:
         if camera is None:
             return self.of_xyz(white)
         radiance = spectra.illuminant(name, camera.wavelength)
-        light = NearLight(white, *temperature(white), 0.0, radiance)
+        light = CorrelatedLight(white, *temperature(white), 0.0, radiance)
         return SceneWhite(self._balance(camera.signal_weights @ radiance, light), light, True)
 
     def of_chromaticity(self, white: Array) -> SceneWhite:
@@ -122,7 +122,7 @@ class Whites:
         left = made.balance.adaptation @ _white(shown)  # of the white: what the table makes of these greys and of others
         return replace(made, balance=replace(made.balance, adaptation=adaptation(left) @ made.balance.adaptation))
 
-    def _balance(self, neutral: Array, light: NearLight) -> WhiteBalance:
+    def _balance(self, neutral: Array, light: CorrelatedLight) -> WhiteBalance:
         gains = self._gains(neutral)
         before, after = self._shown(neutral)[1], self._shown(neutral * gains)[1]
         raised = (neutral * gains).max() / neutral.max()
@@ -158,7 +158,7 @@ class Whites:
         return np.asarray(fit_through(ours * weights, ideal * weights, display_white(), display_white()), np.float64)
 
 
-def _is_plausible(light: NearLight) -> bool:
+def _is_plausible(light: CorrelatedLight) -> bool:
     return abs(light.duv) <= MOST_GREEN and light.misfit <= MOST_MISFIT and WARMEST < light.kelvin < COOLEST
 
 

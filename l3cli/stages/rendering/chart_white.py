@@ -52,7 +52,7 @@ class ChartWhite:
         from l3cli.charts.locate import locate
 
         table, (rows, cols) = self._table, charts.CLASSIC
-        mosaic = frame.evened().values - (frame.black_level + frame.dark)
+        mosaic = frame.shading_corrected().values - (frame.black_level + frame.dark)
         located = locate(mosaic, shifted_cfa(table.cfa, frame.phase), self._reflectance, charts.CLASSIC)
         if located is None or located.fit < SURE:
             raise InputFileError(

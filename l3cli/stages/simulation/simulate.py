@@ -29,7 +29,7 @@ from l3cli.stages.simulation.units import frame_bytes, received, simulate_unit, 
 from l3cli.system.console import Console
 from l3cli.system.files import refuse_existing
 from l3cli.system.ledger import note_inputs, note_places
-from l3cli.system.locks import finished_together, refuse_other_run
+from l3cli.system.locks import incomplete_folder, refuse_other_run
 
 NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
 
@@ -70,7 +70,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         note_places((output, *folders))
         with contextlib.ExitStack() as unfinished:
             for folder in folders:
-                unfinished.enter_context(finished_together(folder, run.key, force))
+                unfinished.enter_context(incomplete_folder(folder, run.key, force))
             if stands:
                 with open_training_set(output, unchanged=True) as frames:
                     total = len(frames)

@@ -11,8 +11,8 @@ from l3cli.artifacts.light_set import LightSet
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.physics.correlated_lights import SAME_MIRED, mired_of
 from l3cli.physics.display import XYZ
-from l3cli.physics.near_lights import SAME_MIRED, mired_of
 from l3cli.stages.training.later_layers import layer_mosaics, layer_pass, summed_layer
 from l3cli.stages.training.passes import Execution, first_pass, learn_first
 from l3cli.stages.training.run import TrainingRun, TrainingSource

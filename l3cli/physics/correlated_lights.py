@@ -21,8 +21,8 @@ FINER = 10  # steps of the second search in one of the first
 
 
 @dataclass(frozen=True)
-class NearLight:
-    """A light by its place beside black bodies and daylight."""
+class CorrelatedLight:
+    """A light by its distance from black bodies and daylight."""
 
     xyz: NDArray[np.float64]  # (3) of a perfect white, Y = 1
     kelvin: float  # correlated colour temperature
@@ -43,18 +43,18 @@ def _greener(green: float, wavelength: Array) -> Array:
     return np.asarray(np.exp(green * np.exp(-(((wavelength - GREEN_NM) / GREEN_WIDTH) ** 2))))
 
 
-def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> NearLight:
+def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> CorrelatedLight:
     """The light under which a grey gives a camera of `weights` (channel, wavelength) the signals `neutral` (channel), of any
     scale: by least squares in their logarithms. Channels whose signal is not above zero are left out."""
     mired, green, misfit = _nearest(weights, wavelength, neutral)
     xyz = spectra.xyz_weights(WAVELENGTH) @ radiance(mired, green, WAVELENGTH)
-    return NearLight(xyz / xyz[1], *temperature(xyz), misfit, radiance(mired, green, wavelength))
+    return CorrelatedLight(xyz / xyz[1], *temperature(xyz), misfit, radiance(mired, green, wavelength))
 
 
-def light_of_white(white: Array, wavelength: Array) -> NearLight:
+def light_of_white(white: Array, wavelength: Array) -> CorrelatedLight:
     """The light that has a white (3), its radiance on a camera's grid `wavelength`; `misfit` is of X, Y and Z."""
     mired, green, misfit = _nearest(spectra.xyz_weights(WAVELENGTH), WAVELENGTH, white)
-    return NearLight(white / white[1], *temperature(white), misfit, radiance(mired, green, wavelength))
+    return CorrelatedLight(white / white[1], *temperature(white), misfit, radiance(mired, green, wavelength))
 
 
 def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, float, float]:
@@ -73,9 +73,9 @@ def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, 
     return mired, green, misfit
 
 
-def light_of(white: Array) -> NearLight:
+def light_of(white: Array) -> CorrelatedLight:
     """A light of which no more is known than its white (3)."""
-    return NearLight(np.asarray(white / white[1], np.float64), *temperature(white), 0.0, None)
+    return CorrelatedLight(np.asarray(white / white[1], np.float64), *temperature(white), 0.0, None)
 
 
 def temperature(xyz: Array) -> tuple[float, float]:
