@@ -18,7 +18,7 @@ import making
 import network
 import provenance
 import rawtherapee
-from judging import OURS, Protocol, judged, band_protocol, code_protocol, picture_protocol, put_seconds
+from judging import OURS, Protocol, band_protocol, code_protocol, judged, picture_protocol, put_seconds
 from peers_page import Part, page
 from rivals import PLAIN, Demosaic, Rival, gathered, installed
 from seconds import core_seconds

@@ -1,7 +1,7 @@
-"""The files that a command reads and makes, for whoever reports it. Nothing is kept unless somebody has opened a ledger.
+"""Files that a command reads and makes, for its report. Nothing is noted unless a ledger is open.
 
-Like locks and protected inputs it is the process's: pictures are put in place by several threads. What worker processes write
-has to be noted by who has sent them.
+Like locks and protected inputs it belongs to the process: several threads put pictures in place. What worker processes
+write has to be noted by the process that started them.
 """
 
 import os
