@@ -29,12 +29,10 @@ def export(artifact: Path, output: Path, options: ExportOptions) -> Result:
     Example: l3 export table.h5 -o source --to c
     """
     from l3cli.calibration.figures import matrix_lines
-    from l3cli.stages.exports import export as export_camera
-    from l3cli.stages.exports import is_table
+    from l3cli.stages.export import export as export_camera
+    from l3cli.stages.export import export_table, is_table
 
     if is_table(artifact):
-        from l3cli.stages.table_exports import export_table
-
         return Result({"files": export_table(artifact, output, options)})
     if of_tables := options.chosen():
         flag = declarations(ExportOptions)[next(iter(of_tables))].flag or next(iter(of_tables))

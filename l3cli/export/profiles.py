@@ -2,9 +2,11 @@
 libcamera, a data sheet as CSV (docs/method.md#colour-matrices). Formats are those of rawtoaces, of dcamprof's json2dcp and
 of libcamera's tuning files."""
 
+import csv
+import io
 import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +14,25 @@ from numpy.typing import NDArray
 
 from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel
-from l3cli.io.curves import write_curves
+from l3cli.export.camera_profile import (
+    LEAST_CHANNELS,
+    TEMPERATURES,
+    LightMatrices,
+    bayer_order,
+    black_level_16,
+    datasheet,
+    errors,
+    light_matrices,
+    noise_profile,
+    rgb_order,
+    temperature_curve,
+)
+from l3cli.io.curves import curve_text
 from l3cli.physics import spectra
-from l3cli.system.files import write_whole
+from l3cli.system.text import printable
+
+CURVES, RAWTOACES_JSON, DATASHEET = ALWAYS = ("responsivity.csv", "rawtoaces.json", "datasheet.csv")  # of every camera
+DCP, RASPBERRY_PI, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_simple.yaml"  # of some
 
 ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # of the two matrices of a DCP, in its order: the colder light second
 SIMPLE_DARKEST = 2**15 - 1  # black level that fits the simple pipeline's type
@@ -22,17 +40,48 @@ RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, the grid of its database
 Array = NDArray[np.floating]
 
 
-def export_paths(folder: Path) -> tuple[Path, Path]:
-    """Return the CSV and the JSON that `export_curves` writes."""
-    return folder / "responsivity.csv", folder / "rawtoaces.json"
+def file_names(channels: Sequence[str], cfa: NDArray[np.integer]) -> list[str]:
+    """Return the names of the files of cameras of an array."""
+    dcp = (DCP,) if len(channels) >= LEAST_CHANNELS else ()
+    return [*ALWAYS, *dcp, *((RASPBERRY_PI, SIMPLE) if bayer_order(channels, cfa) else ())]
 
 
-def export_curves(camera: CameraModel, folder: Path) -> None:
-    """Write the responsivities per energy, the peak of the set 1: CSV on their grid, JSON as rawtoaces reads it."""
-    csv, rawtoaces = export_paths(folder)
+class Exported(NamedTuple):
+    """Files of a camera for other software."""
+
+    files: dict[str, str]  # name → content
+    errors: dict[str, dict[str, dict[str, Any]]]  # of its matrices, for each light, ready for JSON
+    note: str | None  # on what is left out
+
+
+def export(camera: CameraModel) -> Exported:
+    """Return all files of a camera."""
+    camera = replace(camera, name=printable(camera.name))  # that of a file may hold bytes that are no text
+    files = {**_curves(camera), DATASHEET: _datasheet_csv(camera)}
+    lights = {name: light_matrices(camera, name) for name in TEMPERATURES}
+    known = {name: matrices for name, matrices in lights.items() if matrices is not None}
+    if missing := [name for name in lights if name not in known]:
+        few = len(camera.channels) < LEAST_CHANNELS
+        reason = "it has fewer than three channels" if few else f"a channel sees next to nothing of {missing[0]}"
+        return Exported(files, {}, f"{camera.name}: no colour matrices and no tuning files: {reason}")
+    files[DCP] = _dcp_json(camera, known)
+    order, note = bayer_order(camera.channels, camera.cfa), None
+    if order is None:
+        note = f"{camera.name}: no tuning files for libcamera, which knows 2×2 arrays of r, g and b alone"
+    else:
+        corrections = {TEMPERATURES[name]: each.correction.values[:, order] for name, each in known.items()}
+        curve, noise = temperature_curve(camera, order), noise_profile(camera)
+        tuning = Tuning(black_level_16(camera), corrections, curve, noise)
+        files |= {RASPBERRY_PI: raspberry_pi_json(camera.name, tuning), SIMPLE: simple_yaml(camera.name, tuning)}
+    kinds = {name: ("CCM", "ForwardMatrix", "ColorMatrix") if name in ILLUMINANTS else ("CCM",) for name in known}
+    judged = {name: errors(each) for name, each in known.items()}
+    return Exported(files, {name: {kind: judged[name][kind] for kind in kinds[name]} for name in known}, note)
+
+
+def _curves(camera: CameraModel) -> dict[str, str]:
+    """Return the responsivities per energy, the peak of the set 1: CSV on their grid, JSON as rawtoaces reads it."""
     curves = camera.responsivity * camera.wavelength
     curves = curves / curves.max()
-    write_curves(csv, camera.wavelength, curves, camera.channels)
     table = spectra.average(curves, camera.wavelength, RAWTOACES).T
     manufacturer, _, model = camera.name.partition(" ")
     content: dict[str, Any] = {
@@ -49,15 +98,8 @@ def export_curves(camera: CameraModel, folder: Path) -> None:
             "data": {"main": {f"{nm:g}": row.tolist() for nm, row in zip(RAWTOACES, table, strict=True)}},
         },
     }
-    write_whole(rawtoaces, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
-
-
-class ProfileMatrices(NamedTuple):
-    """Matrices of a DCP for one light: AsShotNeutral (n), ColorMatrix (n, 3), ForwardMatrix (3, n)."""
-
-    neutral: Array
-    colour: Array
-    forward: Array
+    text = json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+    return {CURVES: curve_text(camera.wavelength, curves, camera.channels), RAWTOACES_JSON: text}
 
 
 class Tuning(NamedTuple):
@@ -69,15 +111,18 @@ class Tuning(NamedTuple):
     noise: tuple[float, float]  # constant and slope of a deviation over the root of a signal of 16 bits
 
 
-def dcp_json(name: str, channels: Sequence[str], lights: Mapping[str, ProfileMatrices]) -> str:
+def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
     """Return a DCP as dcamprof's json2dcp reads it, for the lights of ILLUMINANTS; beside it the channels in their order,
-    and AsShotNeutral, which belongs into the DNG of a picture, for each light."""
-    content: dict[str, Any] = {"UniqueCameraModel": name, "ProfileName": "l3", "ProfileEmbedPolicy": "Allow copying"}
+    that of raw files (r, g, b), and AsShotNeutral, which belongs into the DNG of a picture, for each light."""
+    planes = list(rgb_order(camera.channels) or range(len(camera.channels)))
+    lights = [known[light] for light in ILLUMINANTS]
+    content: dict[str, Any] = {"UniqueCameraModel": camera.name, "ProfileName": "l3", "ProfileEmbedPolicy": "Allow copying"}
     content |= {f"CalibrationIlluminant{i}": code for i, code in enumerate(ILLUMINANTS.values(), 1)}
-    for tag, part in (("ColorMatrix", 1), ("ForwardMatrix", 2)):
-        content |= {f"{tag}{i}": lights[light][part].tolist() for i, light in enumerate(ILLUMINANTS, 1)}
-    content["Channels"] = list(channels)
-    content["AsShotNeutral"] = {code: lights[light].neutral.tolist() for light, code in ILLUMINANTS.items()}
+    content |= {f"ColorMatrix{i}": each.colour.values[planes].tolist() for i, each in enumerate(lights, 1)}
+    content |= {f"ForwardMatrix{i}": each.forward.values[:, planes].tolist() for i, each in enumerate(lights, 1)}
+    content["Channels"] = [camera.channels[plane] for plane in planes]
+    neutrals = (each.neutral[planes].tolist() for each in lights)
+    content["AsShotNeutral"] = dict(zip(ILLUMINANTS.values(), neutrals, strict=True))
     return _json(content) + "\n"
 
 
@@ -140,16 +185,13 @@ def simple_yaml(name: str, tuning: Tuning) -> str:
     return "\n".join([*lines, "  - Adjust:  # older versions of libcamera call it Lut", "  - Agc:", "..."]) + "\n"
 
 
-def datasheet_csv(rows: Sequence[tuple[str, str, float | str, str, str]]) -> str:
-    """Quantity, channel, value, unit and source of every row, under their headings."""
-    cells = [("quantity", "channel", "value", "unit", "source"), *rows]
-    return "".join(",".join(_cell(cell) for cell in row) + "\n" for row in cells)
-
-
-def _cell(value: float | str) -> str:
-    if not isinstance(value, str):
-        return f"{value:.8g}"
-    return '"' + value.replace('"', '""') + '"' if any(letter in value for letter in ',"\n\r') else value
+def _datasheet_csv(camera: CameraModel) -> str:
+    """Return quantity, channel, value, unit and source of every row of the data sheet, under their headings."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    for row in (("quantity", "channel", "value", "unit", "source"), *datasheet(camera)):
+        writer.writerow([f"{cell:.8g}" if not isinstance(cell, str) else cell for cell in row])
+    return text.getvalue()
 
 
 def _json(value: Any, indent: int = 0) -> str:

@@ -25,13 +25,18 @@ Array = NDArray[np.float64]
 
 def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> None:
     """Write columns (column, wavelength) as CSV below a heading with the `unit` of all columns, if there is one."""
+    write_whole(path, curve_text(wavelength, columns, names, unit))
+
+
+def curve_text(wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> str:
+    """Return columns (column, wavelength) as `write_curves` writes them."""
     heading = io.StringIO()  # a name may hold what ends a cell
     csv.writer(heading, lineterminator="").writerow(
         ["wavelength_nm", *(f"{name} ({unit})" if unit else name for name in names)]
     )
     lines = [heading.getvalue()]
     lines += [",".join(f"{value:.8g}" for value in row) for row in np.vstack([wavelength, columns]).T]
-    write_whole(path, "\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"
 
 
 def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: int | str = 0) -> SweepTable:

@@ -12,13 +12,14 @@ from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.store import save
 from l3cli.calibration import acceptance, figures, model
 from l3cli.errors import L3Error, RecipeError
+from l3cli.export.profiles import ALWAYS, file_names
 from l3cli.frames.measurement import FinishedCurves, SweepTable
 from l3cli.io.measurements import inputs_of, inputs_of_photos, load_measurements, photo_measurements
 from l3cli.io.photos import export_offsets, offset_paths
 from l3cli.options.pipeline import CalibrateOptions
 from l3cli.parallel import ordered_map
-from l3cli.stages import exports
 from l3cli.stages.claims import OutputGuard
+from l3cli.stages.export import write
 from l3cli.stages.plan import Made, before_work
 
 
@@ -38,22 +39,22 @@ def calibrate(
         raise RecipeError("a measurement file names the light of its photos itself, as light; leave ‹light› out")
     with OutputGuard(console) as claims:
         claims.protect(*photos, *filter(None, [measurements, truth]))
-        for path in (output, *(exports.always(export) if export else ())):
+        exports = [export / name for name in ALWAYS] if export else []
+        for path in (output, *exports):
             claims.claim_file(path, force)
         inputs = inputs_of_photos(photos) if measurements is None else inputs_of(measurements)
         claims.protect(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
         true = load_camera(truth) if truth else None
         measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
-        further: list[Path] = []
         if export:
-            further = exports.by_array(export, measured.body.channels, measured.body.cfa)
-            further += offset_paths(export, measured.photos)
-            for path in further:
+            exports = [export / name for name in file_names(measured.body.channels, measured.body.cfa)]
+            exports += offset_paths(export, measured.photos)
+            for path in exports[len(ALWAYS) :]:
                 claims.claim_file(path, force)
         before_work(
             inputs.files | {"camera to compare with": camera_files(truth) if truth else []},
             Made(output, f"camera model of {len(measured.body.channels)} channels"),
-            *(Made(path, "export") for path in (*(exports.always(export) if export else ()), *further)),
+            *(Made(path, "export") for path in exports),
         )
 
         def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
@@ -74,8 +75,8 @@ def calibrate(
         save(camera, output)
         result["curves"] |= {"file": str(output), "csv": None}
         if export:
-            result["curves"]["csv"] = str(exports.always(export)[0])
-            result["matrices"] = exports.write(camera, export, console)
+            result["curves"]["csv"] = str(exports[0])
+            result["matrices"] = write(camera, export, console)
             if measured.photos:
                 export_offsets(camera, measured.photos, export)
         if shortfall:

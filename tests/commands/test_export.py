@@ -18,7 +18,7 @@ from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, delta_e_2000, lab, srgb_from_xyz_matrix, white_point
 from l3cli.physics.matrices import colour_errors
 from l3cli.simulation.light import colour_matrix, make_light
-from l3cli.stages.exports import write
+from l3cli.stages.export import write
 from l3cli.system.console import Silent
 from tests.helpers.calls import L3, Refused
 

@@ -1,12 +1,18 @@
-"""Transform table → files that run, or are read, elsewhere: C source or plain arrays."""
+"""The export stage: camera model → files that other software reads: curves, colour matrices, tuning files, a data sheet; or
+transform table → files that run, or are read, elsewhere: C source or plain arrays."""
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from l3cli.artifacts.store import load
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import camera_files, load_camera
+from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
-from l3cli.errors import RecipeError
+from l3cli.errors import InputFileError, RecipeError
+from l3cli.export import profiles
 from l3cli.export.folder import folder_files
+from l3cli.export.profiles import ALWAYS, file_names
 from l3cli.export.source import PREFIX, c_files
 from l3cli.options.tools import ExportOptions
 from l3cli.physics.display import XYZ
@@ -16,6 +22,7 @@ from l3cli.stages.claims import OutputGuard
 from l3cli.stages.input_warnings import warn_of_white
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.rendering.lights import mix_of_given
+from l3cli.system.console import Console
 from l3cli.system.files import write_whole
 
 QUIET_README = """
@@ -25,6 +32,45 @@ These are the quiet transforms of a table of two sets, for pixels of which a fil
 the variance of noise that varies from frame to frame; they were learned for {noise_left:.3g} of it. Other pixels are
 rendered by the usual set, which is exported alone, with test files of its own.
 """
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a file holds a transform table and no camera; InputFileError if it holds neither."""
+    if path.suffix == ".toml":
+        return False
+    with open_artifact(path) as root:
+        kind = str(root.attrs["kind"])
+    if kind not in (CameraModel.kind, TransformTable.kind):
+        raise InputFileError(f"{path} holds a {kind}; give a camera model or recipe, or a transform table")
+    return kind == TransformTable.kind
+
+
+def export(camera: Path, output: Path, options: ExportOptions) -> dict[str, dict[str, dict[str, Any]]]:
+    """Write a camera (model or recipe) into a folder, as `l3 calibrate --export` does; return the errors of its matrices,
+    for each light. RecipeError or InputFileError if it is no camera, L3Error if a file cannot be written."""
+    console = options.console
+    with OutputGuard(console) as claims:
+        claims.protect(camera, *camera_files(camera))
+        for name in ALWAYS:
+            claims.claim_file(output / name, options.force)
+        model = load_camera(camera)
+        names = file_names(model.channels, model.cfa)
+        for name in names[len(ALWAYS) :]:
+            claims.claim_file(output / name, options.force)
+        before_work({"camera": camera_files(camera)}, *(Made(output / name, "export") for name in names))
+        errors = write(model, output, console)
+        console.info(f"{output}: {', '.join(names if errors else ALWAYS)} written")
+        return errors
+
+
+def write(camera: CameraModel, folder: Path, console: Console) -> dict[str, dict[str, dict[str, Any]]]:
+    """Write all files of a camera, and report what is left out; return the errors of its matrices, for each light."""
+    files, errors, note = profiles.export(camera)
+    for name, content in files.items():
+        write_whole(folder / name, content)
+    if note:
+        console.report(note)
+    return errors
 
 
 def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]:
@@ -57,11 +103,10 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
         balance = shown.balance if shown else None
         if white and shown and form == "c":
             warn_of_white(white, shown, transforms, console)
-        files = (
-            c_files(transforms, words or "float32", balance, PREFIX if prefix is None else prefix)
-            if form == "c"
-            else folder_files(transforms)
-        )
+        if form == "c":
+            files = c_files(transforms, words or "float32", balance, PREFIX if prefix is None else prefix)
+        else:
+            files = folder_files(transforms)
         if quiet and which == "quiet":
             files["README.md"] += QUIET_README.format(limit=quiet.limit, noise_left=quiet.noise_left).encode()
         for name in files:
