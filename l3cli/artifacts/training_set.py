@@ -26,7 +26,7 @@ from l3cli.artifacts.store import (
     read_history,
     write_fields,
 )
-from l3cli.errors import InputFileError, L3Error
+from l3cli.errors import InputFileError
 
 LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
 
@@ -226,10 +226,9 @@ class TrainingSetWriter:
         write_fields(group.create_group(name), frame, CHECKSUM)
         name_axes(group[name], type(frame), self._coordinates)
 
-    def append_part(self, path: Path, run: str) -> "SceneCoverage":
-        """Append the frame that `write_part` stored for `run`, as it is stored; what else is stored beside it."""
+    def append_part(self, path: Path) -> "SceneCoverage":
+        """Append the frame that `write_part` stored, as it is stored; what else is stored beside it."""
         with container.open_file(path) as part:
-            _require_run(part, path, run)
             simulated = bool(part.attrs["simulated"])
             group, name = self._place(simulated)
             part.copy("frame", group, name)
@@ -254,36 +253,26 @@ class SceneCoverage:
     uncovered: float  # share of white's electrons for which the scene holds no data
 
 
-def write_part(path: Path, frame: TrainingPair, uncovered: float, run: str) -> None:
-    """Write one frame of `run` to a file, whole or not at all: what a killed run leaves, its successor goes on from."""
+def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
+    """Write one frame to a file, whole or not at all: what a killed run leaves, its successor goes on from."""
     with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
         root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # named after a file, which need not be text
         root.attrs["uncovered"] = uncovered
-        root.attrs["run"] = run
         write_fields(root.create_group("frame"), frame, CHECKSUM)
 
 
-def read_part(path: Path, run: str) -> TrainingPair:
-    """Return the frame that `write_part` stored for `run`."""
+def read_part(path: Path) -> TrainingPair:
+    """Return the frame that `write_part` stored."""
     with container.open_file(path) as part:
-        _require_run(part, path, run)
         kind = TrainingFrame if part.attrs["simulated"] else TrainingPair
         frame: TrainingPair = read_fields(part["frame"], kind, path)
         return frame
 
 
-def _require_run(part: h5py.File, path: Path, run: str) -> None:
-    if part.attrs.get("run") != run:
-        raise L3Error(f"{path} was replaced by another run; run again with ‹resume›")
-
-
-def whole_part(path: Path, run: str) -> bool:
-    """Return whether a part of `run` exists and is intact."""
+def whole_part(path: Path) -> bool:
+    """Return whether the file of a frame is as `write_part` wrote it."""
     try:
-        if not container.check(path, "l3 simulate"):
-            return False
+        return container.check(path, "l3 simulate")
     except InputFileError:
         return False
-    with container.open_file(path) as part:
-        return bool(part.attrs.get("run") == run)

@@ -1,22 +1,108 @@
-"""Checkpoints of runs."""
+"""Checkpoints: a file beside the outputs of a run for as long as it lasts, from which the same run goes on where it was
+stopped, be it by SIGKILL.
 
+Its first line is the run's key, and each further line an item that the run has finished, with facts that identify it, as
+JSON. A line is on the disk before its item gets its name, or, in a folder of the run's own, as soon as it has: a file that
+is not listed is not taken for the run's, and one that is listed but not there is made again.
+"""
+
+import contextlib
+import errno
 import hashlib
 import json
-from collections.abc import Callable, Iterable
+import os
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from l3cli import __version__
 from l3cli.io.sequences import frame_files
 from l3cli.options.option import Options
-from l3cli.system.files import sha256
+from l3cli.system.files import UNFINISHED, is_ours, refuse_filled_folder, sha256, sweep, write_whole
 
 
 def run_key(options: Options, *facts: Any, files: Callable[[Path], Iterable[Path]] = frame_files) -> str:
     """Return what tells a run from others: a digest of all that the bytes of its outputs depend on, the options with the
     `files` that they name, and `facts` about its inputs."""
-    inputs = {
-        name: [sha256(file) for path in paths for file in files(path)] for name, paths in options.inputs(all=False).items()
-    }
+    named = options.inputs(all=False).items()
+    inputs = {name: [sha256(file) for path in paths for file in files(path)] for name, paths in named}
     about = [__version__, options.chosen(), inputs, *facts]
     return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()
+
+
+class Checkpoint:
+    """The checkpoint of the run `key` in the file `path`: the facts of each finished item by name. `force`: the run may
+    replace what it finds, also when it goes on."""
+
+    def __init__(self, path: Path, key: str, force: bool = False) -> None:
+        self.path, self.key, self.force = path, key, force
+        self.items: dict[str, Any] = {}
+
+    def take_over(self) -> bool:
+        """Read what is listed there; return whether it is of the same run: of another one nothing is taken."""
+        key, force, lines = _read(self.path)
+        if key != self.key:
+            return False
+        self.force = self.force or force
+        for line in lines:
+            with contextlib.suppress(ValueError, TypeError):  # a line that was cut off
+                name, facts = json.loads(line)
+                self.items[name] = facts
+        return True
+
+    def begin(self) -> None:
+        """Write the checkpoint; what is listed from now on goes behind it."""
+        lines = [f"{self.key} force" if self.force else self.key, *(json.dumps(item) for item in self.items.items())]
+        write_whole(self.path, "\n".join(lines))
+
+    def add(self, name: str, facts: Any) -> None:
+        """List an item, from whatever process; the line is on the disk when this returns."""
+        self.items[name] = facts
+        line = f"\n{json.dumps([name, facts])}".encode()
+        file = os.open(self.path, os.O_WRONLY | os.O_APPEND)
+        try:
+            if os.write(file, line) < len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+            os.fdatasync(file)
+        finally:
+            os.close(file)
+
+    def end(self) -> None:
+        """Remove the checkpoint."""
+        self.path.unlink(missing_ok=True)
+
+
+def key_in(path: Path) -> str | None:
+    """Return the key of the run whose checkpoint this is; None if there is none."""
+    return _read(path)[0]
+
+
+def _read(path: Path) -> tuple[str | None, bool, list[str]]:
+    """Return the key, whether the run may replace what it finds, and the lines of items."""
+    if not path.is_file():
+        return None, False, []
+    first, *lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+    key, _, force = first.partition(" ")
+    return key, bool(force), lines
+
+
+@contextlib.contextmanager
+def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
+    """Take `folder` for the files of the run `key` until the block ends without an error: if it is stopped, the same run may
+    go on there. L3Error if the folder holds something else, unless `force`."""
+    refuse_other_run(folder, key, force)
+    checkpoint = Checkpoint(folder / UNFINISHED, key)
+    checkpoint.begin()
+    try:
+        yield
+    except BaseException:
+        sweep(folder)
+        if all(is_ours(each.name) for each in folder.iterdir()):
+            checkpoint.end()
+        raise
+    checkpoint.end()
+
+
+def refuse_other_run(folder: Path, key: str, force: bool) -> None:
+    """L3Error if `folder` holds anything but what a stopped run `key` has left, unless `force`."""
+    refuse_filled_folder(folder, force or key_in(folder / UNFINISHED) == key)

@@ -13,16 +13,12 @@ from pathlib import Path
 from l3cli.errors import L3Error
 from l3cli.system.files import (
     LOCK,
-    UNFINISHED,
     blamed_on,
     initial_mode,
-    is_ours,
     open_quietly,
-    refuse_filled_folder,
     refuse_protected,
     shortened,
     sweep,
-    write_whole,
 )
 from l3cli.system.signals import uninterrupted
 
@@ -88,30 +84,6 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
 
 def _lock_name(name: str) -> str:
     return f".{shortened(name, len(f'.{LOCK}'))}{LOCK}"
-
-
-@contextlib.contextmanager
-def incomplete_folder(folder: Path, run: str, force: bool) -> Iterator[None]:
-    """Mark `folder` as of the run called `run` until the block ends without an error: if it is stopped, the same run may go
-    on there. L3Error if the folder holds something else, unless `force`."""
-    marker = folder / UNFINISHED
-    refuse_other_run(folder, run, force)
-    write_whole(marker, run)
-    try:
-        yield
-    except BaseException:
-        sweep(folder)
-        if all(is_ours(each.name) for each in folder.iterdir()):
-            marker.unlink(missing_ok=True)
-        raise
-    marker.unlink(missing_ok=True)
-
-
-def refuse_other_run(folder: Path, run: str, force: bool) -> None:
-    """L3Error if `folder` holds anything but what a stopped run called `run` has left, unless `force`."""
-    marker = folder / UNFINISHED
-    goes_on = marker.is_file() and marker.read_bytes() == run.encode()
-    refuse_filled_folder(folder, force or goes_on)
 
 
 @contextlib.contextmanager

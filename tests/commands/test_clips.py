@@ -1,6 +1,5 @@
 """Clips as files: `l3 simulate` of scenes with a motion, and what it refuses of them."""
 
-import dataclasses
 import json
 import re
 from pathlib import Path
@@ -16,6 +15,7 @@ from l3cli.io.picture_sequences import find_pictures
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.simulation.preparation import prepare
+from l3cli.stages.simulation.stored_frames import StoredFrames
 from l3cli.stages.simulation.units import simulate_unit, units_of
 from tests.helpers.calls import L3, Refused
 from tests.helpers.tables import colorimetric_table
@@ -101,13 +101,13 @@ def test_the_exposure_that_is_said_renders_as_bright_as_the_ideal(
 
 def test_the_frames_are_the_same_however_they_are_shared_out(clip: Path, bayer: CameraModel, tmp_path: Path) -> None:
     run, files = prepare(load_recipe(clip / "clip.toml", SceneRecipe), clip / "clip.toml", bayer, 0)
-    run = dataclasses.replace(run, folder=tmp_path, key="run")
-    work = units_of(run, list(shots(run.recipe, files)), workers=4)
+    stored = StoredFrames(tmp_path / "clip.h5.parts", "key")
+    work = units_of(run, list(shots(run.recipe, files)), stored, workers=4)
     assert len(work) == 3
-    with open_training_set(clip / "clip.h5") as reader:
+    with open_training_set(clip / "clip.h5") as reader, stored.held(resume=False, force=False):
         for number in (2, 0):
-            assert simulate_unit(work[number]) == 1
-            part = read_part(run.part(number), "run")
+            assert simulate_unit(stored, work[number]) == 1
+            part = read_part(stored.path(number))
             assert np.array_equal(part.raw, reader.frame(number).raw)
             assert part.exposure == reader.frame(number).exposure
 

@@ -51,7 +51,7 @@ def test_a_shard_goes_on_where_it_was_stopped(l3: Callable, tmp_path: Path, stil
     (still_frames / "frame_7.tif").write_bytes(content)
     assert "frame_4.tif" in "".join(path.name for path in still_frames.iterdir())
     assert "exists; add --force" in l3(*call, "--shard", "1/2")[2]
-    assert (tmp_path / "out/.2-of-2.l3-render").exists()
+    assert (tmp_path / "out/.2-of-2.l3-unfinished").exists()
     assert l3(*call, "--shard", "2/2", "--resume") == (0, "", "")
     assert l3(*call[:4], tmp_path / "whole", *call[5:])[0] == 0
     assert files(tmp_path / "out") == files(tmp_path / "whole")

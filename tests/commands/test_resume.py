@@ -15,7 +15,7 @@ import tifffile
 
 from l3cli.artifacts.store import save
 from l3cli.io.pictures.openimageio import write_mosaic
-from l3cli.stages.rendering import destination
+from l3cli.stages.rendering import sequence
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_stack
 from tests.helpers.tables import with_first
@@ -55,7 +55,7 @@ class Runs:
             rename(source, path)
 
         with self._patch.context() as patch:
-            patch.setattr(destination, "PICTURE_WRITERS", 1)
+            patch.setattr(sequence, "PICTURE_WRITERS", 1)
             patch.setattr(os, "replace", renamed)
             with pytest.raises(Killed):
                 self(*options, **others)
@@ -221,10 +221,10 @@ def test_a_stream_is_resumed_only_with_the_same_frames(tmp_path: Path, table: Pa
     assert len(list((tmp_path / "out").iterdir())) == COUNT
 
 
-def test_a_mark_that_was_cut_off_costs_no_more_than_its_last_picture(runs: Runs) -> None:
+def test_a_checkpoint_that_was_cut_off_costs_no_more_than_its_last_picture(runs: Runs) -> None:
     runs.stop(3)
-    mark = runs.out / ".l3-render"
-    mark.write_bytes(mark.read_bytes()[:-9])
+    checkpoint = runs.out / ".l3-unfinished"
+    checkpoint.write_bytes(checkpoint.read_bytes()[:-9])
     (runs.out / "frame_09.png").unlink()  # not yet renamed
     assert runs("--resume") == (0, "", "")
     runs.require_whole()

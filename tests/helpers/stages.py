@@ -49,7 +49,7 @@ illuminants = ["D65", "A"]
 CLASSES = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 3000\nfirst_draws = 1\ndraws = 3\n"
 LAYERS = f"{CLASSES}[[layer]]\nside = 3\nmosaics = 8\nrows = 300\n"
 FRAMES = 8
-REMAINS = (".parts", ".l3-render", UNFINISHED)  # what the same run goes on from
+REMAINS = (".parts", UNFINISHED)  # what the same run goes on from
 
 
 @dataclass(frozen=True)

@@ -65,10 +65,10 @@ def write_each(folder: Path) -> None:
     save(camera, folder / "camera.h5")
     save(dataclasses.replace(a_table(bayer), camera=bayer), folder / "table.h5")
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="XYZ", target_light=light)
-    write_part(folder / "part.h5", frame, 0.25, "this run")
+    write_part(folder / "part.h5", frame, 0.25)
     with write_training_set(folder / "training.h5", head) as writer:
         writer.append(frame)
-        writer.append_part(folder / "part.h5", "this run")
+        writer.append_part(folder / "part.h5")
         pair = {field.name: getattr(frame, field.name) for field in dataclasses.fields(TrainingPair)}
         writer.append(TrainingPair(**pair))
     sums_head, sums = some_sums(bayer)

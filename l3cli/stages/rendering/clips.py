@@ -15,13 +15,13 @@ from l3cli.io.file_names import PATTERN
 from l3cli.io.sequences import frame_files, is_still
 from l3cli.io.video import is_video
 from l3cli.options.render import RenderOptions
-from l3cli.stages.checkpoint import run_key
+from l3cli.stages.checkpoint import Checkpoint, run_key
 from l3cli.stages.claims import OutputGuard, refuse_unwritable
 from l3cli.stages.plan import Planned, is_dry
 from l3cli.stages.rendering.clip_inputs import name_of, refuse_one_name
+from l3cli.stages.rendering.clip_state import Entry, Standing, identity_of_clip, identity_of_output
 from l3cli.stages.rendering.destination import destination_of, overrides
 from l3cli.stages.rendering.executors import Renderers
-from l3cli.stages.rendering.job_state import Entry, JobState, Standing, identity_of_clip, identity_of_output
 from l3cli.stages.rendering.render import render
 from l3cli.stages.rendering.sequence import Tally
 from l3cli.system.console import Gathering
@@ -106,7 +106,7 @@ class ClipJob:
         self._path, self._options = table, options
         self._table, self._dated = load(TransformTable, table), dated(table)
         destination_of(folder / f"clip.{options.format}", options)
-        self.state = JobState(folder / STATE, run_key(options, sha256(table)))
+        self._checkpoint = Checkpoint(folder / STATE, run_key(options, sha256(table)))
 
     def output_of(self, source: Path) -> tuple[Path, bool]:
         """Return the output of a clip, and whether it is a single file; InputFileError if the clip must be read to know
@@ -128,7 +128,7 @@ class ClipJob:
             claims.protect(self._path)
             if not is_dry():
                 claims.hold(sole_writer_of_folder(self.folder), self.folder)
-            self.state.take_over(required=resume and not self._options.force)
+            self._take_over()
             later = (L3Error, OSError) if resume and not is_dry() else (InputFileError, OSError)  # said when it is its turn
             standings: list[Standing] = []
             for source in sources:
@@ -137,13 +137,27 @@ class ClipJob:
                     standings.append(self._standing(source))
             if is_dry():
                 self._plan(standings)
-            self.state.begin()  # now that nothing is refused: what it replaces may be another run's
+            self._checkpoint.begin()  # now that nothing is refused: what it replaces may be another run's
             try:
                 for number, source in enumerate(sources, 1):
                     self.console.info(f"clip {number} of {len(sources)}: {source}")
                     self._one(source)
             finally:
-                self.state.end()
+                if not any(os.path.exists(self.folder / name) for name in self._checkpoint.items):
+                    self._checkpoint.end()
+
+    def _take_over(self) -> None:
+        """Read what runs before have made and is there. RecipeError, on resuming, if that was with another table or other
+        options."""
+        known = self._checkpoint
+        if not known.take_over() and known.path.is_file() and self._options.resume and not self._options.force:
+            raise RecipeError(
+                f"{self.folder} holds a run with another table or options; name another folder, or add ‹force›"
+            )
+        known.items = {name: entry for name, entry in known.items.items() if (self.folder / name).exists()}
+
+    def _note(self, output: Path, entry: Entry) -> None:
+        self._checkpoint.add(output.name, asdict(entry))
 
     def _plan(self, standings: Sequence[Standing]) -> None:
         """In a dry run Planned for all clips; what is wrong with the first one is raised."""
@@ -164,7 +178,8 @@ class ClipJob:
     def _standing(self, source: Path) -> Standing:
         """Return the state of a clip and its output. L3Error if something exists that may not be replaced."""
         of, (output, is_file) = identity_of_clip(source), self.output_of(source)
-        standing = Standing(source, output, is_file, of, self.state.entry(output) if self._options.resume else None)
+        known = self._checkpoint.items.get(output.name) if self._options.resume else None
+        standing = Standing(source, output, is_file, of, known and Entry(**known))
         if not (self._options.force or standing.ours):
             if standing.of_other:
                 raise L3Error(
@@ -185,11 +200,11 @@ class ClipJob:
                 about = entry.frames, entry.left_out, entry.seconds, None, entry.frame_times
                 self.summary.add(ClipReport(str(source), str(output), KEPT, *about))
                 return
-            goes_on = standing.ours and standing.same and standing.mark.is_file()
+            goes_on = standing.ours and standing.same and standing.checkpoint.is_file()
             if standing.ours and not goes_on:
                 standing.clear()
             begun = Entry(os.path.realpath(source), standing.of)
-            self.state.note(output, begun)
+            self._note(output, begun)
             force = self._options.force or (standing.ours and not goes_on)
             options = replace(self._options, console=heard, resume=goes_on, force=force)
             tally = render(self._path, (source,), output, options, self._renderers)
@@ -200,7 +215,7 @@ class ClipJob:
             self.console.info(f"{output}: rendered in {tally.seconds:.2g} s")
         made = identity_of_output(output)
         ended = replace(begun, made=made, frames=tally.done, left_out=tally.failures, seconds=tally.seconds)
-        self.state.note(output, replace(ended, frame_times=tally.frame_times))
+        self._note(output, replace(ended, frame_times=tally.frame_times))
         self.summary.add(_report(str(source), output, tally, heard.warnings))
 
     def _fail(self, source: Path, output: Path, heard: Gathering, error: L3Error | OSError) -> None:

@@ -1,28 +1,22 @@
-"""Destination of pictures, the files that exist there already, and the checkpoint that lets a sequence of them go on."""
+"""Destination of pictures, the files that exist there already, and the writer of new ones."""
 
-import contextlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from l3cli.errors import RecipeError
 from l3cli.io.file_names import PATTERN, last_number, numbered_files, numbered_name
-from l3cli.io.frame_times import Pacing
-from l3cli.io.pictures.pages import PAGED, new_pages
-from l3cli.io.pictures.registry import FLOAT_BITS, Picture, format_of, holds_linear, holds_raw
+from l3cli.io.pictures.pages import PAGED
+from l3cli.io.pictures.registry import FLOAT_BITS, format_of, holds_linear, holds_raw
 from l3cli.io.raw.files import RawOverrides
-from l3cli.io.sequences import FrameReference, FrameSequence
-from l3cli.io.video import USUAL_RATE, Y4M, VideoChoice, check_video, is_video, new_video, new_y4m
+from l3cli.io.sequences import FrameSequence
+from l3cli.io.video import USUAL_RATE, Y4M, VideoChoice, check_video, is_video
 from l3cli.options.render import RenderOptions
 from l3cli.stages.claims import OutputGuard, refuse_unwritable
-from l3cli.stages.rendering.mark import Mark, Origins
-from l3cli.stages.rendering.rendition import Rendition, file_of
-from l3cli.system.files import atomic_output, refuse_existing, refuse_protected
+from l3cli.system.files import UNFINISHED, refuse_existing, refuse_protected
 from l3cli.system.locks import sole_writer_of_folder
 
-PICTURE_WRITERS = 2  # threads that compress picture files
 STDOUT = Path("-")
 
 
@@ -74,9 +68,9 @@ class Destination:
         return self.file(0, "frame").suffix if self.one_by_one else None
 
     @property
-    def mark(self) -> Path:
-        """Lies beside the pictures while a run lasts, and identifies it to `--resume`."""
-        name = f"{self._of_shard}.l3-render"
+    def checkpoint(self) -> Path:
+        """File of the checkpoint of pictures, beside them."""
+        name = f"{self._of_shard}{UNFINISHED}"
         return self.path / name if self.kind == "folder" else self.path.with_name(f".{self.path.name}{name}")
 
     @property
@@ -143,9 +137,11 @@ def claim(destination: Destination, force: bool, claims: OutputGuard) -> None:
         claims.hold(sole_writer_of_folder(*destination.lock), destination.path)
 
 
-def refuse_outputs(destination: Destination, sequence: FrameSequence, force: bool, mark: Mark | None = None) -> None:
+def refuse_outputs(
+    destination: Destination, sequence: FrameSequence, force: bool, is_ours: Callable[[Path], bool] = lambda file: False
+) -> None:
     """RecipeError if the frames do not fit into the destination or would replace what is read, L3Error if they would replace
-    what is there and not of the mark's run."""
+    what is there, unless it `is_ours`."""
     if destination.kind == "file" and sequence.rendered != 1:
         count = "a sequence" if sequence.rendered is None else f"{sequence.rendered} frames"
         raise RecipeError(
@@ -163,7 +159,7 @@ def refuse_outputs(destination: Destination, sequence: FrameSequence, force: boo
         raise RecipeError("two inputs have the same name and would write the same file; render them one by one")
     for file in files:
         refuse_protected(file)
-        refuse_existing(file, force or (mark is not None and mark.is_ours(file)))
+        refuse_existing(file, force or is_ours(file))
 
 
 def refuse_missing(sequence: FrameSequence) -> None:
@@ -189,79 +185,3 @@ def _pictures(destination: Destination) -> list[Path]:
     if destination.kind == "pattern":
         return list(numbered_files(destination.path).values())
     return sorted(destination.path.glob(f"*.{destination.suffix}"))
-
-
-@contextlib.contextmanager
-def marked(
-    destination: Destination,
-    key: str,
-    options: RenderOptions,
-    sequence: FrameSequence,
-    origins: Callable[[], Origins],
-) -> Iterator[Mark | None]:
-    """Refuse what cannot be written, then keep the mark of the run `key`, for a sequence of pictures, until all is done.
-
-    `origins`: of its inputs.
-    """
-    resume, force = options.resume, options.force
-    if destination.kind not in ("pattern", "folder"):
-        if resume:
-            raise RecipeError(f"‹resume› goes on with a sequence of pictures; {destination.path} is written in one go")
-        refuse_outputs(destination, sequence, force)
-        yield None
-        return
-    mark = Mark(destination.mark, key, force)
-    if resume and destination.mark.is_file():
-        mark.take_over(str(destination.path))
-        if sequence.count is not None:
-            _refuse_changed(destination, sequence, mark, origins())
-    refuse_outputs(destination, sequence, mark.force, mark)
-    mark.begin()
-    try:
-        yield mark
-    except BaseException:
-        mark.end(complete=False)
-        raise
-    mark.end(complete=True)
-
-
-def _refuse_changed(destination: Destination, sequence: FrameSequence, mark: Mark, origins: Origins) -> None:
-    """RecipeError, before anything is read, if pictures are there that are known to be of other frames."""
-    for place, pending in enumerate(sequence.frames):
-        pending = origins.of(pending)  # which may tell of every frame before
-        if sequence.renders(place):
-            mark.keeps(destination.file(pending.number, pending.stem), pending)
-    mark.refuse_others()
-
-
-@contextlib.contextmanager
-def open_sink(
-    destination: Destination, choice: VideoChoice, rendition: Rendition, outputs: tuple[str, ...], mark: Mark | None,
-    sequence: FrameSequence, pacing: Pacing,
-) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
-    """Open the writer of frames; give it and the number of threads that may call it at a time."""
-
-    def timed(write: Callable[[Any, int], None]) -> Callable[[tuple[FrameReference, Any]], None]:
-        return lambda item: write(item[1], pacing.time(item[0].number))
-
-    if destination.one_by_one:
-
-        def write(item: tuple[FrameReference, Any]) -> None:
-            pending, made = item
-            file = destination.file(pending.number, pending.stem)
-            content = made if isinstance(made, bytes) else file_of(file, made, rendition, outputs)
-            with atomic_output(file) as temporary:
-                temporary.write_bytes(content)
-                if mark:
-                    mark.add(file, temporary, pending)
-
-        yield write, PICTURE_WRITERS
-    elif destination.kind == "pages":
-        with new_pages(destination.path, sequence.rendered) as pages:
-            yield timed(lambda made, _: pages.write(Picture(made.pixels, rendition.space, made.label))), 1
-    elif not destination.has_times:
-        with new_y4m(None if destination.kind == "stream" else destination.path, choice) as stream:
-            yield timed(lambda made, _: stream.write(made.pixels)), 1
-    else:
-        with new_video(destination.path, choice) as video:
-            yield timed(lambda made, time: video.write(made.pixels, time)), 1

@@ -23,12 +23,12 @@ from l3cli.stages.checkpoint import run_key
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.input_warnings import warn_of_exposure_time, warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.chart_white import source_of
+from l3cli.stages.rendering.checkpoint import FrameOrigins, checkpointed
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
 from l3cli.stages.rendering.destination import (
     Destination,
     claim,
     destination_of,
-    marked,
     overrides,
     paged,
     refuse_missing,
@@ -36,10 +36,9 @@ from l3cli.stages.rendering.destination import (
 )
 from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of, while_reading
 from l3cli.stages.rendering.lights import mix_of_first, mix_of_given
-from l3cli.stages.rendering.mark import Origins
 from l3cli.stages.rendering.plan import plan
 from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
-from l3cli.stages.rendering.sequence import Tally, follows, render_frames
+from l3cli.stages.rendering.sequence import SequenceJob, Tally, render_frames
 from l3cli.stages.rendering.shards import part_of
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
@@ -100,18 +99,15 @@ def render(
         setup = RenderSetup(
             table.absolute(), digest, options.backend, engine, known, rendition, destination.file_suffix, model, mix
         )
-        steady = follows(sequence, destination) and (rendition.measures_exposure or source is not None)
         chunks = _chunks(options.backend, engine, transforms, scheduler, sequence, console) if options.temporal else None
-        key = run_key(options, digest, os.environ.get("L3_DEVICE"), choice, steady, mix and astuple(mix))
-        origins = functools.partial(Origins, inputs[0], steady or options.temporal)
+        key = run_key(options, digest, os.environ.get("L3_DEVICE"), choice, mix and astuple(mix))
+        job = SequenceJob(sequence, destination, transforms, rendition, source, choice, pacing, chunks, options)
+        origins = functools.partial(FrameOrigins, inputs[0], job.follows)
         with (
-            marked(destination, key, options, sequence, origins) as mark,
+            checkpointed(destination, key, options, sequence, origins) as checkpoint,
             executor_of(setup, transforms, scheduler, renderers or Renderers()) as executor,
         ):
-            tally = render_frames(
-                sequence, destination, executor, transforms, rendition, source, choice, mark, origins(), options.skip_bad,
-                console, pacing, chunks,
-            )  # fmt: skip
+            tally = render_frames(job, executor, checkpoint, origins())
         warn_of_exposure_time(known.exposure, transforms, console)
         warn_of_kernels(console)
         return tally

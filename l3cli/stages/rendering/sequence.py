@@ -4,20 +4,22 @@ Reading, rendering and writing overlap in threads with short queues between them
 length; the libraries let go of Python's lock in their long calls.
 """
 
+import contextlib
 import hashlib
 import itertools
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.frames.frame import RawFrame, upright
 from l3cli.io.frame_times import Pacing
-from l3cli.io.pictures.registry import file_identity, values_identity
+from l3cli.io.pictures.pages import new_pages
+from l3cli.io.pictures.registry import Picture, file_identity, values_identity
 from l3cli.io.sequences import FrameReference, FrameSequence
-from l3cli.io.video import VideoChoice
+from l3cli.io.video import VideoChoice, new_video, new_y4m
+from l3cli.options.render import RenderOptions
 from l3cli.parallel.threads import WriteBehind, prefetched
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
 from l3cli.rendering.temporal.chunks import Chunks, needed
@@ -25,19 +27,46 @@ from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
 from l3cli.rendering.white.scene_white import SceneWhite
 from l3cli.rendering.white.source import WhiteSource
 from l3cli.stages.input_warnings import FrameWarnings
-from l3cli.stages.rendering.destination import Destination, open_sink
+from l3cli.stages.rendering.checkpoint import FrameOrigins, PictureCheckpoint
+from l3cli.stages.rendering.destination import Destination
 from l3cli.stages.rendering.executors import Local, Remote
 from l3cli.stages.rendering.frame_whites import FrameWhites, WhiteReport
-from l3cli.stages.rendering.mark import Mark, Origins
-from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread
-from l3cli.system.console import Console
-from l3cli.system.files import sha256
+from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread, file_of
+from l3cli.system.files import atomic_output, sha256
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
 
 EVEN, KEPT, LOST = "even", "kept", "lost"  # of the frames' times: evenly spaced, or not and kept in the video or lost
+PICTURE_WRITERS = 2  # threads that compress picture files
 DEPTH = 3  # frames that wait at most between reading and rendering, and between rendering and writing
+
+
+@dataclass(frozen=True)
+class SequenceJob:
+    """Frames to be rendered, one or thousands, and how."""
+
+    sequence: FrameSequence
+    destination: Destination
+    table: "TransformTable"
+    rendition: Rendition
+    source: WhiteSource | None  # of the white of each frame; None: that of the rendition
+    choice: VideoChoice
+    pacing: Pacing
+    temporal: Chunks | None  # filters the frames in time
+    options: RenderOptions
+
+    @property
+    def in_order(self) -> bool:
+        """Return whether exposure and white that are measured follow one another in time: not of stills that become
+        pictures, each of which has its own."""
+        return not (self.sequence.stills and self.destination.pictures)
+
+    @property
+    def follows(self) -> bool:
+        """Return whether what a frame is shown with depends on those before it."""
+        measures = self.rendition.measures_exposure or self.source is not None
+        return (self.in_order and measures) or self.temporal is not None
 
 
 @dataclass(frozen=True)
@@ -52,7 +81,7 @@ class _Read:
     error: L3Error | None = None
     kept: bool = False  # its picture is there already, or not to be made
     counted: bool = True  # whether it is among those to be rendered
-    lost: int = 1  # frames that there are not, if there is an error
+    lost: int = 1  # number of missing frames, if there is an error
     place: int | None = None  # in the sequence, if it is to be filtered
 
 
@@ -65,74 +94,66 @@ class Tally:
     seconds: float = 0.0  # from the first frame's reading to the last one's writing
     frame_times: str | None = None  # EVEN, KEPT or LOST of what is shown in time; None: pictures
 
-    def leave_out(self, error: L3Error, skip_bad: bool, console: Console, count: int = 1) -> None:
-        """Say that a frame, or several, are left out; raise why, unless `skip_bad`."""
-        if not skip_bad:
+    def leave_out(self, error: L3Error, options: RenderOptions, count: int = 1) -> None:
+        """Say that a frame, or several, are left out; raise why, unless bad frames are skipped."""
+        if not options.skip_bad:
             raise error
         self.failures += count
-        console.report(f"l3: {error}")
+        options.console.report(f"l3: {error}")
 
 
 def render_frames(
-    sequence: FrameSequence, destination: Destination, executor: Local | Remote, table: "TransformTable",
-    rendition: Rendition, source: WhiteSource | None, choice: VideoChoice, mark: Mark | None, origins: Origins,
-    skip_bad: bool, console: Console, pacing: Pacing, temporal: Chunks | None = None,
-) -> Tally:  # fmt: skip
-    """Render every frame into the destination. What is broken is raised, or, with `skip_bad`, said and left out.
-    `source`: of the white of each frame, None: that of the rendition; `temporal`: filters them in time."""
+    job: SequenceJob, executor: Local | Remote, checkpoint: PictureCheckpoint | None, origins: FrameOrigins
+) -> Tally:
+    """Render every frame into the destination. What is broken is raised, or, where bad frames are skipped, said and left
+    out."""
     start = time.monotonic()
-    in_order = follows(sequence, destination)
-    steady = SteadyExposure(choice.rate) if in_order and rendition.measures_exposure else None
-    whites = FrameWhites(source, SteadyWhite(choice.rate) if in_order else None) if source else None
-    tally, warnings, told = Tally(), FrameWarnings(table), WhiteReport(source, sequence.stills, console)
+    sequence, options, console = job.sequence, job.options, job.options.console
+    steady = SteadyExposure(job.choice.rate) if job.in_order and job.rendition.measures_exposure else None
+    whites = FrameWhites(job.source, SteadyWhite(job.choice.rate) if job.in_order else None) if job.source else None
+    tally, warnings, told = Tally(), FrameWarnings(job.table), WhiteReport(job.source, sequence.stills, console)
     for numbers in sequence.missing:
-        tally.leave_out(sequence.absent(numbers), skip_bad, console, len(numbers))
-    sink = open_sink(destination, choice, rendition, table.outputs, mark, sequence, pacing)
-    with sink as (write, threads), WriteBehind(write, DEPTH, threads) as writing:
-        meters = _Meters(LightMeter(table) if steady else None, whites, in_order)
-        reading = prefetched(
-            _read(sequence, destination, meters, mark, origins, executor.by_path, temporal is not None), DEPTH
-        )
-        if temporal:
-            reading = prefetched(_filtered(reading, temporal), DEPTH)
+        tally.leave_out(sequence.absent(numbers), options, len(numbers))
+    with _sink(job, checkpoint) as (write, threads), WriteBehind(write, DEPTH, threads) as writing:
+        meters = _Meters(LightMeter(job.table) if steady else None, whites)
+        reading = prefetched(_Reading(job, meters, checkpoint, origins, executor.by_path).frames(), DEPTH)
+        if job.temporal:
+            reading = prefetched(_filtered(reading, job.temporal), DEPTH)
         total = sequence.part.stop if sequence.part else sequence.count and sequence.count - sequence.lost
-        reading = console.progress(reading, total, "frames")
-        exposed = warnings.watched(_exposed(reading, rendition, steady, skip_bad, tally, told, console), sequence.stills)
-        for pending, made in executor.render(exposed):
+        exposed = _exposed(console.progress(reading, total, "frames"), job, steady, tally, told)
+        for pending, made in executor.render(warnings.watched(exposed, sequence.stills)):
             if isinstance(made, L3Error):
                 tally.done -= 1
-                tally.leave_out(made, skip_bad, console)
+                tally.leave_out(made, options)
             else:
                 writing.put((pending, made))
         if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
     warnings.report(console)
     told.report()
-    report_times(sequence, destination, pacing, choice.rate, tally, console)
+    report_times(job, tally)
     tally.seconds = max(time.monotonic() - start, 1e-9)
-    done, failures = tally.done, tally.failures
     if not sequence.stills:
-        console.info(f"{destination.path}: {done} frames, {done / tally.seconds:.3g} a second")
-    if failures:
-        console.report(f"l3: {failures} of {done + failures} frames left out")
+        console.info(f"{job.destination.path}: {tally.done} frames, {tally.done / tally.seconds:.3g} a second")
+    if tally.failures:
+        console.report(f"l3: {tally.failures} of {tally.done + tally.failures} frames left out")
     return tally
 
 
-def report_times(
-    sequence: FrameSequence, destination: Destination, pacing: Pacing, rate: Fraction, tally: Tally, console: Console
-) -> None:  # fmt: skip
-    """Say in the tally what became of the frames' times, and warn of gaps and of times that are lost. `rate`: frames/s."""
-    cure = "name a .mp4, .mov or .mkv to keep their times"
+def report_times(job: SequenceJob, tally: Tally) -> None:
+    """Say in the tally what became of the frames' times, and warn of gaps and of times that are lost."""
+    sequence, destination, pacing, console = job.sequence, job.destination, job.pacing, job.options.console
+    rate, cure = f"{float(job.choice.rate):.4g} a second", "name a .mp4, .mov or .mkv to keep their times"
     if pacing.stated is not None:
         tally.frame_times = KEPT if destination.has_times else LOST
         if tally.frame_times == LOST:
-            shown = "pictures have no times" if destination.pictures else f"y4m shows {float(rate):.4g} a second"
+            shown = "pictures have no times" if destination.pictures else f"y4m shows {rate}"
             console.warn(f"{sequence.what}: its frames follow after {pacing.stated.range()}, and {shown}; {cure}")
     elif destination.pictures:
         return
     elif sequence.unit is None and not sequence.stills:
         tally.frame_times = LOST
-        console.warn(f"{sequence.what}: the numbers of its files do not count frames; {float(rate):.4g} a second are shown")
+        console.warn(f"{sequence.what}: the numbers of its files do not count frames; {rate} are shown")
     elif pacing.first_gap is None:
         tally.frame_times = EVEN
     else:
@@ -145,22 +166,14 @@ def report_times(
             console.warn(f"{gap}; the frame before is shown for as long")
 
 
-def follows(sequence: FrameSequence, destination: Destination) -> bool:
-    """Return whether exposure and white that are measured follow one another in time: not of stills that become pictures,
-    each of which has its own."""
-    return not (sequence.stills and destination.pictures)
-
-
 @dataclass(frozen=True)
 class _Meters:
     """Measurements on frames as they are read."""
 
     light: LightMeter | None
     whites: FrameWhites | None
-    in_order: bool  # whether what a frame is shown with depends on those before it
 
-    @property
-    def any(self) -> bool:
+    def __bool__(self) -> bool:
         return bool(self.light or self.whites)
 
     def measured(self, pending: FrameReference, frame: RawFrame, kept: bool) -> _Read:
@@ -170,74 +183,83 @@ class _Meters:
         return _Read(pending, frame, brightness, white, balance, kept=kept)
 
 
-def _asked(
-    sequence: FrameSequence, destination: Destination, mark: Mark | None, origins: Origins
-) -> Iterator[tuple[int, FrameReference, bool]]:
-    """Each frame with its place, and whether its picture is known to be there already, before it is read."""
-    for place, pending in enumerate(itertools.islice(sequence.frames, sequence.part.stop if sequence.part else None)):
-        kept = not sequence.renders(place)
-        if mark:
-            pending = origins.of(pending)
-        if mark and not kept:
-            kept = pending.origin is not None and mark.keeps(destination.file(pending.number, pending.stem), pending)
-        yield place, pending, kept
+@dataclass
+class _Reading:
+    """Frame after frame, read and measured; of frames that are kept only what later ones need of it. `by_path`: a file that
+    becomes a file, and is neither measured nor filtered, is left to who renders it, but for the first, which warnings go
+    by."""
 
+    job: SequenceJob
+    meters: _Meters
+    checkpoint: PictureCheckpoint | None
+    origins: FrameOrigins
+    by_path: bool
+    _size: tuple[int, ...] | None = None  # of all frames that become one file
+    _is_first: bool = True
 
-def _with_need(asked: Iterator[tuple[int, FrameReference, bool]]) -> Iterator[tuple[int, FrameReference, bool, bool]]:
-    """Each of `_asked`, and whether a picture that is not there yet depends on it in the filter."""
-    frames, ahead_of_them = itertools.tee(asked)
-    needs = needed((place, not kept) for place, _, kept in ahead_of_them)
-    return ((*frame, need) for frame, need in zip(frames, needs, strict=True))
+    def _asked(self) -> Iterator[tuple[int, FrameReference, bool]]:
+        """Each frame with its place, and whether its picture is known to be there already, before it is read."""
+        sequence, destination = self.job.sequence, self.job.destination
+        for place, pending in enumerate(itertools.islice(sequence.frames, sequence.part.stop if sequence.part else None)):
+            kept = not sequence.renders(place)
+            if self.checkpoint:
+                pending = self.origins.of(pending)
+                file = destination.file(pending.number, pending.stem)
+                kept = kept or (pending.origin is not None and self.checkpoint.keeps(file, pending))
+            yield place, pending, kept
 
-
-def _read(
-    sequence: FrameSequence, destination: Destination, meters: _Meters, mark: Mark | None, origins: Origins, by_path: bool,
-    temporal: bool,
-) -> Iterator[_Read]:  # fmt: skip
-    """Read and measure frame after frame; of frames that are kept only what later ones need of it. `by_path`: a file that
-    becomes a file, and is neither measured nor filtered, is left to who renders it, but for the first, which warnings go by;
-    `temporal`: frames will be filtered."""
-    size: tuple[int, ...] | None = None
-    leaves = by_path and destination.one_by_one and not (meters.any or temporal)
-    first = True
-    asked = _asked(sequence, destination, mark, origins)
-    # A stream is not asked for what has not come yet, unless its length is known.
-    looks_ahead = temporal and (not sequence.is_stream or sequence.part is not None)
-    ahead_of = _with_need(asked) if looks_ahead else ((*each, not each[2]) for each in asked)
-    for place, pending, kept, need in ahead_of:
-        counted = sequence.renders(place)
-        file = destination.file(pending.number, pending.stem)
-        if not need and not (meters.any and meters.in_order) and not sequence.is_stream:
-            yield _Read(pending, None, kept=True, counted=counted)
-            continue
-        try:
-            if leaves and pending.source and not first:
-                digest = sha256(pending.source)
-                unread = Unread(pending.source.absolute(), digest)
-                yield _Read(replace(pending, identity=file_identity(digest)), unread, kept=kept)
-                continue
-            frame, first = pending.read(), False
-            if frame is None:
+    def frames(self) -> Iterator[_Read]:
+        sequence = self.job.sequence
+        # A stream is not asked for what has not come yet, unless its length is known.
+        looks_ahead = self.job.temporal is not None and (not sequence.is_stream or sequence.part is not None)
+        asked, ahead = itertools.tee(self._asked()) if looks_ahead else (self._asked(), iter(()))
+        needs = needed((place, not kept) for place, _, kept in ahead)  # whether a picture depends on a frame in the filter
+        for place, pending, kept in asked:
+            need = next(needs) if looks_ahead else not kept
+            read = self._read(pending, kept, need)
+            if read is None:
                 if rest := sequence.rest(pending.number):
                     yield _Read(pending, None, error=sequence.absent(rest), lost=len(rest))
                 break
+            to_filter = self.job.temporal and isinstance(read.frame, RawFrame) and (need or not looks_ahead)
+            yield replace(read, counted=sequence.renders(place), place=place if to_filter else None)
+        if self.checkpoint:
+            self.checkpoint.refuse_others()
+
+    def _read(self, pending: FrameReference, kept: bool, need: bool) -> _Read | None:
+        """Read a frame; None at the end of a stream."""
+        job, destination = self.job, self.job.destination
+        if not need and not (self.meters and job.in_order) and not job.sequence.is_stream:
+            return _Read(pending, None, kept=True)
+        leaves = self.by_path and destination.one_by_one and not (self.meters or job.temporal)
+        try:
+            if leaves and pending.source and not self._is_first:
+                unread = Unread(pending.source.absolute(), sha256(pending.source))
+                return _Read(replace(pending, identity=file_identity(unread.digest)), unread, kept=kept)
+            frame, self._is_first = pending.read(), False
+            if frame is None:
+                return None
             if not destination.one_by_one:
-                size = size or _upright_shape(frame)
-                _require_size(frame, size, "first page" if destination.pictures else "video")
-            read = meters.measured(pending, frame, kept)
+                self._require_size(frame)
+            read = self.meters.measured(pending, frame, kept)
         except (L3Error, OSError) as error:
-            wrong = error if isinstance(error, L3Error) else InputFileError(str(error))
-            yield _Read(pending, None, error=wrong, counted=counted)
-            continue
-        if mark and pending.origin is None:
-            pending = origins.of_read(pending, frame)
-            kept = kept or mark.keeps(file, pending)
+            return _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
+        if self.checkpoint and pending.origin is None:
+            pending = self.origins.of_read(pending, frame)
+            kept = kept or self.checkpoint.keeps(destination.file(pending.number, pending.stem), pending)
         if destination.pictures and not kept:
             pending = replace(pending, identity=_identity(pending, frame))
-        to_filter = place if temporal and (need or not looks_ahead) else None
-        yield replace(read, pending=pending, kept=kept, counted=counted, place=to_filter)
-    if mark:
-        mark.refuse_others()
+        return replace(read, pending=pending, kept=kept)
+
+    def _require_size(self, frame: RawFrame) -> None:
+        """InputFileError unless a frame has the size of the first."""
+        shape = upright(frame.values, frame.orientation).shape
+        self._size = size = self._size or shape
+        if shape != size:
+            of = "first page" if self.job.destination.pictures else "video"
+            raise InputFileError(
+                f"{frame.name} has {shape[0]}×{shape[1]} pixels, the {of} {size[0]}×{size[1]}; give frames of one size"
+            )
 
 
 def _filtered(reading: Iterator[_Read], temporal: Chunks) -> Iterator[_Read]:
@@ -256,37 +278,52 @@ def _identity(pending: FrameReference, frame: RawFrame) -> str:
     return values_identity(hashlib.sha256(frame.values.astype("<u2", copy=False).tobytes()).hexdigest())
 
 
-def _upright_shape(frame: RawFrame) -> tuple[int, ...]:
-    return upright(frame.values, frame.orientation).shape
-
-
-def _require_size(frame: RawFrame, size: tuple[int, ...], of: str) -> None:
-    shape = _upright_shape(frame)
-    if shape != size:
-        raise InputFileError(
-            f"{frame.name} has {shape[0]}×{shape[1]} pixels, the {of} {size[0]}×{size[1]}; give frames of one size"
-        )
-
-
 def _exposed(
-    reading: Iterable[_Read],
-    rendition: Rendition,
-    steady: SteadyExposure | None,
-    skip_bad: bool,
-    tally: Tally,
-    told: WhiteReport,
-    console: Console,
+    reading: Iterable[_Read], job: SequenceJob, steady: SteadyExposure | None, tally: Tally, told: WhiteReport
 ) -> Iterator[Exposed]:
     """The frames to render, each with its scale (0: automatic exposure); what is broken is raised, or said and counted."""
     for each in reading:
         if each.error is not None:
-            if each.counted or not skip_bad:
-                tally.leave_out(each.error, skip_bad, console, each.lost)
+            if each.counted or not job.options.skip_bad:
+                tally.leave_out(each.error, job.options, each.lost)
             continue
         tally.done += each.counted
         if each.frame is not None:
-            scale = rendition.exposure or (steady.scale(each.brightness) if steady else 0.0)
+            scale = job.rendition.exposure or (steady.scale(each.brightness) if steady else 0.0)
             if isinstance(each.frame, RawFrame) and each.counted:
                 told.tell(each.frame, each.white)
             if not each.kept:
                 yield Exposed(each.pending, each.frame, scale, each.balance)
+
+
+@contextlib.contextmanager
+def _sink(
+    job: SequenceJob, checkpoint: PictureCheckpoint | None
+) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:
+    """Open the writer of frames; give it and the number of threads that may call it at a time."""
+    destination, rendition = job.destination, job.rendition
+
+    def timed(write: Callable[[Any, int], None]) -> Callable[[tuple[FrameReference, Any]], None]:
+        return lambda item: write(item[1], job.pacing.time(item[0].number))
+
+    if destination.one_by_one:
+
+        def write(item: tuple[FrameReference, Any]) -> None:
+            pending, made = item
+            file = destination.file(pending.number, pending.stem)
+            content = made if isinstance(made, bytes) else file_of(file, made, rendition, job.table.outputs)
+            with atomic_output(file) as temporary:
+                temporary.write_bytes(content)
+                if checkpoint:
+                    checkpoint.made(file, temporary, pending)
+
+        yield write, PICTURE_WRITERS
+    elif destination.kind == "pages":
+        with new_pages(destination.path, job.sequence.rendered) as pages:
+            yield timed(lambda made, _: pages.write(Picture(made.pixels, rendition.space, made.label))), 1
+    elif not destination.has_times:
+        with new_y4m(None if destination.kind == "stream" else destination.path, job.choice) as stream:
+            yield timed(lambda made, _: stream.write(made.pixels)), 1
+    else:
+        with new_video(destination.path, job.choice) as video:
+            yield timed(lambda made, time: video.write(made.pixels, time)), 1

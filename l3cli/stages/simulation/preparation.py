@@ -47,7 +47,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     files = [
         find_scenes(text, path.parent, is_folder(name_of(source))) if text is not None else [] for source, text in patterns
     ]
-    return SimulationRun(recipe, fitted, target, lights, recorded, seed, path.parent, "", Path()), files
+    return SimulationRun(recipe, fitted, target, lights, recorded, seed, path.parent), files
 
 
 def fitting(

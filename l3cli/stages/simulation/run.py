@@ -21,9 +21,3 @@ class SimulationRun:
     recorded: Mapping[str, Light]  # the lights that scenes were recorded under
     seed: int
     base: Path  # folder of the recipe
-    key: str  # what parts.key_of gives, once it is known
-    folder: Path  # of the stored frames
-
-    def part(self, index: int) -> Path:
-        """The file of a stored frame."""
-        return self.folder / f"{index:06d}.h5"

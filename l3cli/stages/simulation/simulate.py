@@ -1,7 +1,7 @@
 """The simulation stage: camera × scenes × lights → training set."""
 
 import contextlib
-import dataclasses
+import functools
 import itertools
 from pathlib import Path
 
@@ -11,25 +11,17 @@ from l3cli.options.pipeline import SimulateOptions
 from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.recipe import SceneRecipe, shots
+from l3cli.stages.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.plan import Made, before_work, is_dry
-from l3cli.stages.simulation.parts import (
-    StoredFrames,
-    close_folder,
-    goes_on,
-    is_of_run,
-    key_of,
-    open_folder,
-    remove_finished,
-)
 from l3cli.stages.simulation.pictures import WRITTEN, write_beside
 from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
 from l3cli.stages.simulation.run import SimulationRun
+from l3cli.stages.simulation.stored_frames import StoredFrames, folder_of, is_of_run, key_of, remove_finished
 from l3cli.stages.simulation.units import frame_bytes, received, simulate_unit, units_of
 from l3cli.system.console import Console
 from l3cli.system.files import refuse_existing
 from l3cli.system.ledger import note_inputs, note_places
-from l3cli.system.locks import incomplete_folder, refuse_other_run
 
 NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
 
@@ -58,53 +50,54 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         inputs = {"camera": camera_files(camera), **input_files(run, files)}
         claims.protect(*itertools.chain(*inputs.values()))
         head = head_of(run, model, (scenes, camera), inputs, options.chosen())
-        run = dataclasses.replace(run, key=key_of(head.history[-1]))
-        stands = resume and not force and is_of_run(output, run.key)
+        key = key_of(head.history[-1])
+        stored = StoredFrames(folder_of(output), key)
+        stands = resume and not force and is_of_run(output, key)
         if not stands:
             refuse_existing(output, force)
         if is_dry():
-            _plan(run, files, (scenes, camera), (output, *folders), resume, stands, force)
+            for folder in folders:
+                refuse_other_run(folder, key, force)
+            going_on = not stands and stored.goes_on(resume, force)
+            _plan(run, files, (scenes, camera), [] if stands else [output], folders, going_on)
         if note := columns_left_out(camera):
             console.info(note)
         note_inputs({"scene recipe": [scenes], **inputs})
         note_places((output, *folders))
         with contextlib.ExitStack() as unfinished:
             for folder in folders:
-                unfinished.enter_context(incomplete_folder(folder, run.key, force))
+                unfinished.enter_context(incomplete_folder(folder, key, force))
             if stands:
                 with open_training_set(output, unchanged=True) as frames:
                     total = len(frames)
                     write_beside(run, files, frames, options)
             else:
-                run = dataclasses.replace(run, folder=open_folder(output, run.key, resume, force))
-                with close_folder(run.folder):
-                    total = _simulate_frames(run, files, head, options)
-                    write_beside(run, files, StoredFrames(run, total), options)
-                    _assemble(run, head, output, total, console)  # last: whoever has the set has its pictures, too
+                with stored.held(resume, force):
+                    total = _simulate_frames(run, files, head, stored, options)
+                    write_beside(run, files, stored, options)
+                    _assemble(stored, head, output, console)  # last: whoever has the set has its pictures, too
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
         console.info(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}")
         return total, bad
 
 
 def _plan(
-    run: SimulationRun, files: list[list[Path]], recipes: tuple[Path, Path], outputs: tuple[Path, ...], resume: bool,
-    stands: bool, force: bool,
+    run: SimulationRun, files: list[list[Path]], recipes: tuple[Path, Path], sets: list[Path], folders: list[Path],
+    going_on: bool,
 ) -> None:  # fmt: skip
-    """In a dry run, what would be read and made."""
-    output, *folders = outputs
-    for folder in folders:
-        refuse_other_run(folder, run.key, force)
-    stored = not stands and goes_on(output, run.key, resume, force)
+    """In a dry run, what would be read and made: training sets and folders of pictures."""
     total = sum(len(each) for _, each in shots(run.recipe, files)) if run.recipe.scene else 0
     frames = f"{total + len(run.recipe.pair)} frames of {run.camera.rows}×{run.camera.cols}"
-    how = ", some of which are stored" if stored else ""
+    how = ", some of which are stored" if going_on else ""
     size = (total + len(run.recipe.pair)) * frame_bytes(run)
     inputs = {"recipes": [recipes[0], *camera_files(recipes[1])], **input_files(run, files)}
-    made = [] if stands else [Made(output, f"training set, {frames}{how}, {size} bytes before compression")]
+    made = (Made(path, f"training set, {frames}{how}, {size} bytes before compression") for path in sets)
     before_work(inputs, *made, *(Made(folder, f"pictures of {frames}") for folder in folders))
 
 
-def _simulate_frames(run: SimulationRun, files: list[list[Path]], head: TrainingSet, options: SimulateOptions) -> int:
+def _simulate_frames(
+    run: SimulationRun, files: list[list[Path]], head: TrainingSet, stored: StoredFrames, options: SimulateOptions
+) -> int:
     """Simulate and store those frames of a run that are not stored yet; how many it has."""
     inputs, sums = input_files(run, files), head.history[-1].inputs
     digests = {
@@ -113,20 +106,21 @@ def _simulate_frames(run: SimulationRun, files: list[list[Path]], head: Training
     wanted = list(shots(run.recipe, files)) if run.recipe.scene else []
     total = sum(len(each) for _, each in wanted) + len(run.recipe.pair)
     with workers(options.jobs, options.cluster()) as pool:
-        work = units_of(run, wanted, pool.size)
-        counts = received(pool, work, digests) if options.scheduler else pool(simulate_unit, work)
-        finished = (index for count in counts for index in range(count))
+        work = units_of(run, wanted, stored, pool.size)
+        done = total - sum(len(unit.shots) for unit in work)
+        function = functools.partial(simulate_unit, StoredFrames(stored.folder, stored.key))
+        counts = received(pool, work, stored, digests) if options.scheduler else pool(function, work)
+        finished = (index for count in itertools.chain([done], counts) for index in range(count))
         for _ in options.console.progress(finished, total, "frames"):
             pass
+    stored.close(total)
     return total
 
 
-def _assemble(run: SimulationRun, head: TrainingSet, output: Path, total: int, console: Console) -> None:
+def _assemble(stored: StoredFrames, head: TrainingSet, output: Path, console: Console) -> None:
     """The training set from its stored frames; what the scene that covers least of the light lacks is said."""
     with write_training_set(output, head) as writer:
-        worst = max(
-            (writer.append_part(run.part(index), run.key) for index in range(total)), key=lambda part: part.uncovered
-        )
+        worst = max(stored.append_to(writer), key=lambda scene: scene.uncovered)
     if worst.uncovered > NEGLIGIBLE:
         share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
         console.warn(f"{worst.scene} holds no data for {share}; give scenes of more wavelengths")

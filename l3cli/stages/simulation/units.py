@@ -1,5 +1,6 @@
 """Work of a simulation's processes: read or draw a scene, simulate its frames, store each in a file."""
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from l3cli.artifacts.training_set import whole_part, write_part
+from l3cli.artifacts.training_set import write_part
 from l3cli.errors import InputFileError
 from l3cli.parallel import WorkerPool
 from l3cli.parallel.cluster import scratch_folder
@@ -16,6 +17,7 @@ from l3cli.simulation.light import SCENE_LIGHT
 from l3cli.simulation.recipe import Pair, Shot
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import files_of, scene_over_time
+from l3cli.stages.simulation.stored_frames import StoredFrames
 from l3cli.system.files import require_same, write_whole
 
 if TYPE_CHECKING:
@@ -43,55 +45,67 @@ class WorkUnit:
         return files_of(self.what.source, self.what.path) if self.what.path else []
 
 
-def units_of(run: SimulationRun, work: list[tuple[sources.WantedScene, list[Shot]]], workers: int) -> list[WorkUnit]:
-    """One unit a scene, so that each is read once; a scene is shared out where there are fewer scenes than workers need."""
+def units_of(
+    run: SimulationRun, work: list[tuple[sources.WantedScene, list[Shot]]], stored: StoredFrames, workers: int
+) -> list[WorkUnit]:
+    """One unit a scene, of its frames that are not stored, so that each is read once; a scene is shared out where there are
+    fewer scenes than workers need."""
+    first = sum(len(shots) for _, shots in work)
+    pairs = ((pair, [Shot(first + number, "", 0.0, 0.0)]) for number, pair in enumerate(run.recipe.pair))
     pieces = -(-2 * workers // max(1, len(work))) if workers > 1 else 1
     units = []
-    for wanted, shots in work:
+    everything: Iterator[tuple[Any, list[Shot]]] = itertools.chain(work, pairs)
+    for what, shots in everything:
         size = -(-len(shots) // pieces)
-        units += [WorkUnit(run, wanted, shots[start : start + size]) for start in range(0, len(shots), size)]
-    first = sum(len(shots) for _, shots in work)
-    return units + [WorkUnit(run, pair, [Shot(first + i, "", 0.0, 0.0)]) for i, pair in enumerate(run.recipe.pair)]
+        parts = (shots[start : start + size] for start in range(0, len(shots), size))
+        needed = ([shot for shot in part if shot.index not in stored] for part in parts)
+        units += [WorkUnit(run, what, part) for part in needed if part]
+    return units
 
 
-def simulate_unit(unit: WorkUnit) -> int:
-    """Simulate and store those frames of a unit that are not stored yet; how many frames it has."""
+def simulate_unit(stored: StoredFrames, unit: WorkUnit) -> int:
+    """Simulate and store the frames of a unit; return their number."""
+    for index, frame, uncovered in simulated(unit):
+        stored.store(index, frame, uncovered)
+    return len(unit.shots)
+
+
+def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
+    """Yield each frame of a unit with its index, and the share of the light for which its scene holds no data."""
     run = unit.run
-    shots = [shot for shot in unit.shots if not whole_part(run.part(shot.index), run.key)]
-    if not shots:
-        return len(unit.shots)
     if isinstance(unit.what, Pair):
-        write_part(run.part(shots[0].index), _pair(unit.what, run), 0.0, run.key)
-        return 1
+        yield unit.shots[0].index, _pair(unit.what, run), 0.0
+        return
     from l3cli.frames.scene import ChannelPicture
     from l3cli.simulation.light import uncovered_share
 
     at = scene_over_time(unit.what, run)
     times: dict[Shot, float] = {}
-    for shot in shots:
+    for shot in unit.shots:
         scene = at(shot.moment)
         begins = replace(shot, index=0, moment=0)
         if shot.moment and begins not in times:  # a clip keeps the exposure of its first frame
             times[begins] = _exposure_time(at(0), begins, run)
-        missing = 0.0 if isinstance(scene, ChannelPicture) else uncovered_share(run.camera, scene.wavelength)
-        write_part(run.part(shot.index), _frame(scene, shot, run, times.get(begins)), missing, run.key)
-    return len(unit.shots)
+        uncovered = 0.0 if isinstance(scene, ChannelPicture) else uncovered_share(run.camera, scene.wavelength)
+        yield shot.index, _frame(scene, shot, run, times.get(begins)), uncovered
 
 
-def received(pool: WorkerPool, work: list[WorkUnit], digests: Mapping[Path, str]) -> Iterator[int]:
-    """Have all units simulated by workers of other machines, which see the same inputs, and store what they send: how many
+def received(
+    pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, digests: Mapping[Path, str]
+) -> Iterator[int]:  # fmt: skip
+    """Have units simulated by workers of other machines, which see the same inputs, and store what they send: how many
     frames are done, again and again."""
     needed = []
     for unit in work:
-        missing = [shot for shot in unit.shots if not whole_part(unit.run.part(shot.index), unit.run.key)]
-        yield len(unit.shots) - len(missing)
         most = max(1, SENT // frame_bytes(unit.run))
         hashes = {path: digests[path] for path in unit.files}
-        needed += [replace(unit, shots=missing[at : at + most], digests=hashes) for at in range(0, len(missing), most)]
-    for parts in pool(_sent, needed):
-        for index, content in parts:
-            write_whole(needed[0].run.part(index), content)
-        yield len(parts)
+        parts = (unit.shots[start : start + most] for start in range(0, len(unit.shots), most))
+        needed += [replace(unit, shots=part, digests=hashes) for part in parts]
+    for sent in pool(_sent, needed):
+        for index, content in sent:
+            write_whole(stored.path(index), content)
+            stored.list(index)
+        yield len(sent)
 
 
 def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
@@ -99,9 +113,11 @@ def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
     for path, digest in unit.digests.items():
         require_same(path, digest)
     with scratch_folder() as folder:
-        here = replace(unit, run=replace(unit.run, folder=folder))
-        simulate_unit(here)
-        return [(shot.index, here.run.part(shot.index).read_bytes()) for shot in unit.shots]
+        sent = []
+        for index, frame, uncovered in simulated(unit):
+            write_part(folder / "frame.h5", frame, uncovered)
+            sent.append((index, (folder / "frame.h5").read_bytes()))
+        return sent
 
 
 def frame_bytes(run: SimulationRun) -> int:
