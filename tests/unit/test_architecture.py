@@ -48,8 +48,8 @@ DOORS = {
     "gi": ("video_hosts/gstreamer.py", "video_hosts/plugins/"),
 }
 BUDGET = {  # at most; a change that lowers a number lowers it here, towards the goal behind it
-    "lines of l3cli": 49_700,  # 41 000
-    "lines of l3cli/stages": 8_590,  # 5 500
+    "lines of l3cli": 48_900,  # 41 000
+    "lines of l3cli/stages": 7_600,  # 5 500
     "lines of l3cli/cli": 1_620,  # 1 700
     "lines of tests": 38_450,  # 32 000
     "modules": 443,  # 290
