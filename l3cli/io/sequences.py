@@ -25,9 +25,9 @@ from l3cli.io.file_names import (
     numbered_name,
     of_one_kind,
 )
-from l3cli.io.frame_times import Stated, unit_of
 from l3cli.io.raw.files import RawOverrides, frame_of, read_raw, read_stack, read_stdin
 from l3cli.io.raw.registry import MultiFrameFile, format_of, is_frame
+from l3cli.io.video import Stated, unit_of
 from l3cli.system.files import STDIN
 
 STDIN_NAME = "stdin"  # in messages

@@ -12,7 +12,7 @@ from l3cli.frames.measurement import Measurements
 from l3cli.io.curves import shipped_statistics
 from l3cli.io.measurements import photo_measurements
 from l3cli.io.raw.cfa_codes import code_of
-from l3cli.io.raw.stated import Stated
+from l3cli.io.raw.libraw import Stated
 from l3cli.stages.photo_recipe import PhotoCamera, SensorNoise, noise_of
 from l3cli.system.console import Console
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.io.raw.libraw import Stated, stated
 from l3cli.io.raw.registry import BY_SUFFIX, is_photo
-from l3cli.io.raw.stated import Stated, stated
 from l3cli.options.tools import InitOptions
 from l3cli.recipes.builtin import recipe_folder
 from l3cli.stages.claims import OutputGuard

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.frame_times import Stated
+from l3cli.io.video import Stated
 
 if TYPE_CHECKING:
     from l3cli.io.raw.headerless import Layout

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.frame_times import StatedTimes
 from l3cli.io.isolated import isolated
 from l3cli.io.raw.registry import InOrder, MultiFrameFile
-from l3cli.io.video import DecodedVideo, InTurn, storable_rate
+from l3cli.io.video import DecodedVideo, InTurn, StatedTimes, storable_rate
 
 AT_A_TIME = 500  # frames whose times are read
 

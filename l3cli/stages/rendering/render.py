@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, InputFileError, RecipeError
-from l3cli.io.frame_times import Pacing
 from l3cli.io.sequences import FrameSequence, find_frames, read_dark
-from l3cli.io.video import USUAL_RATE
+from l3cli.io.video import USUAL_RATE, Pacing
 from l3cli.options.render import RenderOptions
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.temporal.chunks import Chunks, filters

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.frames.frame import RawFrame, upright
-from l3cli.io.frame_times import Pacing
+from l3cli.io.video import Pacing
 from l3cli.io.pictures.pages import new_pages
 from l3cli.io.pictures.registry import Picture, file_identity, values_identity
 from l3cli.io.sequences import FrameReference, FrameSequence
