@@ -18,7 +18,7 @@ from l3cli.calibration.draft.sorting import Frame, scale_of, sort_frames, with_p
 from l3cli.calibration.draft.summary import altered, drawn, period_of, summarise
 from l3cli.calibration.draft.tables import compose_tables
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.io.captures import CaptureFolder, RawFile, list_captures, read_capture, read_spectra
+from l3cli.io.frames import CaptureFolder, RawFile, list_captures, read_capture, read_spectra
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.io.measurements import measurements_of
 from l3cli.io.photos import array_of

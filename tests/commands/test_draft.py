@@ -12,8 +12,8 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.cli import run
-from l3cli.io.captures import read_capture
 from l3cli.io.curves import write_curves
+from l3cli.io.frames import read_capture
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.io.pictures.registry import write_picture

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.frames.scene import Scene
-from l3cli.io.scenes.matlab import Content, array_shapes, read_matlab
+from l3cli.io.scenes.cube import Content, array_shapes, read_matlab
 from l3cli.physics import spectra
 
 Curve = tuple[NDArray[np.floating], NDArray[np.floating]]
