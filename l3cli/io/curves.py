@@ -80,11 +80,9 @@ def read_finished(
 def _read_json(path: Path) -> CurveTable:
     """Return the curves of a rawtoaces file, by the names of its index."""
     try:
-        content = json.loads(read_bounded(path))["spectral_data"]
+        content = json.loads(read_bounded(path, "give curves as CSV or rawtoaces JSON"))["spectral_data"]
         rows, names = content["data"]["main"], content.get("index", {}).get("main")
         table = np.array([[float(key), *map(float, values)] for key, values in rows.items()])
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror}; give curves as CSV or rawtoaces JSON") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputFileError(f"{path} is no rawtoaces JSON: spectral_data.data.main is missing or not numbers") from error
     if table.ndim != 2 or table.shape[1] < 2:

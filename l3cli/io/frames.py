@@ -36,10 +36,7 @@ def raw_content(path: Path) -> RawContent:
     kind = format_of(path)
     if not kind.holds_frame or kind.wants_geometry:
         raise InputFileError(f"{path} is no raw file of a camera; {RAW_FILE}, or a picture of one channel")
-    try:
-        content = kind.read(path)
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from error
+    content = kind.read(path)
     if content["values"].ndim != 2 or content["values"].size == 0:
         raise InputFileError(f"{path} is no mosaic; {RAW_FILE}")
     require_picture(str(path), *content["values"].shape)

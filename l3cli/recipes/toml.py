@@ -60,8 +60,6 @@ def read_text(path: Path, title: str = Recipe.title) -> str:
     of each line. InputFileError, which asks for `title`, if it cannot be read as UTF-8."""
     try:
         return read_bounded(path, f"give {title} (TOML)").decode("utf-8-sig").replace("\r\n", "\n")
-    except OSError as error:
-        raise InputFileError(f"{path} cannot be read: {error.strerror}; give {title} (TOML)") from error
     except UnicodeDecodeError as error:
         raise InputFileError(f"{path} is not a text file; give {title} (TOML, UTF-8)") from error
 

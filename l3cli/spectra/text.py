@@ -81,9 +81,8 @@ def _text(path: Path) -> str:
             if CONTROL.search(content):
                 raise
             return content.decode("cp1252")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise InputFileError(f"{path}: {reason}; {CURE}") from error
+    except UnicodeDecodeError as error:
+        raise InputFileError(f"{path}: not a text file; {CURE}") from error
 
 
 def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:

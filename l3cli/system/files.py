@@ -263,13 +263,19 @@ def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
         raise
 
 
+@contextlib.contextmanager
+def naming(path: Path, cure: str = "") -> Iterator[None]:
+    """Errors of the system as InputFileError that names the file, and the cure where there is one."""
+    try:
+        yield
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror or error}{f'; {cure}' if cure else ''}") from error
+
+
 def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
-    try:
-        with open_regular(path) as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror}") from error
+    with naming(path), open_regular(path) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def stamp(path: Path) -> tuple[int, ...]:

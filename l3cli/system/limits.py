@@ -8,7 +8,7 @@ from math import prod
 from pathlib import Path
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.system.files import open_regular
+from l3cli.system.files import naming, open_regular
 from l3cli.system.numbers import NoSuchNumber, Quantity
 
 ONE_BLAS_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # environment
@@ -86,9 +86,9 @@ def require_address_space() -> None:
 
 
 def read_bounded(path: Path, cure: str = "give a text file") -> bytes:
-    """All bytes of a text file. InputFileError, with this cure, if there is no file, or one larger than texts are; OSError
-    if its storage fails."""
-    with open_regular(path, cure) as stream:
+    """All bytes of a text file. InputFileError, with this cure, if there is no file, one larger than texts are, or its
+    storage fails."""
+    with naming(path, cure), open_regular(path, cure) as stream:
         content = stream.read(MOST_TEXT + 1)
     if len(content) > MOST_TEXT:
         raise InputFileError(f"{path} is larger than {MOST_TEXT >> 20} MB; give a text file")

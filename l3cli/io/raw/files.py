@@ -50,10 +50,7 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
     require_regular(path, RAW_FILE)
     kind = format_of(path)
     kind = kind if kind.holds_frame else CAMERA_RAW  # LibRaw says what is wrong
-    try:
-        return frame_of(str(path), kind.read(path, _layout(kind, path, table, known)), table, known)
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from error
+    return frame_of(str(path), kind.read(path, _layout(kind, path, table, known)), table, known)
 
 
 def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | None = None) -> MultiFrameFile | None:
@@ -70,10 +67,7 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
     if not kind.stackable:
         return False
     layout = _layout(kind, path, sensor(), known) if kind.wants_geometry else None
-    try:
-        return kind.stack(path, layout) is not None
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from error
+    return kind.stack(path, layout) is not None
 
 
 def read_stdin(table: Sensor, known: RawOverrides) -> MultiFrameFile:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.io.video import Stated
+from l3cli.system.files import naming
 
 if TYPE_CHECKING:
     from l3cli.io.raw.headerless import Layout
@@ -95,14 +96,16 @@ class RawFormat:
 
     def read(self, path: Path, layout: "Layout | None" = None) -> RawContent:
         """Return the frame of a file that holds one; InputFileError if it does not."""
-        content: RawContent = self._reader.read(path, *([layout] if self.wants_geometry else []))
-        return content
+        with naming(path):
+            content: RawContent = self._reader.read(path, *([layout] if self.wants_geometry else []))
+            return content
 
     def stack(self, path: Path, layout: "Layout | None" = None, dataset: str | None = None) -> MultiFrameFile | None:
         """Return the frames of a file that holds several, in an HDF5 file of the array `dataset`, None: the only one; None
         if it holds one frame, which may be broken."""
         wanted = [layout] if self.wants_geometry else [dataset] if self.wants_dataset else []
-        return self._reader.stack(path, *wanted) if self.stackable else None
+        with naming(path):
+            return self._reader.stack(path, *wanted) if self.stackable else None
 
     def rate(self, path: Path) -> Fraction | None:
         """Return the frames a second that a file of one frame states."""

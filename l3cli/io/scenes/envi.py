@@ -48,10 +48,7 @@ def read(path: Path) -> SpectralCube:
 
 def _header(path: Path) -> dict[str, str]:
     """Return the keys in lower case and values, braces taken off."""
-    try:
-        text = read_bounded(path).decode("latin-1")
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror}") from error
+    text = read_bounded(path).decode("latin-1")
     if not text.lstrip().startswith("ENVI"):
         raise InputFileError(f"{path} is no ENVI header; give the .hdr file")
     header, lines = {}, iter(text.splitlines())
