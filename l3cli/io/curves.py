@@ -68,8 +68,8 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
 def read_finished(
     path: Path, channels: Sequence[str], per_energy: bool, columns: Mapping[str, str] | None = None
 ) -> FinishedCurves:
-    """Finished responsivities from CSV (wavelength in nm, one column a channel, by the name that `columns` gives it) or from
-    rawtoaces' JSON."""
+    """Return finished responsivities from CSV (wavelength in nm, one column a channel, by the name that `columns` gives
+    it) or from rawtoaces' JSON."""
     table = (_read_json(path) if path.suffix == ".json" else read_table(path)).channel_columns(channels, columns)
     grid, curves = table.wavelength, table.responses(per_energy, "per_energy")
     if grid.size < 3 or grid[0] <= 0 or curves.min() < 0 or (curves.max(axis=1) <= 0).any():

@@ -16,7 +16,7 @@ DIGITS = re.compile(r"[0-9]+")  # of a number: not those of every script, some o
 
 
 def natural_order(path: Path) -> tuple[Any, ...]:
-    """Sorts 9 before 10."""
+    """Return a key that sorts 9 before 10."""
     return tuple((int(part), part) if DIGITS.fullmatch(part) else (0, part) for part in re.split(r"([0-9]+)", str(path)))
 
 

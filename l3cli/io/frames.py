@@ -193,7 +193,7 @@ def list_captures(folder: Path) -> CaptureFolder:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Regular files, hidden ones and links to folders left out, sorted by name."""
+    """Yield regular files, hidden ones and links to folders left out, sorted by name."""
     for place, folders, names in os.walk(folder):
         deep = len(Path(place).relative_to(folder).parts)
         folders[:] = sorted(name for name in folders if not name.startswith(".") and deep < DEEPEST)

@@ -34,7 +34,7 @@ def picture_flip(path: Path) -> int:
 
 @isolated("OpenImageIO")
 def picture_size(path: Path) -> tuple[int, int]:
-    """(rows, cols) of a picture by its header; InputFileError if it has none."""
+    """Return (rows, cols) of a picture by its header; InputFileError if it has none."""
     with opened(path) as (_, spec):
         return spec.height, spec.width
 
@@ -56,7 +56,7 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[np.uint16], flo
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """OpenImageIO's input and the description of its only picture, whose size has been checked."""
+    """Yield OpenImageIO's input and the description of its only picture, whose size has been checked."""
     with named_in_utf8(path) as name, contextlib.closing(open_image(path, name)) as source:
         spec = source.spec()
         require_bearable(path, spec)
@@ -70,7 +70,7 @@ def opened(path: Path) -> Iterator[tuple[Any, Any]]:
 
 
 def open_image(path: Path, name: str) -> Any:
-    """OpenImageIO's input, of a file that is called `name` in UTF-8."""
+    """Return OpenImageIO's input, of a file that is called `name` in UTF-8."""
     import OpenImageIO as oiio
 
     source = oiio.ImageInput.open(name)

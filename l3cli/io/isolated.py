@@ -47,7 +47,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def isolated(*libraries: str) -> Callable[[F], F]:
-    """Make a decoder of foreign files run apart; `libraries`: those that it imports, which are then imported once.
+    """Make a decoder of foreign files run isolated; `libraries`: those that it imports, which are then imported once.
 
     The function stands in a module and takes a path, then plain values (text, numbers, None); it returns arrays of numbers,
     plain values, and tuples, lists and dictionaries of these. It may read no other file. What it raises, but for this
@@ -77,7 +77,7 @@ def start() -> None:
 
 
 def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
-    """function(path, *plain); what the libraries of others raise becomes an InputFileError."""
+    """Return function(path, *plain); what the libraries of others raise becomes an InputFileError."""
     try:
         return function(path, *plain)
     except L3Error:
@@ -318,7 +318,7 @@ def named_in_utf8(path: Path) -> Iterator[str]:
 
 @contextlib.contextmanager
 def linked(path: Path) -> Iterator[None]:
-    """Within the block, also in processes forked there, a file whose name is no UTF-8 has the link that `named_in_utf8`
+    """Give a file whose name is no UTF-8, within the block and in processes forked there, the link that `named_in_utf8`
     needs: a process that decodes may make none."""
     try:
         os.fsencode(path.absolute()).decode()

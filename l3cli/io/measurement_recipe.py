@@ -70,7 +70,7 @@ class CaptureRecipe(Recipe, kw_only=True):
 
     @property
     def seconds(self) -> float | None:
-        """The exposure, or None unless exactly one key gives it."""
+        """Return the exposure, or None unless exactly one key gives it."""
         exposures = [(self.exposure_s, 1.0), (self.exposure_ms, 1e3), (self.exposure_us, 1e6)]
         given = [value / parts for value, parts in exposures if value is not None]
         return given[0] if len(given) == 1 else None
@@ -117,7 +117,7 @@ class SweepRecipe(Recipe):
 
     @property
     def response(self) -> ColumnRecipe:
-        """The photodiode's table, and its column: the only one, or that which is named."""
+        """Return the photodiode's table, and its column: the only one, or that which is named."""
         return ColumnRecipe(self.photodiode, 0) if isinstance(self.photodiode, str) else self.photodiode
 
 
@@ -192,7 +192,7 @@ class MeasurementRecipe(Recipe):
 
     @property
     def photos(self) -> list[PhotoRecipe]:
-        """[photo], or every [[photo]]."""
+        """Return [photo], or every [[photo]]."""
         return self.photo if isinstance(self.photo, list) else [self.photo]
 
 
@@ -288,7 +288,7 @@ def _sensor_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
 
 
 def _datasheet_faults(declared: DatasheetRecipe, most: int) -> Iterator[Fault]:
-    """`most`: the largest DN."""
+    """Yield the faults of declared figures; `most`: the largest DN."""
     spreads = (declared.read_noise_e, declared.dark_current_e_per_s, declared.dsnu_e, declared.prnu)
     levels = 0 <= declared.black_level_dn < declared.white_level_dn <= most
     if not (levels and 0 < declared.well_capacity_e < math.inf and min(spreads) >= 0):

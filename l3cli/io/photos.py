@@ -81,7 +81,7 @@ def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
 
 
 def _light(photo: PhotoRecipe, path: Path) -> tuple[Array, Array]:
-    """Wavelength (nm) and relative photon radiance of the light; of one that is to be guessed an equal one."""
+    """Return wavelength (nm) and relative photon radiance of the light; of one that is to be guessed an equal one."""
     if photo.light is None:
         return GRID, np.ones_like(GRID)
     if not is_table(photo.light):

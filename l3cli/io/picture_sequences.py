@@ -139,8 +139,8 @@ def _video_shape(path: Path) -> tuple[int, int]:
 
 @isolated("av")
 def _video_picture(path: Path, number: int) -> NDArray | None:
-    """Encoded sRGB (row, col, 3) of frame `number`, of 8 or 16 bits; None after the last. Luma and chroma are those of
-    BT.709, as `l3 render` writes them."""
+    """Return encoded sRGB (row, col, 3) of frame `number`, of 8 or 16 bits; None after the last. Luma and chroma are
+    those of BT.709, as `l3 render` writes them."""
     frame = _open.setdefault(path, InTurn(_video)).frame(path, number)
     if frame is None:
         return None

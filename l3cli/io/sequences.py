@@ -64,12 +64,12 @@ class FrameSequence:
 
     @property
     def lost(self) -> int:
-        """Number of missing frames."""
+        """Return the number of missing frames."""
         return sum(len(numbers) for numbers in self.missing)
 
     @property
     def rendered(self) -> int | None:
-        """Number of frames to render; None: as many as a stream has."""
+        """Return the number of frames to render; None: as many as a stream has."""
         return self.count if self.part is None else len(self.part)
 
     def renders(self, place: int) -> bool:
@@ -77,7 +77,7 @@ class FrameSequence:
         return self.part is None or place in self.part
 
     def absent(self, numbers: range) -> InputFileError:
-        """Says that frames are not there."""
+        """Return the error that frames are not there."""
         step = f"x{numbers.step}" if numbers.step > 1 else ""
         named = f"frame {numbers[0]} is" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}{step} are"
         return InputFileError(f"{named} not in {self.what}; choose with ‹frames›, or add ‹skip_bad›")

@@ -75,8 +75,8 @@ def exposure_time(page: Any) -> float | None:
 
 
 def camera_names(page: Any) -> list[str]:
-    """Make, model and other names of the camera, as the first page of a TIFF file or DNG states them; nothing without a
-    model."""
+    """Return make, model and other names of the camera, as the first page of a TIFF file or DNG states them; nothing
+    without a model."""
     texts = [page.tags.valueof(tag) for tag in ("Model", "Make", "UniqueCameraModel", "LocalizedCameraModel")]
     written = [text.decode("utf-8", "replace") if isinstance(text, bytes) else text for text in texts]
     model, make, *others = [text.strip("\0 ")[:LONGEST_NAME] if isinstance(text, str) else "" for text in written]

@@ -36,7 +36,7 @@ def storable_rate(rate: Fraction) -> Fraction | None:
 
 
 def pyav() -> Any:
-    """PyAV, imported when first needed."""
+    """Return PyAV, imported when first needed."""
     try:
         import av
     except ModuleNotFoundError as error:
@@ -272,7 +272,7 @@ class Y4mWriter:
 
 
 def _write_all(stream: BinaryIO, content: Any) -> None:
-    """All of it, to an unbuffered stream too."""
+    """Write all of it, to an unbuffered stream too."""
     rest = memoryview(content).cast("B")
     while len(rest):
         rest = rest[stream.write(rest) :]

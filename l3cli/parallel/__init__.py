@@ -43,7 +43,7 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
 
 @dataclass(frozen=True)
 class WorkerPool:
-    """Workers that are handed items: crew(function, items) gives function(item) of every item, in order."""
+    """Workers that are handed items: pool(function, items) gives function(item) of every item, in order."""
 
     size: int  # that work at a time
     _map: Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]

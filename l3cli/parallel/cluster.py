@@ -1,4 +1,4 @@
-"""The workers of a dask scheduler, on other machines, as a crew."""
+"""The workers of a dask scheduler, on other machines, as a pool."""
 
 import asyncio
 import collections
@@ -153,7 +153,7 @@ _GONE = "the scheduler has gone; start it and its workers again"
 
 
 def _sent_out(client: Any, workers: _Workers, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """At most two items a worker are out at a time; results stay with the workers until their turn comes."""
+    """Send items out, at most two a worker at a time; results stay with the workers until their turn comes."""
 
     def work(versions: dict[str, str], content: bytes) -> R:
         # Local, it travels by value and not by name, so that a worker without this l3cli can say so. It and the bytes are
@@ -204,7 +204,7 @@ def _versions() -> dict[str, str]:
 
 
 def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
-    """In a worker: function(item). One at a time, since not all that is called is safe in several threads."""
+    """Return, in a worker, function(item). One at a time, since not all that is called is safe in several threads."""
     for name, there in versions.items():
         if (here := _versions()[name]) != there:
             raise L3Error(f"a worker has {name} {here}, this machine {there}; install the same version on both")
@@ -218,7 +218,8 @@ def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """In a worker elsewhere: a folder for the block, among those that dask clears away after a worker that was killed."""
+    """Yield, in a worker elsewhere, a folder for the block, among those that dask clears away after a worker that was
+    killed."""
     from distributed import get_worker
 
     with tempfile.TemporaryDirectory(dir=get_worker().local_directory) as folder:

@@ -70,7 +70,7 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "
 
 @contextlib.contextmanager
 def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
-    """While it lasts a process that is started does not import the script that is run: one that calls `l3cli` on its top
+    """Keep a process that is started from importing the script that is run: one that calls `l3cli` on its top
     level would begin all its work anew in each of them. Only functions of the script itself need it."""
     script = sys.modules["__main__"]
     if getattr(function, "__module__", None) == "__main__":
@@ -92,13 +92,13 @@ def _result(future: "Future[R]") -> R:
 
 
 def _begin() -> None:
-    """In a worker, before its first item."""
+    """Prepare a worker, before its first item."""
     without_plots()
     _end_with_parent()
 
 
 def _end_with_parent() -> None:
-    """In a worker: end when the parent has, even if it was killed; nobody would take the results."""
+    """End a worker when the parent has, even if it was killed; nobody would take the results."""
     parent: Any = multiprocessing.parent_process()
 
     def watch() -> None:

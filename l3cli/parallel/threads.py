@@ -1,4 +1,4 @@
-"""Between threads: items made ahead of who takes them, calls that are done behind who asks for them, or meanwhile."""
+"""Threads that prefetch items, write behind whoever asks for it, or do a task in the background."""
 
 import contextlib
 import queue
@@ -47,7 +47,7 @@ def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
         stopped.set()
         room.release()
         with contextlib.suppress(RuntimeError):  # when Python itself ends, 3.14 waits for no thread any more
-            thread.join(READING)  # as in Behind
+            thread.join(READING)  # as in WriteBehind
 
 
 def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
@@ -74,7 +74,7 @@ class BackgroundTask:
     def __enter__(self) -> None:
         self._thread.start()
 
-    @uninterrupted  # as in Behind
+    @uninterrupted  # as in WriteBehind
     def __exit__(self, *exception: object) -> None:
         self._thread.join()
 

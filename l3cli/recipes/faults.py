@@ -46,7 +46,7 @@ def inside(faults: Iterable[Fault], *table: str | int) -> Iterator[Fault]:
 
 
 def refuse_first(faults: Iterable[Fault], name: object = None) -> None:
-    """RecipeError that calls the recipe `name`, or leaves that to whoever catches it, if there is a fault."""
+    """Raise RecipeError that calls the recipe `name`, or leaves that to whoever catches it, if there is a fault."""
     for message, _ in faults:
         raise RecipeError(message if name is None else f"{name}: {message}")
 

@@ -53,7 +53,8 @@ def refuse_filled_folder(path: Path, force: bool) -> None:
 
 @contextlib.contextmanager
 def atomic_output(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` to write to; flushed to disk and renamed into place on success, removed on failure.
+    """Yield a temporary path beside `path` to write to; flushed to disk and renamed into place on success, removed on
+    failure.
 
     The temporary file keeps the suffix of `path`, since writers choose their format by it; it must be written in place, not
     replaced. No two processes ever write to the same one. L3Error if `path` cannot be written, or the disk is full;
@@ -84,7 +85,7 @@ def write_whole(path: Path, content: bytes | memoryview | str) -> None:
 
 @uninterrupted
 def _new_temporary(path: Path) -> tuple[Path, int]:
-    """A new, empty, locked temporary file beside `path`, and the descriptor that holds the lock."""
+    """Return a new, empty, locked temporary file beside `path`, and the descriptor that holds the lock."""
     stem, suffix = _hidden_name(path)
     while True:
         temporary = path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
@@ -97,13 +98,13 @@ def _new_temporary(path: Path) -> tuple[Path, int]:
 
 
 def _hidden_name(path: Path) -> tuple[str, str]:
-    """Stem and suffix of temporary files of `path`."""
+    """Return stem and suffix of temporary files of `path`."""
     stem, suffix = (path.stem, path.suffix) if len(os.fsencode(path.suffix)) <= LONGEST_SUFFIX else (path.name, "")
     return shortened(stem, len(f"..01234567.l3tmp{suffix}")), suffix
 
 
 def shortened(name: str, more: int) -> str:
-    """`name`, or where it is too long for `more` bytes beside it, its beginning and a digest of it."""
+    """Return `name`, or where it is too long for `more` bytes beside it, its beginning and a digest of it."""
     coded, room = os.fsencode(name), LONGEST - more
     if len(coded) <= room:
         return name
@@ -112,8 +113,8 @@ def shortened(name: str, more: int) -> str:
 
 
 def initial_mode(output: Path) -> int:
-    """Mode, before the umask, of what is created for an output: whoever may not read the one that is replaced may not
-    read these."""
+    """Return the mode, before the umask, of what is created for an output: whoever may not read the one that is replaced
+    may not read these."""
     try:
         return 0o666 & (output.stat().st_mode | 0o600)
     except OSError:
@@ -143,7 +144,7 @@ def _flush(path: Path) -> None:
 
 @contextlib.contextmanager
 def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
-    """Errors of the system (those `numbers`, if given) as L3Error that says that `path` cannot be written."""
+    """Raise errors of the system (those `numbers`, if given) as L3Error that says that `path` cannot be written."""
     try:
         yield
     except OSError as error:
@@ -157,8 +158,8 @@ def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[No
 
 
 def open_quietly(path: Path) -> int:
-    """A descriptor of a regular file, for its lock; OSError if it is another kind of file. To write is wanted for locks
-    over NFS alone: another user's file may be readable only."""
+    """Return a descriptor of a regular file, for its lock; OSError if it is another kind of file. To write is wanted for
+    locks over NFS alone: another user's file may be readable only."""
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
     except PermissionError:
@@ -200,7 +201,8 @@ _protected: dict[Identity, Path] = {}  # files that the command reads, each with
 
 @contextlib.contextmanager
 def protecting(paths: Iterable[Path]) -> Iterator[None]:
-    """While the block lasts, no output of this process takes the place of these files, under whatever name; "-": stdin."""
+    """Keep outputs of this process, while the block lasts, from taking the place of these files, under whatever name;
+    "-": stdin."""
     named = ((identity(0 if path == STDIN else path), path) for path in paths)
     added = {key: path for key, path in named if key is not None and key not in _protected}
     _protected.update(added)
@@ -231,8 +233,8 @@ def identity(file: Path | int) -> Identity | None:
 
 
 def require_regular(path: Path, cure: str = "give a file") -> None:
-    """InputFileError, with this cure, unless there is a regular file: a folder has no bytes, and whoever opens a pipe or
-    device may wait for ever. Looked up by name; nothing is opened."""
+    """Raise InputFileError, with this cure, unless there is a regular file: a folder has no bytes, and whoever opens a
+    pipe or device may wait for ever. Looked up by name; nothing is opened."""
     try:
         _require_regular(path, path.stat().st_mode, cure)
     except OSError as error:
@@ -247,8 +249,8 @@ def _require_regular(path: Path, mode: int, cure: str) -> None:
 
 
 def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
-    """A regular file open for reading; InputFileError, as by `require_regular`, if it is none, also if it has become none
-    since it was checked."""
+    """Return a regular file open for reading; InputFileError, as by `require_regular`, if it is none, also if it has
+    become none since it was checked."""
     require_regular(path, cure)
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
@@ -265,7 +267,7 @@ def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
 
 @contextlib.contextmanager
 def naming(path: Path, cure: str = "") -> Iterator[None]:
-    """Errors of the system as InputFileError that names the file, and the cure where there is one."""
+    """Raise errors of the system as InputFileError that names the file, and the cure where there is one."""
     try:
         yield
     except OSError as error:
@@ -273,7 +275,7 @@ def naming(path: Path, cure: str = "") -> Iterator[None]:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
+    """Return the SHA-256 of a file's bytes, in hexadecimal."""
     with naming(path), open_regular(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -288,8 +290,8 @@ def stamp(path: Path) -> tuple[int, ...]:
 
 
 def require_same(path: Path, digest: str) -> None:
-    """InputFileError unless the file has this SHA-256: on another machine, another file may have its name. It is read once
-    as long as it stays the same."""
+    """Raise InputFileError unless the file has this SHA-256: on another machine, another file may have its name. It is
+    read once as long as it stays the same."""
     try:
         known = fingerprint(path)
     except OSError as error:

@@ -25,14 +25,14 @@ _open: Ledger | None = None
 
 
 def open_ledger() -> Ledger:
-    """From now on everything is noted there, and in no other."""
+    """Note everything from now on in a new ledger, and in no other; return it."""
     global _open
     _open = Ledger()
     return _open
 
 
 def close_ledger() -> None:
-    """From now on nothing is noted."""
+    """Note nothing from now on."""
     global _open
     _open = None
 
@@ -43,7 +43,7 @@ def is_noting() -> bool:
 
 
 def note_inputs(roles: Mapping[str, Iterable[Path]]) -> None:
-    """Files that are read, by what they are to the command."""
+    """Note files that are read, by what they are to the command."""
     if _open is not None:
         for role, paths in roles.items():
             _open.inputs.setdefault(role, {}).update({path: dated(path) for path in paths})
@@ -57,7 +57,7 @@ def note_places(paths: Iterable[Path]) -> None:
 
 
 def note_output(path: Path) -> None:
-    """A file that has got its name."""
+    """Note a file that has got its name."""
     if _open is not None:
         _open.outputs[path.absolute()] = None
 

@@ -26,7 +26,7 @@ MOST_TEXT = 64 << 20  # bytes of a recipe, a measurement file, a CSV table, a he
 
 
 def most_pixels() -> int:
-    """Pixels (rows × columns) that one picture or frame may have."""
+    """Return the pixels (rows × columns) that one picture or frame may have."""
     return int(setting(MEGAPIXELS, PICTURE, USUAL_MEGAPIXELS) * 1e6)
 
 
@@ -41,7 +41,7 @@ def require_settings() -> None:
 
 
 def setting(name: str, range_: Quantity, usual: float) -> float:
-    """The number in an environment variable, `usual` where it is not set; RecipeError if it is none in its range."""
+    """Return the number in an environment variable, `usual` where it is not set; RecipeError if it is none in its range."""
     text = os.environ.get(name, "")
     try:
         return range_.read(text) if text else usual
@@ -50,12 +50,12 @@ def setting(name: str, range_: Quantity, usual: float) -> float:
 
 
 def most_bytes() -> int:
-    """Bytes that the content of one file may have in memory."""
+    """Return the bytes that the content of one file may have in memory."""
     return VALUES_A_PIXEL * VALUE_BYTES * most_pixels()
 
 
 def require_picture(name: str, rows: int, cols: int, values: int = 1) -> None:
-    """InputFileError unless a picture of so many `values` a pixel is no larger than inputs may be."""
+    """Raise InputFileError unless a picture of so many `values` a pixel is no larger than inputs may be."""
     if rows * cols > most_pixels() or rows * cols * values > VALUES_A_PIXEL * most_pixels():
         raise InputFileError(
             f"{name} claims {rows}×{cols} pixels of {values} values, more than {most_pixels() / 1e6:g} megapixels of "
@@ -64,7 +64,7 @@ def require_picture(name: str, rows: int, cols: int, values: int = 1) -> None:
 
 
 def require_values(name: str, shape: Iterable[int], value_bytes: int = VALUE_BYTES) -> None:
-    """InputFileError unless an array of `shape` is no larger than the content of a file may be."""
+    """Raise InputFileError unless an array of `shape` is no larger than the content of a file may be."""
     shape = tuple(int(length) for length in shape)
     if prod(shape) * max(value_bytes, 1) > most_bytes():
         claimed = "×".join(map(str, shape))
@@ -75,8 +75,8 @@ def require_values(name: str, shape: Iterable[int], value_bytes: int = VALUE_BYT
 
 
 def require_address_space() -> None:
-    """L3Error if the process may have too little (ulimit -v) for the libraries: where one gets none it ends the program,
-    hangs, or sends it signals."""
+    """Raise L3Error if the process may have too little (ulimit -v) for the libraries: where one gets none it ends the
+    program, hangs, or sends it signals."""
     needed = LIBRARIES + A_CORE * (os.cpu_count() or 1)
     allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
     if allowed != resource.RLIM_INFINITY and allowed < needed:
@@ -86,8 +86,8 @@ def require_address_space() -> None:
 
 
 def read_bounded(path: Path, cure: str = "give a text file") -> bytes:
-    """All bytes of a text file. InputFileError, with this cure, if there is no file, one larger than texts are, or its
-    storage fails."""
+    """Return all bytes of a text file. InputFileError, with this cure, if there is no file, one larger than texts are, or
+    its storage fails."""
     with naming(path, cure), open_regular(path, cure) as stream:
         content = stream.read(MOST_TEXT + 1)
     if len(content) > MOST_TEXT:
@@ -106,7 +106,7 @@ def trusted() -> bool:
 
 @contextlib.contextmanager
 def trust() -> Iterator[None]:
-    """Within the block, and in processes started there, foreign files are decoded without a child."""
+    """Decode foreign files, within the block and in processes started there, without a child."""
     before = os.environ.get(TRUST)
     os.environ[TRUST] = "1"
     try:

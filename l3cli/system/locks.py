@@ -44,7 +44,7 @@ class ThreadLock:
 
 @contextlib.contextmanager
 def without_writing() -> Iterator[None]:
-    """Within the block no lock is made and nothing swept: outputs are only refused that another run writes just now."""
+    """Make no lock and sweep nothing within the block: only refuse outputs that another run writes just now."""
     token = _WITHOUT_WRITING.set(True)
     try:
         yield
@@ -66,8 +66,8 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] = ()) -> Iterator[bool]:
-    """`sole_writer_of_file` for the files of a folder and of those `inside` it; with `name` (of a pattern) for those files
-    alone that it stands for.
+    """Keep other runs, as `sole_writer_of_file` does, off the files of a folder and of those `inside` it; with `name` (of a
+    pattern) for those files alone that it stands for.
 
     The folder is made; it is removed again if it is empty in the end. What worker processes left that were ended goes, too.
     """
@@ -109,7 +109,7 @@ def _locked(output: Path, lock: Path) -> Iterator[bool]:
 
 
 def _refuse_held(lock: Path, output: Path) -> None:
-    """L3Error if another run holds the lock; no file is made or removed."""
+    """Raise L3Error if another run holds the lock; no file is made or removed."""
     descriptor = _existing(lock)
     if descriptor is None:
         return
@@ -129,7 +129,7 @@ def _busy(output: Path) -> L3Error:
 
 @uninterrupted
 def _take(lock: Path, output: Path) -> int | None:
-    """The descriptor that holds the lock; None where the storage knows no locks."""
+    """Return the descriptor that holds the lock; None where the storage knows no locks."""
     while True:
         with blamed_on(output):
             lock.parent.mkdir(parents=True, exist_ok=True)
@@ -155,8 +155,9 @@ def _take(lock: Path, output: Path) -> int | None:
 
 
 def _existing(lock: Path) -> int | None:
-    """A descriptor of the lock file that is there already; None if it is there no more. L3Error if it is none of l3's or
-    may not be opened. Nothing is followed, created or waited for: in a folder that others share, anything may lie here."""
+    """Return a descriptor of the lock file that is there already; None if it is there no more. L3Error if it is none of
+    l3's or may not be opened. Nothing is followed, created or waited for: in a folder that others share, anything may lie
+    here."""
     try:
         return open_quietly(lock)
     except FileNotFoundError:

@@ -31,7 +31,8 @@ class Quantity:
         return f"{_written(self.least)}…{_written(self.most)}{' ' if self.unit else ''}{self.unit}"
 
     def read(self, text: str) -> float:
-        """The number that `text` means, an int where it is a whole one; NoSuchNumber if it means none within the range."""
+        """Return the number that `text` means, an int where it is a whole one; NoSuchNumber if it means none within the
+        range."""
         spelled = WHOLE if self.whole else DECIMAL
         if not spelled.fullmatch(text):
             what = "whole number" if self.whole and DECIMAL.fullmatch(text) else "number"
@@ -44,7 +45,7 @@ class Quantity:
 
 
 def _whole(text: str) -> float:
-    """An int, or an infinity where it has more digits than Python reads."""
+    """Return an int, or an infinity where it has more digits than Python reads."""
     match = WHOLE.fullmatch(text)
     assert match is not None
     sign, digits = match.groups()

@@ -71,7 +71,7 @@ class Terminated(BaseException):
 
 
 def heed() -> None:
-    """From now on SIGINT and SIGTERM raise KeyboardInterrupt and Terminated, unless they were ignored."""
+    """Have SIGINT and SIGTERM from now on raise KeyboardInterrupt and Terminated, unless they were ignored."""
     sys.unraisablehook = repeat_lost
     for each in SIGNALS:
         if signal.getsignal(each) is not signal.SIG_IGN:  # as a job in the background ignores Ctrl-C
@@ -79,14 +79,14 @@ def heed() -> None:
 
 
 def leave_to_python() -> None:
-    """All is done, but for the end of Python, where an exception would be caught by nothing."""
+    """Leave signals to Python: all is done but for its end, where an exception would be caught by nothing."""
     for each in SIGNALS:
         if signal.getsignal(each) is end:
             signal.signal(each, signal.SIG_DFL)
 
 
 def end(number: int, frame: FrameType | None) -> None:
-    """Handles a signal: raises its exception, or has it come again where it must wait."""
+    """Handle a signal: raise its exception, or have it come again where it must wait."""
     ending = KeyboardInterrupt if number == signal.SIGINT else Terminated
     if must_wait(frame, ending):
         _come_again(number)
@@ -97,7 +97,7 @@ def end(number: int, frame: FrameType | None) -> None:
 
 @uninterrupted  # or the signal that comes again while its timer still starts would be lost here
 def repeat_lost(what: Any) -> None:
-    """Hears of what is raised where Python cannot pass it on, as in a finaliser: a signal that fell there comes again."""
+    """Hear of what is raised where Python cannot pass it on, as in a finaliser: a signal that fell there comes again."""
     if what.exc_type not in (KeyboardInterrupt, Terminated):
         sys.__unraisablehook__(what)
         return

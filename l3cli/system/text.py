@@ -8,13 +8,13 @@ GAP = "  "
 
 
 def printable(text: str) -> str:
-    """`text` as one line that a terminal can show, "?" in the place of what it cannot or would obey: control characters,
-    ends of lines, marks that turn the direction of writing, bytes of a file name that are no text."""
+    """Return `text` as one line that a terminal can show, "?" in the place of what it cannot or would obey: control
+    characters, ends of lines, marks that turn the direction of writing, bytes of a file name that are no text."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def figure(value: float, form: str) -> str:
-    """A number as the format `form` says, a dash where there is none."""
+    """Return a number as the format `form` says, a dash where there is none."""
     return format(value, form) if math.isfinite(value) else "–"
 
 
@@ -62,7 +62,8 @@ def short_names(paths: Iterable[Path]) -> list[str]:
 
 
 def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:
-    """Lines of a table: the first column to the left, the others to the right, below their headings of one or more lines.
+    """Return the lines of a table: the first column to the left, the others to the right, below their headings of one or
+    more lines.
 
     A table wider than `width` characters is divided into several, one below the other, all with the first column. What is
     not `printable` is replaced.

@@ -70,7 +70,7 @@ def _text(text: str) -> bytes:
 
 
 def _curve(curve: Curve | None) -> bytes:
-    """From values to linear ones: ((value + offset) / gain)^(1 / exponent) above the knee."""
+    """Return the curve from values to linear ones: ((value + offset) / gain)^(1 / exponent) above the knee."""
     if curve is None:
         return _tag(b"para", struct.pack(">HH", POWER, 0) + _fixed(np.ones(1)))
     parts = [1 / curve.exponent, 1 / curve.gain, curve.offset / curve.gain, 1 / curve.slope, curve.slope * curve.knee]

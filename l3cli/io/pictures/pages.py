@@ -20,7 +20,7 @@ class Pages:
     """The pages of a file that is being written."""
 
     def __init__(self, path: Path, count: int | None) -> None:
-        """`count`: pages that there will be, None: unknown."""
+        """Take the file, and the `count` of pages that there will be, None: unknown."""
         self._path, self._count = path, count
         self._file: Any = None
 

@@ -56,7 +56,8 @@ def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
 
 
 def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> tuple[int, int]:
-    """Site of the sensor's super-pixel that pixel (0, 0) has in a file whose CFA has the codes `pattern` (row, col).
+    """Return the site of the sensor's super-pixel that pixel (0, 0) has in a file whose CFA has the codes `pattern` (row,
+    col).
 
     Channels that TIFF/EP knows must have their code, each of the others one code of any value. InputFileError, naming
     `name`, if no site fits, or several that differ.
@@ -111,6 +112,6 @@ def _tiled(pattern: NDArray, size: NDArray[np.integer]) -> NDArray:
 
 
 def _written(pattern: NDArray[np.integer]) -> str:
-    """As rg/gb; codes without a letter as numbers."""
+    """Return a pattern as rg/gb; codes without a letter as numbers."""
     rows = [[LETTERS[code].lower() if code < FREE_CODE else f"({code})" for code in row] for row in pattern.tolist()]
     return "/".join("".join(row) for row in rows)

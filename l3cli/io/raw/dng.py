@@ -155,7 +155,7 @@ def _changed(
 
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """(row, col) of the active area, or (1, 1) where all pixels have the same."""
+    """Return black levels (row, col) of the active area, or (1, 1) where all pixels have the same."""
     if np.ptp(mosaic.black_level) == 0 and not mosaic.black_of_row.any() and not mosaic.black_of_col.any():
         return mosaic.black_level[:1, :1]
     repeats = [-(-length // period) for length, period in zip(shape, mosaic.black_level.shape, strict=True)]
@@ -290,8 +290,8 @@ def _notes(raw: Any) -> Iterator[str]:
 
 
 def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
-    """Codes of the colour planes and the signals that the camera took for those of a grey; None where they are not stated,
-    or are none."""
+    """Return codes of the colour planes and the signals that the camera took for those of a grey; None where they are not
+    stated, or are none."""
     try:
         codes = numbers(raw, "CFAPlaneColor", (0, 1, 2))
         signals = np.asarray(numbers(first, "AsShotNeutral", ()), np.float64)
@@ -316,7 +316,7 @@ def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
 
 
 def _repeating(values: Sequence[float], shape: Sequence[int]) -> NDArray:
-    """(row, col) of what repeats over the mosaic."""
+    """Return (row, col) of what repeats over the mosaic."""
     if min(shape) < 1:
         raise ValueError(f"a pattern of {shape}")
     return np.reshape(values, tuple(shape))

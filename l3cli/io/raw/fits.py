@@ -33,7 +33,7 @@ def stack(path: Path) -> MultiFrameFile | None:
 
 @isolated("astropy.io.fits")
 def _shape(path: Path) -> tuple[int, ...]:
-    """(row, col) or (frame, row, col) of the first image."""
+    """Return (row, col) or (frame, row, col) of the first image."""
     with _first_image(path) as image:
         return tuple(image.shape)
 

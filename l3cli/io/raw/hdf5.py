@@ -25,7 +25,8 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
 
 @isolated("h5py")
 def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
-    """Name and number of frames of the stack called `dataset`, or of the only one; InputFileError if there is none."""
+    """Return name and number of frames of the stack called `dataset`, or of the only one; InputFileError if there is
+    none."""
     root = _open(path)
     held = dict(datasets(root))
     name = _only_stack(path, held) if dataset is None else dataset.strip("/")

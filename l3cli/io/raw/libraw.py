@@ -31,7 +31,8 @@ def read(path: Path) -> RawContent:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """rawpy's object of a file with a mosaic. InputFileError if LibRaw cannot read it, or if it is demosaicked already."""
+    """Yield rawpy's object of a file with a mosaic. InputFileError if LibRaw cannot read it, or if it is demosaicked
+    already."""
     import rawpy
 
     try:
@@ -49,7 +50,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def _visible(path: Path, raw: Any) -> RawContent:
-    """LibRaw's frame without masked borders; black and white levels may differ between its colours."""
+    """Return LibRaw's frame without masked borders; black and white levels may differ between its colours."""
     colours, letters = raw.raw_colors_visible, raw.color_desc.decode("ascii", "replace")
     if raw.num_colors == 1:  # no filters: LibRaw gives 6, which is none of its colours
         colours, letters = np.zeros_like(colours), "W"
@@ -82,8 +83,8 @@ def _visible(path: Path, raw: Any) -> RawContent:
 
 
 def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
-    """Codes of the colours and the signals that the camera took for those of a grey: one over its multipliers. None where it
-    states none, or LibRaw does not know them: then all are 1 or 0."""
+    """Return codes of the colours and the signals that the camera took for those of a grey: one over its multipliers.
+    None where it states none, or LibRaw does not know them: then all are 1 or 0."""
     multipliers = np.array(raw.camera_whitebalance[: len(letters)], np.float64)
     stated = {code: 1 / each for code, each in zip(codes_of(letters).tolist(), multipliers, strict=False) if each > 0}
     if len(stated) < len(set(letters)) or len(set(stated.values())) == 1:
@@ -92,7 +93,7 @@ def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
 
 
 def _camera_names(path: Path) -> list[str]:
-    """As camera_names, of a raw file that is a TIFF file, as most are; nothing of another."""
+    """Return `camera_names` of a raw file that is a TIFF file, as most are; nothing of another."""
     import tifffile
 
     try:
@@ -196,7 +197,7 @@ def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
 
 
 def _named(names: list[str]) -> str:
-    """Make and model as one name, the make once: "Canon", "Canon EOS 550D" → "Canon EOS 550D"."""
+    """Return make and model as one name, the make once: "Canon", "Canon EOS 550D" → "Canon EOS 550D"."""
     make, model = (" ".join("".join(c if c.isprintable() else " " for c in name).split())[:LONGEST] for name in names)
     return model if model.lower().startswith(make.lower()) else f"{make} {model}".strip()
 
@@ -210,7 +211,7 @@ def _positive(value: float | None) -> float | None:
 
 @isolated("rawpy", "tifffile")
 def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
-    """Make and model, numbers by name, matrices with the codes of their light and rows."""
+    """Return make and model, numbers by name, matrices with the codes of their light and rows."""
     names, figures, matrices = _facts_of_tags(path)
     with opened(path) as raw:
         if not matrices:

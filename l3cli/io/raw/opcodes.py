@@ -132,7 +132,7 @@ def _left_out(path: Path, opcode: Opcode) -> str:
 
 
 def _bad_pixels(opcode: Opcode) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(point, 3), (rect, 5): the list's stage, then coordinates."""
+    """Return (point, 3), (rect, 5): the list's stage, then coordinates."""
     _, points, rects = struct.unpack_from(">III", opcode.content)
     if len(opcode.content) != 12 + 8 * points + 16 * rects:
         raise ValueError("a list of bad pixels of another length")
@@ -225,7 +225,7 @@ def _radial(vignette: Vignette, shape: tuple[int, int]) -> Floats:
 
 
 def _interpolated(each: GainMap, plane: int, shape: tuple[int, int]) -> Floats:
-    """(row, col) of the map's area: linear between the points of its grid, beyond them as at the last."""
+    """Return gains (row, col) of the map's area: linear between the points of its grid, beyond them as at the last."""
     sides = []
     for axis in (0, 1):
         place = (np.arange(shape[axis])[each.area[axis]] + 0.5) / shape[axis]

@@ -36,7 +36,7 @@ def read(path: Path) -> RawContent:
 
 @isolated("OpenImageIO", "tifffile")
 def read_by_library(path: Path) -> RawContent:
-    """As `read`, of any picture."""
+    """Return the frame of any picture."""
     _check_first_page(path)
     with opened(path) as (source, spec):
         return _content(path, source, spec)
@@ -98,7 +98,7 @@ def _page(path: Path, number: int) -> Any:
 
 
 def _kind(spec: Any) -> str:
-    """Size, channels and type of a page, and whether it says that it is none."""
+    """Return size, channels and type of a page, and whether it says that it is none."""
     part = ", a smaller copy or a mask" if spec.get_int_attribute("tiff:subfiletype", 0) & ~ONE_OF_MANY else ""
     channels = f"{spec.nchannels} channel{'s' if spec.nchannels > 1 else ''}"
     return f"{spec.height}×{spec.width} pixels, {channels} of {spec.format}{part}"
@@ -126,7 +126,7 @@ def _count(path: Path) -> int:
 
 
 def _check_first_page(path: Path) -> None:
-    """As `_check_tags`, of the first page of a TIFF, if it is one."""
+    """Check, as `_check_tags`, the first page of a TIFF, if it is one."""
     import tifffile
 
     try:

@@ -37,7 +37,7 @@ def read(path: Path) -> SpectralCube:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """(rows, cols) of the first picture; InputFileError if there is none."""
+    """Return (rows, cols) of the first picture; InputFileError if there is none."""
     return picture_size(_pictures(path)[0] if path.is_dir() else path)
 
 

@@ -43,7 +43,7 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
 
 
 def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
-    """(rows, cols) of what `read` reads, from headers where they hold it; InputFileError as there."""
+    """Return (rows, cols) of what `read` reads, from headers where they hold it; InputFileError as there."""
     shapes = {"values": map_array(path).shape} if path.suffix.lower() == NPY else array_shapes(path)
     wanted = [
         shape for name, shape in shapes.items() if len(shape) == 3 and (variable is None or name == _path_of(variable))
@@ -92,8 +92,8 @@ def _read_hdf5(path: Path) -> Content:
 
 @isolated("h5py", "scipy.io")
 def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Shapes of the arrays of numbers in a .mat or HDF5 file by their names ("a", "a/b"), as reading gives them. They are
-    taken from headers; only structs of MATLAB files before 7.3 must be read for theirs."""
+    """Return shapes of the arrays of numbers in a .mat or HDF5 file by their names ("a", "a/b"), as reading gives them.
+    They are taken from headers; only structs of MATLAB files before 7.3 must be read for theirs."""
     import h5py
 
     if path.suffix != MATLAB or h5py.is_hdf5(path):

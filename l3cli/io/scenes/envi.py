@@ -64,7 +64,7 @@ def _header(path: Path) -> dict[str, str]:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """(rows, cols); the data are only mapped for it."""
+    """Return (rows, cols); the data are only mapped for it."""
     rows, cols, _ = read(path).values.shape
     return rows, cols
 

@@ -53,7 +53,7 @@ def read(path: Path, light: Curve | None = None) -> Scene:
 
 
 def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
-    """(rows, cols) of an ISET scene, from headers where they hold it; InputFileError as `read`."""
+    """Return (rows, cols) of an ISET scene, from headers where they hold it; InputFileError as `read`."""
     shapes = array_shapes(path)
     for name in (f"{scene}{array}" for scene in ("scene/", "") for array in ("mcCOEF", "photons", "data/photons")):
         if len(shapes.get(name, ())) in (2, 3):
@@ -103,7 +103,7 @@ def _numbers(values: Any) -> NDArray[np.float64]:
 
 
 def _decoded(values: Any, holder: Content, low: str, high: str) -> NDArray[np.float32]:
-    """Floats as they are; integers as ISET codes them: the type's range from `low` to `high`."""
+    """Return floats as they are; integers as ISET codes them: the type's range from `low` to `high`."""
     array = np.asarray(values)
     decoded = array.astype(np.float32)
     if array.dtype.kind in "iu":

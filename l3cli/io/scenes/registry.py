@@ -32,7 +32,7 @@ class SceneFormat:
         return content
 
     def size(self, path: Path, **keys: Any) -> tuple[int, int]:
-        """(rows, cols) of what `read` reads, from headers where they hold it."""
+        """Return (rows, cols) of what `read` reads, from headers where they hold it."""
         rows, cols = self._reader.size(path, **keys)
         return rows, cols
 

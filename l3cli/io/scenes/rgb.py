@@ -11,7 +11,7 @@ from l3cli.physics.display import srgb_decoded
 
 
 def size(path: Path, holds: str = "sRGB") -> tuple[int, int]:
-    """(rows, cols) of a picture."""
+    """Return (rows, cols) of a picture."""
     return picture_size(path)
 
 
