@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.frames.frame import RawFrame, upright
-from l3cli.io.video import Pacing
 from l3cli.io.pictures.pages import new_pages
 from l3cli.io.pictures.registry import Picture, file_identity, values_identity
 from l3cli.io.sequences import FrameReference, FrameSequence
-from l3cli.io.video import VideoChoice, new_video, new_y4m
+from l3cli.io.video import Pacing, VideoChoice, new_video, new_y4m
 from l3cli.options.render import RenderOptions
 from l3cli.parallel.threads import WriteBehind, prefetched
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
