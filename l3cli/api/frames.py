@@ -18,11 +18,11 @@ from l3cli.frames.correction import correction_of
 from l3cli.frames.frame import RawFrame
 from l3cli.io.raw import files as raw_files
 from l3cli.io.raw.files import RawOverrides
-from l3cli.rendering.quiet import QuietRenderer, quiet_renderer
+from l3cli.rendering.conditions import Mix, mixed, nearest_for
 from l3cli.rendering.raw_checks import beyond_converter
+from l3cli.rendering.renderer import NoiseRenderer
 from l3cli.rendering.temporal.chunks import Chunks, filters
 from l3cli.rendering.white.balance import WhiteBalance
-from l3cli.rendering.white.lights import Mix, mixed, nearest_for
 from l3cli.rendering.white.source import WhiteSource, given_white
 from l3cli.stages.rendering.following import Following, shown_as
 from l3cli.stages.rendering.rendition import OUTPUTS, Rendition, rendered
@@ -57,8 +57,8 @@ class Renderer:
     ) -> None:
         self.table = table if isinstance(table, TransformTable) else store.load(TransformTable, Path(table))
         chosen = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
-        self._renderer, self._backend, self._chosen = quiet_renderer(backend, self.table, **chosen), backend, chosen
-        self._renderers: dict[Mix | None, QuietRenderer] = {None: self._renderer}  # of its lights
+        self._renderer, self._backend, self._chosen = NoiseRenderer(backend, self.table, **chosen), backend, chosen
+        self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._renderer}  # of its lights
         self._alone = ThreadLock()
 
     def picture(
@@ -105,7 +105,7 @@ class Renderer:
         shown, starting = shown_as(self.table, *how), ThreadLock()
         temporal_filter = Chunks(filters(self._backend, self.table, **self._chosen)) if temporal else None
 
-        def begin(renderer: QuietRenderer) -> tuple[QuietRenderer, Rendition, Following]:
+        def begin(renderer: NoiseRenderer) -> tuple[NoiseRenderer, Rendition, Following]:
             rendition, source = shown if renderer is self._renderer else shown_as(renderer.table, *how, self.table)
             return renderer, rendition, Following(renderer.table, rendition, source, rate, temporal_filter)
 
@@ -131,18 +131,18 @@ class Renderer:
         with self._alone:
             return self._renderer.labels(self._frame(frame))
 
-    def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> QuietRenderer:
+    def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> NoiseRenderer:
         """Return the renderer by the table's transforms for the light nearest to a given white, or to that of a frame."""
         found = source.white(frame) if source else given_white(white, self.table)
         mix = None if found is None else nearest_for(self.table, found.light.xyz)
         with self._alone:
             if mix not in self._renderers:
-                made = quiet_renderer(self._backend, mixed(self.table, mix), **self._chosen)
+                made = NoiseRenderer(self._backend, mixed(self.table, mix), **self._chosen)
                 self._renderers = {None: self._renderer, mix: made}
             return self._renderers[mix]
 
     def _pixels(
-        self, renderer: QuietRenderer, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None
+        self, renderer: NoiseRenderer, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None
     ) -> NDArray[Any]:
         with self._alone:
             pixels: NDArray[Any] = rendered(renderer, frame, rendition, scale, balance=balance).pixels

@@ -120,6 +120,21 @@ class Noise:
 
 
 @dataclass(frozen=True)
+class NoiseScale:
+    """Noise that varies in time over the camera's, as another analog gain makes it, or a filter in time leaves it."""
+
+    shot: float = data("float64", doc="variance of shot noise over the camera's", formerly="noise_left")
+    read: float = data("float64", doc="variance of read noise over the camera's", formerly="noise_left")
+
+    def __post_init__(self) -> None:
+        if not min(self.shot, self.read) > 0:
+            raise ValueError(f"a scale of the noise is {min(self.shot, self.read):g}, not above zero")
+
+
+CAMERA_NOISE = NoiseScale(1.0, 1.0)
+
+
+@dataclass(frozen=True)
 class Optics:
     """Lens between scene and sensor (docs/method.md#optics). Its transmittance is part of the responsivity."""
 
@@ -210,6 +225,7 @@ class CameraModel(Artifact):
     defects: DefectMap | None = group(default=None)  # None: nobody has searched for any
     flat_field: FlatField | None = group(default=None)  # None: not measured
     readout: Readout | None = group(default=None)  # None: all channels are exposed and amplified alike
+    noise_scale: NoiseScale = CAMERA_NOISE  # of the noise of its frames, while a condition is learned; not stored
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -302,18 +318,16 @@ class CameraModel(Artifact):
         signal = np.maximum(signal, 0.0)
         return constant + (linear + quadratic * signal) * signal
 
-    def noise_terms(
-        self, dark: float = 0.0, channel: NDArray[np.integer] | None = None, left: float = 1.0
-    ) -> tuple[Any, Any, float]:
+    def noise_terms(self, dark: float = 0.0, channel: NDArray[np.integer] | None = None) -> tuple[Any, Any, float]:
         """Return the noise variance's constant (DN²), linear (DN) and quadratic term over the signal above black.
 
         Of `dark` DN the mean has been taken off, and the light that is left stretched to full scale; the shot noise of the
         dark electrons, and what pixels differ in them, stays. ValueError if dark current alone fills a pixel. `dark` is that
         of a channel of the whole exposure and of `gain`. The terms are those of such a channel, or, where `channel` says
-        which pixels are of which and these differ, arrays of its shape. `left`: share of the variance over time that
-        a filter has left, before values are rounded.
+        which pixels are of which and these differ, arrays of its shape. `noise_scale` is that of the variance over
+        time, before values are rounded.
         """
-        noise, span = self.noise, self.white_level - self.black_level
+        noise, scale, span = self.noise, self.noise_scale, self.white_level - self.black_level
         if not dark < span:
             raise ValueError(f"dark current alone fills a pixel of camera {self.name}: {dark:.4g} DN of {span:.4g}")
         stretch, prnu = span / (span - dark), noise.prnu**2
@@ -324,6 +338,6 @@ class CameraModel(Artifact):
             gain = self.gain * self.readout.channel_gain[channel]
             read_noise = self.readout.channel_read_noise[channel]
             channel_dark = dark * (self.readout.channel_exposure * self.readout.channel_gain)[channel]
-        constant = gain**2 * (left * read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
-        constant += (left * gain + prnu * channel_dark) * channel_dark
-        return stretch**2 * constant, stretch * (left * gain + 2 * prnu * channel_dark), prnu
+        constant = gain**2 * (scale.read * read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
+        constant += (scale.shot * gain + prnu * channel_dark) * channel_dark
+        return stretch**2 * constant, stretch * (scale.shot * gain + 2 * prnu * channel_dark), prnu

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.plane_rules import StructureRule, TreeRule
+from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.schema import check, data, group
 
 PlaneRule = StructureRule | TreeRule
@@ -78,14 +78,9 @@ class PlaneLayer:
         """RATIO_TAPS or none."""
         return self.weights.shape[2] - self.window_taps
 
-    def scaled_as(self, other: PlaneRule) -> "PlaneLayer":
-        """Return the layer with gradients scaled as by another rule."""
-        return replace(self, **rule_fields(scaled_rule(self.rule, other)))
-
-
-def scaled_rule(rule: PlaneRule, other: PlaneRule) -> PlaneRule:
-    """Return the rule with gradients scaled as by another one."""
-    return replace(rule, gradient_factor=other.gradient_factor, gradient_shift=other.gradient_shift)
+    def scaled_as(self, scale: GradientScale) -> "PlaneLayer":
+        """Return the layer with gradients scaled so."""
+        return replace(self, **rule_fields(self.rule.scaled_as(scale)))
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import RATIO_TAPS, PlaneRule, one_rule
-from l3cli.artifacts.plane_rules import StructureRule, TreeRule
-from l3cli.artifacts.quiet_set import same_classes, same_plane_classes
+from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.store import (
     hard_group,
@@ -30,7 +29,8 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 
-USUAL, QUIET = "sums", "quiet_sums"  # the groups in which the sums of each set lie
+USUAL, OTHERS = "sums", "condition_sums"  # the groups of the sums at the camera's noise, and at others
+OLDER = "quiet_sums"  # the group of those at one other noise in files of format version 4
 
 
 @dataclass(frozen=True)
@@ -49,14 +49,14 @@ class ClassSums:
 
 @dataclass(frozen=True)
 class PartialSums(Artifact):
-    """Head of a file of partial sums; the sums lie in the groups sums/00000, sums/00001… in the order of `sites`, those of
-    a quiet set (docs/method.md#noise-sets) in quiet_sums/00000….
+    """Head of a file of partial sums; the sums lie in the groups sums/00000, sums/00001… in the order of `sites`, those for
+    other noise (docs/method.md#noise-sets) in condition_sums/0/00000….
 
     Its history ends with the training run that all shards belong to, so that shards of one run have equal histories.
     """
 
     kind: ClassVar[str] = "partial sums"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     made_by: ClassVar[str] = '"l3 train --shard I/N"'
 
     shard: int = data("int64", doc="which part of the run this is, from 1 …")
@@ -73,7 +73,6 @@ class PartialSums(Artifact):
     )
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
     light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
-    quiet_rule: ClassRule | None = group(default=None)  # of the quiet set; None: none is learned
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -82,8 +81,6 @@ class PartialSums(Artifact):
         self.rule.check_fits(len(self.training.camera.channels), self.training.camera.bits)
         if len(self.white_point) != len(self.training.outputs):
             raise ValueError(f"white_point has {len(self.white_point)} values for {len(self.training.outputs)} outputs")
-        if self.quiet_rule and not same_classes(self.quiet_rule, self.rule):
-            raise ValueError("quiet_rule has other classes than rule")
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
@@ -109,16 +106,21 @@ class LayerSums:
         check(self)
 
 
+def _older_gradients(head: h5py.Group, path: Path) -> tuple[GradientScale, ...]:
+    held = members(head, path)
+    groups = [hard_group(head, name, path) for name in ("quiet_structure", "quiet_tree") if name in held]
+    return tuple(read_fields(group, GradientScale, path) for group in groups)
+
+
 @dataclass(frozen=True)
 class PartialLayerSums(Artifact):
-    """Head of a file of a layer's partial sums; the sums lie in the groups sums/00000… in the order of `sites`, those of a
-    quiet set in quiet_sums/00000….
+    """Head of a file of a layer's partial sums; the sums lie in groups as those of the first layer.
 
     Its history ends with the training run that all shards belong to, so that shards of one run have equal histories.
     """
 
     kind: ClassVar[str] = "partial sums of a layer"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     made_by: ClassVar[str] = '"l3 train --shard I/N"'
 
     shard: int = data("int64", doc="which part of the run this is, from 1 …")
@@ -132,16 +134,11 @@ class PartialLayerSums(Artifact):
     structure: StructureRule | None = group(default=None)  # the layer's rule, if by structure
     tree: TreeRule | None = group(default=None)  # the layer's rule, if by a tree
     ratio_taps: int = data("int64", doc="taps behind those of the windows, of colour ratios", default=0)
-    quiet_structure: StructureRule | None = group(default=None)  # the same of the quiet set, if the table has one
-    quiet_tree: TreeRule | None = group(default=None)  # the same of the quiet set
+    gradients: tuple[GradientScale, ...] = group(default=(), older=_older_gradients)  # of the rule, at each other noise
 
     @property
     def rule(self) -> PlaneRule:
         return one_rule(self.structure, self.tree)
-
-    @property
-    def quiet_rule(self) -> PlaneRule | None:
-        return one_rule(self.quiet_structure, self.quiet_tree) if self.table.quiet else None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -158,8 +155,8 @@ class PartialLayerSums(Artifact):
             raise ValueError("rule has other levels or saturation cases than the table's first layer")
         if len(self.rule.turns) != self.table.cfa.size:
             raise ValueError(f"rule is for {len(self.rule.turns)} sites, the CFA has {self.table.cfa.size}")
-        if self.quiet_rule and not same_plane_classes(self.quiet_rule, self.rule):
-            raise ValueError("the quiet set's rule has other classes than the usual one")
+        if [len(scale.gradient_factor) for scale in self.gradients] != [below.levels for _ in self.table.noises]:
+            raise ValueError("gradients are not those of each noise that the table is learned for")
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
@@ -175,24 +172,28 @@ SUMS: dict[type[Head], type] = {PartialSums: ClassSums, PartialLayerSums: LayerS
 
 
 class PartialSumsReader:
-    """An open file of partial sums: `head` and `site(i)`, the sums of head.sites[i], of either set. Memory holds one site at
-    a time."""
+    """An open file of partial sums: `head` and `site(i)`, the sums of head.sites[i]; `conditions`: number of other noises
+    that it holds them for. Memory holds one site at a time."""
 
     def __init__(self, root: h5py.File, path: Path) -> None:
         self._path = path
         kind = next(kind for kind in SUMS if kind.kind == root.attrs["kind"])
         self.head: Any = read_fields(root, kind, path, history=read_history(root, path))
-        sets = (USUAL, QUIET) if self.head.quiet_rule else (USUAL,)
-        self._sums = {each: hard_group(root, each, path) for each in sets}
-        if any(len(members(sums, path)) != len(self.head.sites) for sums in self._sums.values()):
+        held = members(root, path)
+        self._sums = [hard_group(root, each, path) for each in (USUAL, OLDER) if each == USUAL or each in held]
+        if OTHERS in held:
+            others = hard_group(root, OTHERS, path)
+            self._sums += [hard_group(others, str(number), path) for number in range(len(members(others, path)))]
+        if any(len(members(sums, path)) != len(self.head.sites) for sums in self._sums):
             raise InputFileError(f"{path} lacks sums of some sites; make it again with {kind.made_by}")
+        self.conditions = len(self._sums) - 1
 
-    def site(self, index: int, of_set: str = USUAL) -> Any:
-        """Return ClassSums, or LayerSums if the pass is one of a later layer; QUIET: those of the quiet set."""
-        name = f"{index:05d}"
-        sums: Any = read_fields(hard_group(self._sums[of_set], name, self._path), SUMS[type(self.head)], self._path)
+    def site(self, index: int, condition: int = 0) -> Any:
+        """Return ClassSums, or LayerSums if the pass is one of a later layer; 0: at the camera's noise."""
+        where = hard_group(self._sums[condition], f"{index:05d}", self._path)
+        sums: Any = read_fields(where, SUMS[type(self.head)], self._path)
         if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
-            raise InputFileError(f"{self._path}: {of_set}/{name} does not fit the class rule; make the file again")
+            raise InputFileError(f"{self._path}: {where.name} does not fit the class rule; make the file again")
         return sums
 
 
@@ -205,13 +206,13 @@ def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
 
 
 def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iterable[LayerSums]) -> None:
-    """Write `head` and the sums of each of its sites, taken one by one, whole or not at all: those of the usual set and, if
-    the head has a rule of it, of the quiet set."""
+    """Write `head` and the sums of each of its sites, taken one by one, whole or not at all: at the camera's noise, then at
+    others."""
     with new_artifact(path, head.kind, head.version, head.history) as root:
         write_fields(root, head)
         name_axes(root, type(head), {}, head)
-        for name, sums in zip((USUAL, QUIET), sets, strict=False):
-            below = root.create_group(name)
+        for number, sums in enumerate(sets):
+            below = root.create_group(f"{OTHERS}/{number - 1}" if number else USUAL)
             for index, site in enumerate(sums):
                 group = below.create_group(f"{index:05d}")
                 write_fields(group, site)

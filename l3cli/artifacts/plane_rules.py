@@ -1,8 +1,8 @@
 """Class rules of layers that read planes, and the numbers of their classes: by structure (docs/method.md#structure), or by a
 tree of threshold tests (docs/method.md#trees). What the numbers mean is written out in l3cli/classes."""
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,30 @@ ORIENTATIONS = 8  # of a square
 SMALLEST, LARGEST = 1e-30, 2.0**31  # of thresholds but zero: what lies below float32's normal range is zero on some devices
 
 
+@dataclass(frozen=True)
+class GradientScale:
+    """Scale of gradients at each level of the first layer."""
+
+    gradient_factor: NDArray[np.uint8] = data(
+        "uint8", "mosaic_level", doc="what differences of planes are multiplied by, at each level of the first layer …"
+    )
+    gradient_shift: NDArray[np.uint8] = data("uint8", "mosaic_level", unit="bit", doc="… and then shifted right by")
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.gradient_factor.max(initial=0) > FACTORS[1] or self.gradient_shift.max(initial=0) > MOST_SHIFT:
+            raise ValueError(f"gradient_factor exceeds {FACTORS[1]}, or gradient_shift {MOST_SHIFT}")
+
+    @property
+    def scale(self) -> "GradientScale":
+        """The scale alone, of a rule that has one."""
+        return GradientScale(self.gradient_factor, self.gradient_shift)
+
+    def scaled_as(self, scale: "GradientScale") -> Self:
+        """Return the same with another scale."""
+        return replace(self, gradient_factor=scale.gradient_factor, gradient_shift=scale.gradient_shift)
+
+
 class PlanePlace(NamedTuple):
     """Places of classes along the axes of their rule: integers, or integer arrays of equal shape."""
 
@@ -27,7 +51,7 @@ class PlanePlace(NamedTuple):
     kind: Any  # structure of an unsaturated pixel, or structures − 1 + saturation case of one near saturation
 
 
-class PlaneClasses:
+class PlaneClasses(GradientScale):
     """class = (site · levels + level) · kinds + kind. Level and saturation case are those of the first layer; structures are
     what a rule tells apart where nothing is saturated."""
 
@@ -82,10 +106,6 @@ class StructureRule(PlaneClasses):
     """Classes by level, and by strength and direction of edges."""
 
     level_step: int = data("int64", doc="levels of the first layer that make one here")
-    gradient_factor: NDArray[np.uint8] = data(
-        "uint8", "mosaic_level", doc="what luminance differences are multiplied by, at each level of the first layer …"
-    )
-    gradient_shift: NDArray[np.uint8] = data("uint8", "mosaic_level", unit="bit", doc="… and then shifted right by")
     strength_edges: NDArray[np.uint32] = data(
         "uint32", "strength_edge", doc="trace of the structure tensor above which the next strength begins"
     )
@@ -96,15 +116,13 @@ class StructureRule(PlaneClasses):
     cases: int = data("int64", doc="saturation cases of the first layer, the unsaturated one included")
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.level_step < 1 or self.cases < 1 or not 0 <= self.coherence <= 64:
             raise ValueError("level_step and cases must be at least 1, coherence within 0…64")
         if self.turns.shape[1:] != (2,) or (np.abs(self.turns) != 1).any():
             raise ValueError("turns must be two signs a site")
         if (np.diff(self.strength_edges.astype(np.int64)) <= 0).any():
             raise ValueError("strength_edges do not increase")
-        if self.gradient_factor.max(initial=0) > FACTORS[1] or self.gradient_shift.max(initial=0) > MOST_SHIFT:
-            raise ValueError(f"gradient_factor exceeds {FACTORS[1]}, or gradient_shift {MOST_SHIFT}")
 
     @property
     def levels(self) -> int:
@@ -128,10 +146,6 @@ class TreeRule(PlaneClasses):
     """Classes by the leaves of one tree for all sites, each of which sees its neighbourhood in the orientation that it is
     learned in."""
 
-    gradient_factor: NDArray[np.uint8] = data(
-        "uint8", "mosaic_level", doc="what differences of planes are multiplied by, at each level of the first layer …"
-    )
-    gradient_shift: NDArray[np.uint8] = data("uint8", "mosaic_level", unit="bit", doc="… and then shifted right by")
     test: NDArray[np.uint8] = data("uint8", "node", doc="which quotient of evidence a node compares")
     threshold: NDArray[np.float32] = data("float32", "node", doc="above which the second of its branches is taken")
     branch: NDArray[np.int32] = data(
@@ -141,11 +155,9 @@ class TreeRule(PlaneClasses):
     cases: int = data("int64", doc="saturation cases of the first layer, the unsaturated one included")
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.cases < 1 or self.turns.max(initial=0) >= ORIENTATIONS or self.test.max(initial=0) >= TESTS:
             raise ValueError(f"cases must be at least 1, turns below {ORIENTATIONS}, tests below {TESTS}")
-        if self.gradient_factor.max(initial=0) > FACTORS[1] or self.gradient_shift.max(initial=0) > MOST_SHIFT:
-            raise ValueError(f"gradient_factor exceeds {FACTORS[1]}, or gradient_shift {MOST_SHIFT}")
         size = np.abs(self.threshold[self.threshold != 0])
         if size.size and not SMALLEST <= size.min() <= size.max() <= LARGEST:
             raise ValueError(f"thresholds must be zero, or of a size within {SMALLEST:g}…{LARGEST:g}")

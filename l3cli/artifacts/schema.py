@@ -8,7 +8,7 @@ and `l3 info` all read these declarations.
 import dataclasses
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -54,12 +54,16 @@ class Group:
     kind: type
     several: bool
     since: int
+    older: Callable[[Any, Any], Any] | None  # reads from a file's group what older versions hold instead
 
 
-def group(default: Any = dataclasses.MISSING, kw_only: bool = False, since: int = 0) -> Any:
+def group(
+    default: Any = dataclasses.MISSING, kw_only: bool = False, since: int = 0, older: Callable[[Any, Any], Any] | None = None
+) -> Any:
     """Declare a group: the field's type is a dataclass of declared fields, or tuple[X, ...] of one; with a default, None or
-    (), it may be absent. In files of format versions before `since` its fields lie a level higher, where the group would."""
-    return field(metadata={"since": since}, default=default, kw_only=kw_only)
+    (), it may be absent. In files of format versions before `since` its fields lie a level higher, where the group would.
+    `older` makes it of what a file's group (group, path) holds instead."""
+    return field(metadata={"since": since, "older": older}, default=default, kw_only=kw_only)
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,7 @@ def _declared(cls: type) -> Iterator[tuple[str, Spec | Group, bool]]:
         several = typing.get_origin(hint) is tuple
         members = typing.get_args(hint) if several or isinstance(hint, types.UnionType) else (hint,)
         kind = next(typing.cast(type, member) for member in members if dataclasses.is_dataclass(member))
-        yield item.name, Group(kind, several, item.metadata["since"]), item.default is not dataclasses.MISSING
+        yield item.name, Group(kind, several, **item.metadata), item.default is not dataclasses.MISSING
 
 
 def instances(name: str, value: Any) -> dict[str, Any]:

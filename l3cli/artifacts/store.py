@@ -228,17 +228,16 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     """Return an instance of dataclass `cls` from the datasets below `group`."""
     values = dict(extra)
     held = members(group, path)
-    for name, spec, optional in declared(cls):
-        if isinstance(spec, Spec) and spec.formerly in held and name not in held:
-            values[name] = _read_dataset(group, spec.formerly, spec, path)
-            continue
-        if optional and name not in held:
-            continue  # what files of older versions do not hold
-        if isinstance(spec, Spec):
-            values[name] = _read_dataset(group, name, spec, path)
-        else:
-            values[name] = _read_group(group, name, spec, path)
     try:
+        for name, spec, optional in declared(cls):
+            if isinstance(spec, Spec) and (name in held or spec.formerly in held or not optional):
+                values[name] = _read_dataset(
+                    group, spec.formerly if name not in held and spec.formerly else name, spec, path
+                )
+            elif isinstance(spec, Group) and (name in held or not optional):
+                values[name] = _read_group(group, name, spec, path)
+            elif isinstance(spec, Group) and spec.older:
+                values[name] = spec.older(group, path)
         instance = cls(**values)
         check(instance)
     except ValueError as error:

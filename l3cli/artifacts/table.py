@@ -1,5 +1,6 @@
 """The transform table: layers of class rules and weights, all that rendering needs (docs/method.md#classes)."""
 
+import itertools
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -7,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
+from l3cli.artifacts.conditions import Condition, SceneLight, older_conditions
 from l3cli.artifacts.layers import RATIO_TAPS, MosaicLayer, PlaneLayer
-from l3cli.artifacts.light_set import LightSet
-from l3cli.artifacts.quiet_set import QuietSet
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.training_set import LightSpectrum
 
@@ -42,7 +42,7 @@ class TransformTable(Artifact):
     """Local linear transforms for every class: of the mosaic and, in later layers, of what the layer before has made."""
 
     kind: ClassVar[str] = "transform table"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     made_by: ClassVar[str] = '"l3 train"'
 
     camera_name: str = data("str", doc="the camera it was learned for")
@@ -66,8 +66,7 @@ class TransformTable(Artifact):
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
     light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
     camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
-    quiet: QuietSet | None = group(default=None)  # None: pixels of any noise have the same transforms
-    lights: tuple[LightSet, ...] = group(default=())  # for scenes under one of them, or near it
+    conditions: tuple[Condition, ...] = group(default=(), older=older_conditions)  # other noise, then light by light
     spectra: SpectralSmoothing | None = group(
         default=None
     )  # of the outputs, the last step; None: they are as layers leave them
@@ -93,10 +92,12 @@ class TransformTable(Artifact):
             raise ValueError("a layer that another follows has colour ratios; only the last one may")
         if self.spectra and (len(self.outputs) == 1 or self.outputs[:3] == ("X", "Y", "Z")):
             raise ValueError(f"spectra of {', '.join(self.outputs)} cannot be smoothed; they must be bands")
-        if self.quiet:
-            self.quiet.check_fits(self.first, self.later)
-        for index, light in enumerate(self.lights):
-            light.check_fits(f"lights/{index}", self.first, self.later)
+        for index, condition in enumerate(self.conditions):
+            condition.check_fits(f"conditions/{index}", self.later, self.first.rule.levels)
+        there = [(None, None), *((each.light and each.light.name, each.noise) for each in self.conditions)]
+        lights, noises = (dict.fromkeys(part) for part in zip(*there, strict=True))
+        if there != list(itertools.product(lights, noises)):
+            raise ValueError("conditions are not all lights, one after the other, with the same noises each")
 
     def _check_later(self, layer: PlaneLayer) -> None:
         """Raise ValueError if a layer does not fit the first one, whose levels, saturation cases and outputs it takes."""
@@ -121,10 +122,42 @@ class TransformTable(Artifact):
         """Return the table of X, Y, Z alone if other outputs follow them, which no picture shows; else the table itself."""
         if self.outputs[:3] != ("X", "Y", "Z") or len(self.outputs) == 3 or self.later:
             return self
-        quiet = self.quiet and replace(self.quiet, first=self.quiet.first.pictured())
-        lights = tuple(light.pictured() for light in self.lights)
+        conditions = tuple(each.pictured() for each in self.conditions)
         first, white_point = self.first.pictured(), self.white_point[:3]
-        return replace(self, outputs=self.outputs[:3], white_point=white_point, first=first, quiet=quiet, lights=lights)
+        return replace(self, outputs=self.outputs[:3], white_point=white_point, first=first, conditions=conditions)
+
+    @property
+    def noises(self) -> tuple[Condition, ...]:
+        """Conditions of other noise than the camera's, under all lights."""
+        return tuple(each for each in self.conditions if each.light is None)
+
+    @property
+    def lights(self) -> tuple[SceneLight, ...]:
+        """Lights that there are conditions for."""
+        return tuple(each.light for each in self.conditions if each.light and each.noise is None)
+
+    def of_light(self, light: SceneLight | None) -> "TransformTable":
+        """Return the table of the transforms for a light, at every noise; None: those for all lights in common."""
+        if light is None:
+            return replace(self, conditions=self.noises) if self.lights else self
+        usual, *noises = (each for each in self.conditions if each.light and each.light.name == light.name)
+        return replace(self.under(usual), conditions=tuple(replace(each, light=None) for each in noises))
+
+    def under(self, condition: Condition) -> "TransformTable":
+        """Return the table of the transforms of one of its conditions alone."""
+        first, later, edges, light = self.first, self.later, condition.edges, condition.light
+        if edges:
+            first = replace(first, rule=edges.rule(first.rule))
+            later = tuple(map(PlaneLayer.scaled_as, later, edges.gradients))
+        return replace(
+            self,
+            first=replace(first, **vars(condition.first)),
+            later=tuple(replace(layer, **vars(each)) for layer, each in zip(later, condition.later, strict=True)),
+            white_point=self.white_point if light is None else light.white_point,
+            light=self.light if light is None else light.spectrum,
+            camera=self.camera and replace(self.camera, noise_scale=condition.noise or self.camera.noise_scale),
+            conditions=(),
+        )
 
     def dark_signal(self, exposure: float | None) -> float:
         """Return DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of

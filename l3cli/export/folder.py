@@ -1,7 +1,6 @@
 """A table as plain arrays: little-endian files, and table.json that says what each holds."""
 
 import json
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,12 @@ from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP, turned_tests
 from l3cli.classes.windows import neighbourhoods
 from l3cli.export.vector import make_vector
 from l3cli.export.wordlengths import ENOUGH, SEED, SHAPE, Cost, Words, chosen_words, word_costs
+from l3cli.rendering.conditions import noise_limits
 from l3cli.rendering.display import require_known_layers
 from l3cli.rendering.reference import SPECTRA_DARKEST
 from l3cli.system.text import printable
 
-FORMAT, VERSION = "l3 table as arrays", 1
+FORMAT, VERSION = "l3 table as arrays", 2
 HEAD = ("bits", "black_level", "white_level", "outputs", "output_unit", "white_point", "channels", "cfa")
 LEFT_OUT = ("samples", "condition")  # of layers: how they were learned
 
@@ -41,11 +41,11 @@ FORMULAS = {
     "kind": "chroma where the case is 0, else chromas - 1 + case",
     "borders": "the sample of equal CFA phase nearest the mirror image; planes: mirrored about the outermost pixels",
 }
-QUIET = "quiet/"  # before the names of its arrays
-QUIET_DOC = (
-    "a second set of transforms, for pixels of which a filter in time has left no more of the noise variance than limit, a "
-    "share of a frame's; learned for noise_left of it. Its arrays are those of the same name behind quiet/; where there is "
-    "none, those of the usual set. Formulas and constants are the same; test_labels and test_outputs are by this set alone"
+CONDITIONS_DOC = (
+    "further sets of transforms. noise: learned for shot and read times a frame's noise variance, for pixels of which a "
+    "filter in time has left no more than limit; light: learned under this light. Arrays are those of the same name "
+    "behind conditions/NUMBER/; where there is none, those above. Formulas and constants are the same; test_labels and "
+    "test_outputs are by this set alone"
 )
 ONE_LAYER = {"output": "sum of weights * (DN - black_level) / (white_level - black_level) + intercept"}
 LAYERS = {
@@ -85,11 +85,16 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
     if table.spectra:
         content["spectra"] = {"doc": SPECTRA_DOC, **arrays.add_fields("spectra/", table.spectra)}
         content["constants"]["spectra_darkest"] = SPECTRA_DARKEST
-    if table.quiet:
-        quiet = replace(table, first=table.quiet.first, later=table.quiet.later, quiet=None)
-        arrays.prefix = QUIET
-        values = {"noise_left": table.quiet.noise_left, "limit": table.quiet.limit}
-        content["quiet"] = {"doc": QUIET_DOC, **values, **_set(arrays, quiet)}
+    if table.conditions:
+        content["conditions"] = {"doc": CONDITIONS_DOC, "sets": []}
+    for number, condition in enumerate(table.conditions):
+        arrays.prefix = f"conditions/{number}/"
+        entry: dict[str, Any] = {}
+        if condition.noise:
+            entry["noise"] = vars(condition.noise) | {"limit": noise_limits(table).get(condition.noise)}
+        if condition.light:
+            entry["light"] = {"name": condition.light.name, "white_point": condition.light.white_point.tolist()}
+        content["conditions"]["sets"].append({**entry, **_set(arrays, table.under(condition))})
     content["arrays"] = arrays.entries
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     return {"table.json": text.encode(), **arrays.files}

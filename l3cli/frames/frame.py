@@ -1,6 +1,7 @@
 """A raw frame: one mosaic of digital numbers as a camera gives it, brought to the levels of a table."""
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,9 +31,9 @@ class NoiseLeft:
     whole: int  # share that stands for all of it
     cell: tuple[int, int]  # rows and columns of a cell
 
-    def quiet(self, limit: float, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """1 where no more than the share `limit` is left, else 0, (row, col) of a frame of this shape."""
-        cells = (self.shares <= int(limit * self.whole)).view(np.uint8)
+    def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        """Return of how many of the shares `limits` no more is left, (row, col) of a frame of this shape."""
+        cells = np.sum([self.shares <= int(limit * self.whole) for limit in limits], axis=0, dtype=np.uint8)
         return cells.repeat(self.cell[1], 1)[:, : shape[1]].repeat(self.cell[0], 0)[: shape[0]]
 
 

@@ -53,9 +53,10 @@ class ExportOptions(ForceOptions):
         metavar="LIGHT|X,Y",
     )
     prefix: str | None = option(None, "Of C source: what its symbols and files begin with. [l3]", metavar="NAME")
-    which: Literal["usual", "quiet"] | None = option(
-        None, "Of a table of two sets of transforms: the one that C source holds. [usual]", flag="set"
-    )
+    which: Literal["usual", "low-noise"] | None = option(
+        None, "Of a table of two sets of transforms: the one that C source holds. [usual]",
+        Choice("usual", "low-noise", gone={"quiet": "the quiet set is called ‹set› low-noise now"}), flag="set",
+    )  # fmt: skip
 
 
 @options

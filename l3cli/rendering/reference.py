@@ -14,8 +14,8 @@ from l3cli.classes.planes import FixedPoint, coarse, later_fixed_point, opponent
 from l3cli.classes.ratios import shaded_chroma
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import RawFrame, pad_mosaic
+from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
-from l3cli.rendering.noise_sets import first_fixed_point, first_layer, later_layers, later_rules, quiet_pixels, sets_of
 
 SPECTRA_DARKEST = (
     2.0**-20
@@ -27,8 +27,7 @@ class ReferenceRenderer:
 
     def __init__(self, table: TransformTable, by_noise: bool = False) -> None:
         require_known_layers(table)
-        self.table, self._sets = table, sets_of(table, by_noise)
-        self._first, self._later_layers = first_layer(self._sets), later_layers(self._sets)
+        self.table, self._sets = table, NoiseSets(table, by_noise)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> Integers:
         """Class (row, col) of every pixel in a layer of the table."""
@@ -56,9 +55,9 @@ class ReferenceRenderer:
         gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
         if self.table.later:
             planes, later_labels = self._later(levelled, labels, len(self.table.later))
-            made = gain * later_outputs(planes, later_labels, self._later_layers[-1])
+            made = gain * later_outputs(planes, later_labels, self._sets.later[-1])
         else:
-            made = gain * output_planes(levelled, labels, self.table, self._first)
+            made = gain * output_planes(levelled, labels, self.table, self._sets.first)
         return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
@@ -70,21 +69,20 @@ class ReferenceRenderer:
     def _fixed_points(self) -> list[FixedPoint]:
         """Fixed-point transforms of all layers but the last."""
         basis = opponent_basis(self.table.white_point)
-        return [first_fixed_point(self._sets), *(later_fixed_point(layer, basis) for layer in self._later_layers[:-1])]
+        return [self._sets.first_fixed_point, *(later_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:
-        """Class (row, col) in the first layer of every pixel of a frame at the table's levels, those of the quiet set behind
-        the usual ones."""
-        labels = table_labels(levelled, self._sets[0])
-        if len(self._sets) == 1:
-            return labels
-        quiet = quiet_pixels(levelled, self.table)
-        return np.where(quiet, len(self.table.first.weights) + table_labels(levelled, self._sets[1]), labels)
+        """Class (row, col) in the first layer of every pixel of a frame at the table's levels, among those of all sets."""
+        usual, *others = (table_labels(levelled, table) for table in self._sets.tables)
+        chosen, labels = self._sets.chosen(levelled) if others else None, usual
+        for number, of_set in enumerate(others, 1):
+            labels = np.where(chosen == number, number * len(self.table.first.weights) + of_set, labels)
+        return labels
 
     def _later(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
         """Return the planes that layer `number` after the first reads of a frame at the table's levels, and the classes
         of its pixels."""
-        later = self._later_layers
+        later = self._sets.later
         planes = first_planes(levelled, first_labels, self.table, self._fixed_points[0])
         labels = self._later_labels(planes, first_labels, 0)
         for place, fixed in enumerate(self._fixed_points[1:number], 1):
@@ -94,7 +92,7 @@ class ReferenceRenderer:
 
     def _later_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
         """Class (row, col) in later layer `place`, from 0, of every pixel."""
-        rule, *others = later_rules(self._sets, place)
+        rule, *others = self._sets.later_rules(place)
         return label_planes(planes, first_labels, rule, self.table.first.rule, *others)
 
 

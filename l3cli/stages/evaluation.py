@@ -25,9 +25,9 @@ from l3cli.io.pictures.registry import write_picture
 from l3cli.io.scenes import rgb
 from l3cli.options.pipeline import EvaluateOptions, SequenceOptions
 from l3cli.physics import spectra
+from l3cli.rendering.conditions import Mix, described, mix_for, mixed
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.renderer import Renderer, make_renderer
-from l3cli.rendering.white.lights import Mix, described, mix_for, mixed
 from l3cli.stages.checkpoint import incomplete_folder, refuse_other_run, run_key
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.input_warnings import warn_if_trained_on, warn_if_unlike, warn_of_kernels

@@ -1,7 +1,6 @@
 """The export stage: camera model → files that other software reads: curves, colour matrices, tuning files, a data sheet; or
 transform table → files that run, or are read, elsewhere: C source or plain arrays."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from l3cli.export.profiles import ALWAYS, file_names
 from l3cli.export.source import PREFIX, c_files
 from l3cli.options.tools import ExportOptions
 from l3cli.physics.display import XYZ
-from l3cli.rendering.white.lights import mix_for, mixed
+from l3cli.rendering.conditions import mix_for, mixed, noise_limits
 from l3cli.rendering.white.source import given_white
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.input_warnings import warn_of_white
@@ -25,12 +24,12 @@ from l3cli.stages.rendering.lights import mix_of_given
 from l3cli.system.console import Console
 from l3cli.system.files import write_whole
 
-QUIET_README = """
-## The quiet set
+LOW_NOISE_README = """
+## Low-noise transforms
 
-These are the quiet transforms of a table of two sets, for pixels of which a filter in time has left at most {limit:.3g} of
-the variance of noise that varies from frame to frame; they were learned for {noise_left:.3g} of it. Other pixels are
-rendered by the usual set, which is exported alone, with test files of its own.
+This is the second set of a table, for pixels of which a filter in time has left at most {limit:.3g} of the variance of noise
+that varies from frame to frame; it was learned for {noise_left:.3g} of it. Other pixels are rendered by the usual set, which
+is exported alone, with test files of its own.
 """
 
 
@@ -89,17 +88,19 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
         transforms = load(TransformTable, table)
         if white is not None and not transforms.lights and (form != "c" or transforms.outputs != XYZ):
             raise RecipeError(f"{table} has transforms of no single lights to be mixed for a ‹white›; leave it out")
-        transforms = mixed(transforms, mix_of_given(white, transforms, mix_for, console))
-        shown = given_white(white, transforms)
-        quiet = transforms.quiet
-        if which == "quiet" and quiet is None:
+        if white is not None or form != "folder":  # arrays hold all lights
+            transforms = mixed(transforms, mix_of_given(white, transforms, mix_for, console))
+        shown, readme = given_white(white, transforms), ""
+        low = next(iter(transforms.noises), None)
+        if which == "low-noise" and low is None:
             raise RecipeError(f"{table} has one set of transforms; leave ‹set› out, or train with noise_left")
-        if quiet and form != "folder" and which is None:
+        if low and form != "folder" and which is None:
             console.report(
-                f"{table}: the usual set of transforms is written, ‹set› quiet writes that for frames filtered in time"
+                f"{table}: the usual set of transforms is written, ‹set› low-noise writes that for frames filtered in time"
             )
-        if quiet and which == "quiet":
-            transforms = replace(transforms, first=quiet.first, later=quiet.later, quiet=None)
+        if low and low.noise and which == "low-noise":
+            values = {"limit": noise_limits(transforms)[low.noise], "noise_left": low.noise.shot}
+            transforms, readme = transforms.under(low), LOW_NOISE_README.format(**values)
         balance = shown.balance if shown else None
         if white and shown and form == "c":
             warn_of_white(white, shown, transforms, console)
@@ -107,8 +108,8 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
             files = c_files(transforms, words or "float32", balance, PREFIX if prefix is None else prefix)
         else:
             files = folder_files(transforms)
-        if quiet and which == "quiet":
-            files["README.md"] += QUIET_README.format(limit=quiet.limit, noise_left=quiet.noise_left).encode()
+        if readme:
+            files["README.md"] += readme.encode()
         for name in files:
             claims.claim_file(output / name, options.force)
         before_work({"table": [table]}, *(Made(output / name, "export", len(content)) for name, content in files.items()))

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.conditions import SceneLight
 from l3cli.artifacts.layers import PlaneLayer, PlaneRule
-from l3cli.artifacts.light_set import LightSet
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.features import further_features
@@ -69,7 +69,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
     }
 
 
-def _light(light: LightSet) -> dict[str, Any]:
+def _light(light: SceneLight) -> dict[str, Any]:
     return {"name": light.name, "kelvin": round(temperature(light.white_point[:3])[0])}
 
 

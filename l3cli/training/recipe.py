@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 import msgspec
 import numpy as np
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.plane_rules import MOST_LEAVES
 from l3cli.artifacts.table import WINDOWS
 from l3cli.classes.recipe import ClassRecipe
@@ -69,6 +69,11 @@ class LearningRecipe(Recipe):
     spectral_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.3
     symmetry: bool = True  # rotated or mirrored CFA sites share their training (docs/method.md#symmetry)
     equal_response: bool = True  # all CFA sites answer a flat patch alike (docs/method.md#equal-response)
+
+    @property
+    def noises(self) -> tuple[NoiseScale, ...]:
+        """Noises, over the camera's, that further transforms are learned for."""
+        return (NoiseScale(self.noise_left, self.noise_left),) if self.noise_left else ()
 
 
 class LayerRecipe(Recipe):
@@ -160,9 +165,6 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
         yield fault("learning.ridge must be positive, the noise weights not negative", *wrong)
     if recipe.noise_left and recipe.noise == "none":
         yield fault('learning.noise_left has no noise to leave a share of where noise is "none"', "learning.noise_left")
-    if recipe.noise_left and recipe.per_light:
-        message = "learning.per_light: a table has transforms of several lights or of less noise; leave out noise_left"
-        yield fault(message, "learning.noise_left", "learning.per_light")
     if recipe.spectral_window not in (0, *WINDOWS):
         message = f"learning.spectral_window is {recipe.spectral_window}, not 0 or one of {', '.join(map(str, WINDOWS))}"
         yield fault(message, "learning.spectral_window")

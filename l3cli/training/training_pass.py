@@ -3,14 +3,17 @@
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import NoiseScale
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
 from l3cli.physics.display import XYZ
 from l3cli.training.goal import Goal, goal_of
 from l3cli.training.recipe import LearningRecipe
@@ -52,6 +55,14 @@ class TrainingPass:
         """Return the brightness (patch) that errors are relative to, from targets (patch, output): Y if there is one,
         else the mean."""
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
+
+
+def at_noise(pass_: TrainingPass, noise: NoiseScale, recipe: ClassRecipe) -> TrainingPass:
+    """Return the pass for frames of other noise over time, by the class edges that follow it (docs/method.md#noise-sets)."""
+    camera = replace(pass_.head.camera, noise_scale=noise)
+    made = make_rule(recipe, camera, pass_.rule.case_of_code, dark=pass_.dark)
+    rule = replace(pass_.rule, contrast_edges=made.contrast_edges, features=made.features)
+    return replace(pass_, head=replace(pass_.head, camera=camera), rule=rule)
 
 
 def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fraction] | None) -> tuple[int, ...]:

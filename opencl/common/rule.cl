@@ -16,21 +16,21 @@
 #endif
 
 // Which set of transforms: as a value, as a parameter of kernels, and handed on; nothing where there is one.
-#ifdef QUIET_SITES
-#define QUIET_VALUE uints quiet,
-#define QUIET_PARAMETER , __global const uchar *restrict quiet_pixels  // (row, col)
-#define QUIET_READ , quiet_pixels
-#define QUIET_AT(at) quiet_values(quiet_pixels + (at)),
+#ifdef SETS
+#define SET_VALUE uints set,
+#define SET_PARAMETER , __global const uchar *restrict pixel_sets  // (row, col)
+#define SET_READ , pixel_sets
+#define SET_AT(at) set_values(pixel_sets + (at)),
 #if LANES == 1
-INLINE uints quiet_values(__global const uchar *at) { return *at; }
+INLINE uints set_values(__global const uchar *at) { return *at; }
 #else
-INLINE uints quiet_values(__global const uchar *at) { return CONVERT(LOAD_GLOBAL(bytes, at), uints); }
+INLINE uints set_values(__global const uchar *at) { return CONVERT(LOAD_GLOBAL(bytes, at), uints); }
 #endif
 #else
-#define QUIET_VALUE
-#define QUIET_PARAMETER
-#define QUIET_READ
-#define QUIET_AT(at)
+#define SET_VALUE
+#define SET_PARAMETER
+#define SET_READ
+#define SET_AT(at)
 #endif
 
 typedef struct {
@@ -69,35 +69,39 @@ INLINE uints kind_of(const Evidence *e, patterns code, RULE_CONSTANTS) {
 // The class of pixels of `site` near whose centres the channels of `code` are saturated. Comparing with every level edge
 // needs no table, which vectors are slow at; contrast edges follow the level in the same loop.
 //
-// Of two sets of transforms (l3cli/rendering/noise_sets.py), `quiet` pixels, 1 and not 0, compare with the second's edges, which
-// lie behind the first's, and are of sites beyond the array's.
-INLINE uints class_of(const Evidence *e, uints site, patterns code, QUIET_VALUE RULE_CONSTANTS) {
+// Of SETS of transforms (l3cli/rendering/conditions.py), pixels compare with the edges of their `set`, which lie behind those of
+// the sets before it, and are of sites beyond theirs.
+INLINE uints class_of(const Evidence *e, uints site, patterns code, SET_VALUE RULE_CONSTANTS) {
     const uints kind = kind_of(e, code, RULE);
     uints level = 0, edge[CONTRASTS];
     first_contrast_edges(edge, contrast_edges);
-#ifdef QUIET_SITES
-    uints quiet_edge[CONTRASTS];
-    first_contrast_edges(quiet_edge, contrast_edges + (CONTRASTS - 1) * LEVELS);
+#ifdef SETS
+    uints set_edge[SETS - 1][CONTRASTS];
+    for (int s = 1; s < SETS; s++) first_contrast_edges(set_edge[s - 1], contrast_edges + s * (CONTRASTS - 1) * LEVELS);
 #endif
     #pragma unroll 4
     for (int l = 1; l < LEVELS; l++) {
         const ints reached = above_level(e->level_sum, level_tops[l - 1]);
         level = reached ? level + 1 : level;
         next_contrast_edges(edge, reached, l, contrast_edges);
-#ifdef QUIET_SITES
-        next_contrast_edges(quiet_edge, reached, l, contrast_edges + (CONTRASTS - 1) * LEVELS);
+#ifdef SETS
+        for (int s = 1; s < SETS; s++)
+            next_contrast_edges(set_edge[s - 1], reached, l, contrast_edges + s * (CONTRASTS - 1) * LEVELS);
 #endif
     }
-#ifdef QUIET_SITES
-    for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = quiet != 0 ? quiet_edge[k] : edge[k];
-    site = quiet != 0 ? site + QUIET_SITES : site;
+#ifdef SETS
+    for (int s = 1; s < SETS; s++)
+        for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = set == (uint)s ? set_edge[s - 1][k] : edge[k];
+    site += set * SET_SITES;
 #endif
     uints within = level * CONTRASTS + contrast_of(e->variance_sum, edge);
 #ifdef EACH_WINDOW
     uints further = further_of(e->window_sum, level, further_constants);
-#ifdef QUIET_SITES
-    const uints quiet_further = further_of(e->window_sum, level, further_constants + FURTHER_CONSTANTS);
-    further = quiet != 0 ? quiet_further : further;
+#ifdef SETS
+    for (int s = 1; s < SETS; s++) {
+        const uints set_further = further_of(e->window_sum, level, further_constants + s * FURTHER_CONSTANTS);
+        further = set == (uint)s ? set_further : further;
+    }
 #endif
     within = within * FURTHER + further;
 #endif

@@ -13,9 +13,9 @@
     __global const uint *restrict mean_reciprocal,      /* (channel, CFA row, period) round(65536 / count) */ \
     __global const uint *restrict variance_reciprocal,  /* (channel, CFA row, period) round(512 / count) */ \
     __global const uint *restrict site_column,          /* (period) CFA column */ \
-    RULE_CONSTANTS QUIET_PARAMETER
+    RULE_CONSTANTS SET_PARAMETER
 #define CLASSES_READ raw, row_source, column_source, member, channel_bit, count, mean_reciprocal, variance_reciprocal, site_column, \
-    RULE QUIET_READ
+    RULE SET_READ
 
 // What a tile keeps of its latest rows: arrays apart from one another, which the compiler can then tell apart.
 typedef struct {
@@ -90,7 +90,7 @@ INLINE uints classes_at(const Seen *seen, int k, int x, size_t at, int site_row,
     EACH_WINDOW(ADD_WINDOW)
 #endif
     const uints site = LOAD_GLOBAL(uints, site_column + phase) + site_row * CFA_COLUMNS;
-    return class_of(&evidence, site, patch_saturated(seen->runs, x), QUIET_AT(at) RULE);
+    return class_of(&evidence, site, patch_saturated(seen->runs, x), SET_AT(at) RULE);
 }
 
 INLINE void write_classes(__global uint *to, uints label, int count) {

@@ -33,7 +33,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
              __global const uint *restrict mean_reciprocal,      // (channel, CFA row, period) round(65536 / count)
              __global const uint *restrict variance_reciprocal,  // (channel, CFA row, period) round(512 / count)
              __global const uint *restrict site_column,          // (period) CFA column
-             RULE_CONSTANTS QUIET_PARAMETER,
+             RULE_CONSTANTS SET_PARAMETER,
              __global uint *restrict labels,                     // (row, col)
              int phase_row, int phase_column, int rows, int columns) {
     __local ushort value[TILE_ROWS][TILE_COLUMNS], bit[TILE_ROWS][TILE_COLUMNS];  // DN and 1 << channel
@@ -91,7 +91,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
     for (int p = column + RADIUS - SATURATION_RADIUS; p <= column + RADIUS + SATURATION_RADIUS; p++) code |= saturated[line][p];
     if (x >= columns || y >= rows) return;
     const size_t pixel = (size_t)y * columns + x;
-    labels[pixel] = class_of(&evidence, site_row * CFA_COLUMNS + site, code, QUIET_AT(pixel) RULE);
+    labels[pixel] = class_of(&evidence, site_row * CFA_COLUMNS + site, code, SET_AT(pixel) RULE);
 }
 
 #endif

@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from l3cli.io.images import read_image
 from l3cli.io.raw.files import read_raw
 from tests.helpers.artifacts import some_sums
 from tests.helpers.calls import L3, Refused
-from tests.helpers.tables import random_table, with_later, with_quiet
+from tests.helpers.tables import random_table, with_later, with_low_noise
 
 C_FILES = ["CMakeLists.txt", "Makefile", "README.md", "l3.c", "l3.h", "l3_picture.c", "l3_picture.h", "l3_table.c",
            "l3_table.h", "test.c", "test_labels.bin", "test_outputs.bin", "test_raw.bin"]  # fmt: skip
@@ -66,27 +65,26 @@ def test_a_folder_is_written_alike_twice(table: Path, tmp_path: Path, l3: L3) ->
 
 
 def test_either_set_of_a_table_of_two_is_exported(table: Path, tmp_path: Path, l3: L3) -> None:
-    two = with_quiet(load(TransformTable, table))
-    assert two.quiet is not None
+    two = with_low_noise(load(TransformTable, table))
     save(two, tmp_path / "two.h5")
-    save(replace(two, first=two.quiet.first, later=two.quiet.later, quiet=None), tmp_path / "alone.h5")
+    save(two.under(two.conditions[0]), tmp_path / "alone.h5")
     err = l3("export", tmp_path / "two.h5", "-o", tmp_path / "c")[2]
-    assert "the usual set of transforms is written, --set quiet writes that for frames filtered in time" in err
+    assert "the usual set of transforms is written, --set low-noise writes that for frames filtered in time" in err
     err = l3("export", table, "-o", tmp_path / "c1")[2]
     assert "--set" not in err
     assert contents(tmp_path / "c") == contents(tmp_path / "c1")
-    assert l3("export", tmp_path / "two.h5", "-o", tmp_path / "c2", "--quiet", "--set", "quiet")[0] == 0
+    assert l3("export", tmp_path / "two.h5", "-o", tmp_path / "c2", "--quiet", "--set", "low-noise")[0] == 0
     assert l3("export", tmp_path / "alone.h5", "-o", tmp_path / "c3", "--quiet")[0] == 0
     quiet, alone = contents(tmp_path / "c2"), contents(tmp_path / "c3")
-    assert quiet.pop("README.md").startswith(alone.pop("README.md") + b"\n## The quiet set\n")
+    assert quiet.pop("README.md").startswith(alone.pop("README.md") + b"\n## Low-noise transforms\n")
     assert quiet == alone
     assert quiet["test_outputs.bin"] != contents(tmp_path / "c")["test_outputs.bin"]
 
 
 def test_a_set_that_is_not_there_is_refused(table: Path, tmp_path: Path, refused: Refused) -> None:
-    line = refused(2, "export", table, "-o", tmp_path / "o", "--set", "quiet")
+    line = refused(2, "export", table, "-o", tmp_path / "o", "--set", "low-noise")
     assert "has one set of transforms; leave --set out" in line
-    line = refused(2, "export", table, "-o", tmp_path / "o", "--to", "folder", "--set", "quiet")
+    line = refused(2, "export", table, "-o", tmp_path / "o", "--to", "folder", "--set", "low-noise")
     assert "a folder of arrays holds both sets; leave --set out" in line
     assert not (tmp_path / "o").exists()
 

@@ -370,7 +370,7 @@ def test_a_renderer_is_made_once_and_anew_after_an_error(
         made.append(backend)
         return make_renderer(backend, *about, **options)
 
-    monkeypatch.setattr("l3cli.rendering.quiet.make_renderer", counted)
+    monkeypatch.setattr("l3cli.rendering.renderer.make_renderer", counted)
     for name in ("a.npy", "b.npy", "d.npy"):
         np.save(tmp_path / "in" / name, frames(2))
     again()

@@ -11,13 +11,13 @@ from l3cli.artifacts.store import save
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.io.pictures.openimageio import write_mosaic
-from l3cli.rendering.quiet import quiet_table
+from l3cli.rendering.conditions import with_edges_for
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.temporal import chunks
 from l3cli.rendering.temporal.reference import ReferenceFilter
 from tests.helpers.sequences import FAST, pictures
 from tests.helpers.still_scene import BLACK, CAMERA, COLS, COUNT, ROWS, TABLE, mosaics
-from tests.helpers.tables import with_quiet
+from tests.helpers.tables import with_low_noise
 
 LINEAR = (*FAST, "--bits", 32, "--format", "tif")
 
@@ -36,20 +36,20 @@ def test_a_picture_is_that_of_its_filtered_mosaic(
     for name, mosaic in zip(ours, mosaics(), strict=True):
         made = filtered.filtered(RawFrame("frame", mosaic, BLACK, 4095.0))
         shares.append(made.noise_share)
-        outputs = ReferenceRenderer(quiet_table(TABLE, made.noise_share)).outputs(made)
+        outputs = ReferenceRenderer(with_edges_for(TABLE, made.noise_share)).outputs(made)
         assert np.array_equal(ours[name], np.moveaxis(outputs, 0, -1))
     assert (shares[0], shares[-1]) == (1.0, 0.5)
 
 
-def test_quiet_pixels_are_rendered_by_the_quiet_set(l3: Callable, tmp_path: Path, still_frames: Path) -> None:
-    two = with_quiet(TABLE)
+def test_pixels_of_little_noise_are_rendered_by_their_transforms(l3: Callable, tmp_path: Path, still_frames: Path) -> None:
+    two = with_low_noise(TABLE)
     save(two, tmp_path / "two.h5")
     assert l3("render", tmp_path / "two.h5", still_frames, "-o", tmp_path / "out", "--temporal", *LINEAR) == (0, "", "")
     filtered, quiet = ReferenceFilter((2, 2), CAMERA), []
     for name, mosaic in zip(sorted(each.name for each in still_frames.iterdir()), mosaics(), strict=True):
         made = filtered.filtered(RawFrame("frame", mosaic, BLACK, 4095.0))
         assert made.noise_left is not None
-        quiet.append(made.noise_left.quiet(0.125**0.75, made.values.shape).mean())
+        quiet.append(made.noise_left.below([0.125**0.75], made.values.shape).mean())
         outputs = ReferenceRenderer(two, by_noise=True).outputs(made)
         assert np.array_equal(read_image(tmp_path / "out" / name)[0], np.moveaxis(outputs, 0, -1))
     assert (quiet[0], quiet[-1] > 0.8) == (0.0, True)

@@ -10,12 +10,12 @@ import pytest
 import l3cli
 from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
-from l3cli.rendering import quiet
+from l3cli.rendering import renderer as renderers
 from tests.helpers import still_scene
 from tests.helpers.calls import L3
 from tests.helpers.readme import PAGES, fenced
 from tests.helpers.sequences import COUNT, RGGB, frames, write_raw_video
-from tests.helpers.tables import with_quiet
+from tests.helpers.tables import with_low_noise
 
 vs: Any = pytest.importorskip("vapoursynth", reason='has wheels for Python ≥ 3.12 alone: "make vapoursynth"')
 
@@ -96,13 +96,13 @@ def test_frames_in_any_order_from_many_threads(folder: Path) -> None:
     vs.core.num_threads, before = 4, vs.core.num_threads
     made: list[object] = []
     with pytest.MonkeyPatch.context() as patch:
-        original = quiet.make_renderer
+        original = renderers.make_renderer
 
         def counted(*given: Any, **options: Any) -> Any:
             made.append(given)
             return original(*given, **options)
 
-        patch.setattr(quiet, "make_renderer", counted)
+        patch.setattr(renderers, "make_renderer", counted)
         clips = [render(mosaics(), folder / "table.h5", exposure=0.7, bits=bits) for bits in (8, 16)]
         asked = [(clip, number) for clip in range(2) for number in [*range(COUNT)] * 4]
         random.Random(1).shuffle(asked)
@@ -126,7 +126,7 @@ def test_frames_filtered_in_time_are_those_of_the_command_in_any_order(
     monkeypatch.setattr(chunks, "CHUNK", 3)
     monkeypatch.setattr(chunks, "LEAD", 1)
     np.save(tmp_path / "still.npy", still_scene.mosaics())
-    save(with_quiet(still_scene.TABLE), tmp_path / "table.h5")
+    save(with_low_noise(still_scene.TABLE), tmp_path / "table.h5")
     call = ("render", tmp_path / "table.h5", tmp_path / "still.npy", "-o", tmp_path / "out", "--temporal", "--exposure", 0.7)
     assert l3(*call)[0] == 0
     expected = [read_image(path)[0] for path in sorted((tmp_path / "out").glob("*.png"))]

@@ -11,15 +11,15 @@ import pytest
 
 import l3cli
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.light_set import LightSet
+from l3cli.artifacts.conditions import Condition, SceneLight
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.io.images import read_image
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
 from l3cli.physics import spectra
 from l3cli.physics.display import display_white
+from l3cli.rendering.conditions import Mix, mixed
 from l3cli.rendering.white.balance import adaptation
-from l3cli.rendering.white.lights import Mix, mixed
 from l3cli.rendering.white.scene_white import Whites
 from l3cli.rendering.white.source import CAMERA
 from tests.helpers.tables import colorimetric_table
@@ -264,11 +264,11 @@ def several(table: Path, bayer: CameraModel) -> Path:
     assert common.camera
     made = [colorimetric_table(common.camera, light) for light in ("A", "D65")]
     lights = [
-        LightSet.of(name, one.white_point, one.light, one.first, one.later)
+        Condition.of(one.first, one.later, SceneLight(name, one.white_point, one.light), None)
         for name, one in zip(("A", "D65"), made, strict=True)
     ]
     path = table.with_name("several.h5")
-    save(dataclasses.replace(common, lights=tuple(lights)), path)
+    save(dataclasses.replace(common, conditions=tuple(lights)), path)
     return path
 
 

@@ -10,7 +10,7 @@ from l3cli.rendering.display import encode, make_display
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS
-from tests.helpers.tables import XYZ, random_table, with_later, with_quiet, with_tree
+from tests.helpers.tables import XYZ, random_table, with_later, with_low_noise, with_tree
 
 # float32 sums of at most 225 products, each term below 1 and rounded to 6e-8: 225 · 6e-8 at worst, a tenth of it in fact.
 OUTPUT_TOLERANCE = 1e-5
@@ -49,13 +49,15 @@ TABLES = {
     ),
     "tree of stripes": lambda: with_tree(random_table(STRIPES, bits=14, black_level=512.5, patch=5, seed=11), 7, seed=4),
     "tree of one leaf": lambda: with_tree(random_table(BAYER, patch=3), leaves=1, seed=5),
-    "two sets": lambda: with_quiet(
+    "two sets": lambda: with_low_noise(
         random_table(FIVE_BAND, contrasts=(1.1, 2.0), direction=direction.Options(orientations=8, strengths=(1.5, 6.0)))
     ),
-    "two sets of three layers": lambda: with_quiet(
+    "two sets of three layers": lambda: with_low_noise(
         with_later(random_table(BAYER, black_level=64.0, patch=9, direction=direction.Options()), 5, 3, ratios=True)
     ),
-    "two sets of a tree": lambda: with_quiet(with_tree(random_table(X_TRANS, bits=14, patch=5, seed=11), seed=2)),
+    "three sets of a tree": lambda: with_low_noise(
+        with_tree(random_table(X_TRANS, bits=14, patch=5, seed=11), seed=2), 0.25, 0.03
+    ),
 }
 KINDS: dict[str, dict[str, Any]] = {  # how a table is rendered: arguments of OpenCLRenderer
     "processor": {"variant": "processor"},

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import CameraModel, NoiseScale
+from l3cli.artifacts.conditions import Condition, SceneLight
 from l3cli.artifacts.layers import RATIO_TAPS, MosaicLayer, PlaneLayer
-from l3cli.artifacts.light_set import LightSet
-from l3cli.artifacts.plane_rules import TESTS, StructureRule, TreeRule
-from l3cli.artifacts.quiet_set import QuietSet
+from l3cli.artifacts.plane_rules import TESTS, GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.decide import label_mosaic
@@ -62,30 +61,30 @@ def with_later(table: TransformTable, *sides: int, seed: int = 1, ratios: bool =
     return dataclasses.replace(table, later=tuple(layers))
 
 
-def with_quiet(table: TransformTable, noise_left: float = 0.125, seed: int = 9) -> TransformTable:
-    """The table with a quiet set of random weights and lower edges."""
-    rng = np.random.default_rng(seed)
+def with_low_noise(table: TransformTable, *shares: float, seed: int = 9) -> TransformTable:
+    """The table with transforms of random weights and lower edges for these shares of the noise."""
+    rng, made = np.random.default_rng(seed), []
     rule, features = table.first.rule, table.first.rule.features
     least = np.arange(len(rule.contrast_edges), dtype=np.uint32)[:, None]
     edges = np.maximum((rule.contrast_edges * 0.02).astype(np.uint32), least)
     if features:
-        features = dataclasses.replace(
-            features, constants=np.where(features.constants > 64, features.constants // 3, features.constants)
+        constants = np.where(features.constants > 64, features.constants // 3, features.constants)
+        features = dataclasses.replace(features, constants=constants)
+    for share in shares or (0.125,):
+        first = dataclasses.replace(
+            table.first,
+            rule=dataclasses.replace(rule, contrast_edges=edges, features=features),
+            weights=rng.permutation(table.first.weights),
+            intercept=rng.permutation(table.first.intercept),
         )
-    first = dataclasses.replace(
-        table.first,
-        rule=dataclasses.replace(rule, contrast_edges=edges, features=features),
-        weights=rng.permutation(table.first.weights),
-        intercept=rng.permutation(table.first.intercept),
-    )
-    later = tuple(
-        dataclasses.replace(
-            layer.scaled_as(dataclasses.replace(layer.rule, gradient_factor=layer.rule.gradient_factor[::-1])),
-            weights=rng.permutation(layer.weights),
-        )
-        for layer in table.later
-    )
-    return dataclasses.replace(table, quiet=QuietSet(noise_left, first, later))
+        scales = [GradientScale(each.rule.gradient_factor[::-1], each.rule.gradient_shift) for each in table.later]
+        later = [
+            dataclasses.replace(layer.scaled_as(scale), weights=rng.permutation(layer.weights))
+            for layer, scale in zip(table.later, scales, strict=True)
+        ]
+        made.append(Condition.of(first, later, None, NoiseScale(share, share)))
+        edges = np.maximum(edges // 2, least)
+    return dataclasses.replace(table, conditions=(*made, *table.conditions))
 
 
 def with_spectra(table: TransformTable, window: int, reach: float) -> TransformTable:
@@ -108,8 +107,9 @@ def with_lights(table: TransformTable, *lights: str, seed: int = 5) -> Transform
     for name in lights:
         light = LightSpectrum(grid, spectra.illuminant(name, grid).astype(np.float32))
         white = np.append(spectra.white_point(name), np.ones(len(table.outputs) - 3))
-        sets.append(LightSet.of(name, white, light, changed(table.first), tuple(map(changed, table.later))))
-    return dataclasses.replace(table, lights=tuple(sets))
+        first, later = changed(table.first), tuple(map(changed, table.later))
+        sets.append(Condition.of(first, later, SceneLight(name, white, light), None))
+    return dataclasses.replace(table, conditions=(*table.conditions, *sets))
 
 
 def with_ratios(layer: PlaneLayer, rng: np.random.Generator) -> PlaneLayer:

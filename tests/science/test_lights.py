@@ -15,8 +15,8 @@ from l3cli.artifacts.training_set import open_training_set
 from l3cli.io.raw.files import RawOverrides
 from l3cli.physics import spectra
 from l3cli.physics.correlated_lights import mired_of
+from l3cli.rendering.conditions import Mix, described, mix_for, mixed, nearest_for
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.rendering.white.lights import Mix, described, mix_for, mixed, nearest_for
 from l3cli.stages.evaluation import FrameRenderers, raw_of
 from l3cli.stages.rendering.executors import Renderers, RenderSetup
 from l3cli.stages.rendering.rendition import OUTPUTS
@@ -41,7 +41,8 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name, lights in (("both", '["D65", "A"]'), ("warm", '["A"]')):
         (folder / f"{name}.toml").write_text(LEAVES.format(lights))
         calls.append(("simulate", folder / f"{name}.toml", "--camera", camera, "-o", folder / f"{name}.set.h5"))
-    for name, key in (("one", ""), ("several", "per_light = true\n")):
+    light, noise = "per_light = true\n", "noise_left = 0.1\n"
+    for name, key in (("one", ""), ("several", light), ("low", noise), ("product", light + noise)):
         (folder / f"{name}.classes.toml").write_text(CLASSES + key + LAYER)
         classes = ("--classes", folder / f"{name}.classes.toml")
         calls.append(("train", folder / "both.set.h5", folder / "warm.set.h5", *classes, "-o", folder / f"{name}.h5"))
@@ -63,12 +64,24 @@ def white(light: str) -> np.ndarray:
 
 
 def test_transforms_in_common_are_what_they_would_be_alone(learned: dict[str, Path], several: TransformTable) -> None:
-    assert equal(dataclasses.replace(several, lights=()), load(TransformTable, learned["one.h5"]))
+    assert equal(mixed(several, None), load(TransformTable, learned["one.h5"]))
     assert [light.name for light in several.lights] == ["A", "D65"]
     for light in several.lights:
         np.testing.assert_allclose(light.white_point, white(light.name), rtol=2e-3)
-        assert light.light is not None
-        assert light.light.spread < 1e-6
+        assert light.spectrum is not None
+        assert light.spectrum.spread < 1e-6
+
+
+def test_lights_at_each_noise_are_those_of_tables_of_either(learned: dict[str, Path], several: TransformTable) -> None:
+    both, low = (load(TransformTable, learned[f"{name}.h5"]) for name in ("product", "low"))
+    keys = [(each.light and each.light.name, each.noise and each.noise.shot) for each in both.conditions]
+    assert keys == [(None, 0.1), ("A", None), ("A", 0.1), ("D65", None), ("D65", 0.1)]
+    assert equal(mixed(both, None), low)
+    assert equal(dataclasses.replace(both, conditions=both.conditions[1::2]), several)
+    lit = mixed(both, mix_for(both, white("A")))
+    assert equal(dataclasses.replace(lit, conditions=()), mixed(several, mix_for(several, white("A"))))
+    np.testing.assert_array_equal(lit.conditions[0].first.weights, both.conditions[2].first.weights)
+    assert [each.light for each in lit.conditions] == [None]
 
 
 def test_each_set_is_best_under_its_light(learned: dict[str, Path], several: TransformTable) -> None:
@@ -99,8 +112,6 @@ def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refu
 
     assert "all frames are under A" in refused(3, *train("warm", learned["several.classes.toml"]))
     assert "in one go, not in shards" in refused(2, *train("both", learned["several.classes.toml"], "--shard", "1/2"))
-    (tmp_path / "classes.toml").write_text("[learning]\nper_light = true\nnoise_left = 0.1\n")
-    assert "leave out noise_left" in refused(2, *train("both", tmp_path / "classes.toml"))
     export = ("export", learned["one.h5"], "-o", tmp_path / "export", "--to", "folder", "--white", "A")
     assert "no single lights" in refused(2, *export)
 
@@ -115,19 +126,18 @@ def test_the_lights_themselves_and_all_beyond_have_their_own_transforms(
     table = with_lights(layers(random_table(BAYER)), "D65", "A", "4000K")
     for scene, own in (("A", 1), ("2000K", 1), ("4000K", 2), ("D65", 0), ("D20000K", 0)):
         mix = mix_for(table, white(scene))
-        made, light = mixed(table, mix), table.lights[own]
-        np.testing.assert_array_equal(made.first.weights, light.first.weights)
-        np.testing.assert_array_equal(made.first.intercept, light.first.intercept)
-        for ours, theirs in zip(made.later, light.later, strict=True):
+        made, of_light = mixed(table, mix), table.conditions[own]
+        for ours, theirs in zip(made.layers, table.under(of_light).layers, strict=True):
             np.testing.assert_array_equal(ours.weights, theirs.weights)
             np.testing.assert_array_equal(ours.intercept, theirs.intercept)
+        light = table.lights[own]
         np.testing.assert_array_equal(made.white_point, light.white_point)
         assert made.light is not None
-        assert light.light is not None
-        np.testing.assert_array_equal(made.light.radiance, light.light.radiance)
+        assert light.spectrum is not None
+        np.testing.assert_array_equal(made.light.radiance, light.spectrum.radiance)
         assert mix is not None
         assert described(table, mix) == light.name
-    assert not mixed(table, mix).lights
+    assert not mixed(table, mix).conditions
 
 
 def test_between_lights_transforms_are_mixed_by_mired() -> None:
@@ -140,24 +150,25 @@ def test_between_lights_transforms_are_mixed_by_mired() -> None:
     assert described(table, mix) == "62 % A, 38 % 4000K"
     share = np.float32(mix.share)
     for ours, one, other in (
-        (mixed(table, mix).first, table.lights[1].first, table.lights[2].first),
-        (mixed(table, mix).later[0], table.lights[1].later[0], table.lights[2].later[0]),
+        (mixed(table, mix).first, table.conditions[1].first, table.conditions[2].first),
+        (mixed(table, mix).later[0], table.conditions[1].later[0], table.conditions[2].later[0]),
     ):
         np.testing.assert_allclose(ours.weights, one.weights + share * (other.weights - one.weights), rtol=1e-5, atol=1e-6)
     assert nearest_for(table, white("3200K")) == Mix(1, 2, 0.0)
     assert nearest_for(table, white("3700K")) == Mix(1, 2, 1.0)
-    again = dataclasses.replace(table, lights=table.lights[::-1])
+    again = dataclasses.replace(table, conditions=table.conditions[::-1])
     assert equal(mixed(again, mix_for(again, white("3200K"))), mixed(table, mix))
 
 
 def test_equal_sets_stay_what_they_are() -> None:
     table = with_lights(with_later(random_table(BAYER), 3), "A")
-    cool = dataclasses.replace(table.lights[0], white_point=white("D65"))
-    table = dataclasses.replace(table, lights=(*table.lights, cool))
-    made, own = mixed(table, mix_for(table, white("3500K"))), table.lights[0]
+    (own,), (light,) = table.conditions, table.lights
+    cool = dataclasses.replace(own, light=dataclasses.replace(light, name="D65", white_point=white("D65")))
+    table = dataclasses.replace(table, conditions=(own, cool))
+    made = mixed(table, mix_for(table, white("3500K")))
     np.testing.assert_array_equal(made.first.weights, own.first.weights)
     np.testing.assert_array_equal(made.later[0].weights, own.later[0].weights)
-    assert (made.white_point != own.white_point).any()
+    assert (made.white_point != light.white_point).any()
 
 
 def test_a_table_of_one_set_is_not_mixed() -> None:
@@ -177,14 +188,15 @@ def test_lights_are_written_and_read(tmp_path: Path) -> None:
 
 def test_lights_of_other_classes_are_refused() -> None:
     table = with_lights(with_later(random_table(BAYER), 3), "A", "D65")
-    light = table.lights[1]
-    narrow = dataclasses.replace(light.later[0], weights=light.later[0].weights[:, :, :3])
+    warm, cool = table.conditions
+    narrow = dataclasses.replace(cool.later[0], weights=cool.later[0].weights[:, :, :3])
     for message, fields in (
-        ("lights/1 holds 1 layers, the table 2", {"later": ()}),
-        ("lights/1/later/0 has transforms of other shapes", {"later": (narrow,)}),
+        ("conditions/1 holds 1 layers, the table 2", {"later": ()}),
+        ("conditions/1/later/0 has transforms of other shapes", {"later": (narrow,)}),
+        ("conditions are not all lights", {"light": warm.light}),
     ):
         with pytest.raises(ValueError, match=message):
-            dataclasses.replace(table, lights=(table.lights[0], dataclasses.replace(light, **fields)))
+            dataclasses.replace(table, conditions=(warm, dataclasses.replace(cool, **fields)))
 
 
 # ------------------------------------------------------------------------------------------------------ rendering
@@ -194,7 +206,7 @@ def test_frames_are_judged_by_the_transforms_of_their_light(learned: dict[str, P
     renderers = FrameRenderers("reference", several, Silent())
     with open_training_set(learned["both.set.h5"]) as reader:
         for frame in reader:
-            own = next(light for light in several.lights if light.name == frame.illuminant)
+            own = next(each for each in several.conditions if each.light and each.light.name == frame.illuminant)
             np.testing.assert_allclose(renderers.of(frame).table.first.weights, own.first.weights, atol=1e-3)
 
 
@@ -205,7 +217,7 @@ def test_a_mix_of_a_table_has_a_renderer_of_its_own(monkeypatch: pytest.MonkeyPa
         given.append(table)
         return ReferenceRenderer(table)
 
-    monkeypatch.setattr("l3cli.rendering.quiet.make_renderer", make_renderer)
+    monkeypatch.setattr("l3cli.rendering.renderer.make_renderer", make_renderer)
     table, made = with_lights(random_table(BAYER), "A", "D65"), Renderers()
     plain = RenderSetup(Path("table.h5"), "0", "reference", {}, RawOverrides(), OUTPUTS, None)
     common = made.of(plain, table)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.export.folder import folder_files
-from tests.helpers.tables import random_table, with_later, with_quiet
+from tests.helpers.tables import random_table, with_later, with_low_noise
 
 
 def read_folder(table: TransformTable) -> tuple[dict[str, Any], dict[str, NDArray]]:
@@ -45,22 +45,20 @@ def test_arrays_of_one_layer_make_the_outputs_of_the_test_mosaic() -> None:
 
 def test_arrays_of_the_second_set_stand_beside_the_usual_ones() -> None:
     """As another table's would; what both sets share stands once, and a table of one set is written as ever."""
-    table = with_quiet(with_later(random_table([[0, 1], [1, 2]], 12, 64.0), 3), 0.25)
-    assert table.quiet is not None
+    table = with_low_noise(with_later(random_table([[0, 1], [1, 2]], 12, 64.0), 3), 0.25)
     document, arrays = read_folder(table)
-    usual, usual_arrays = read_folder(dataclasses.replace(table, quiet=None))
-    alone = dataclasses.replace(table, first=table.quiet.first, later=table.quiet.later, quiet=None)
-    other, other_arrays = read_folder(alone)
-    quiet = document.pop("quiet")
-    assert (quiet["noise_left"], quiet["limit"]) == (0.25, 0.25**0.75)
-    assert (quiet["layers"], quiet["word_lengths"]) == (other["layers"], other["word_lengths"])
-    behind = {name: values for name, values in arrays.items() if not name.startswith("quiet/")}
+    usual, usual_arrays = read_folder(dataclasses.replace(table, conditions=()))
+    other, other_arrays = read_folder(table.under(table.conditions[0]))
+    (low,) = document.pop("conditions")["sets"]
+    assert low["noise"] == {"shot": 0.25, "read": 0.25, "limit": 0.25**0.75}
+    assert (low["layers"], low["word_lengths"]) == (other["layers"], other["word_lengths"])
+    behind = {name: values for name, values in arrays.items() if not name.startswith("conditions/0/")}
     assert set(behind) == set(usual_arrays)
     assert document | {"arrays": []} == usual | {"arrays": []}
     for name, values in other_arrays.items():
-        np.testing.assert_array_equal(arrays.get(f"quiet/{name}", arrays[name]), values)
-    assert {"quiet/layer0/weights", "quiet/layer0/contrast_edges", "quiet/test_outputs"} < set(arrays)
-    assert not {"quiet/test_raw", "quiet/layer0/level_edges", "quiet/layer0/count"} & set(arrays)
+        np.testing.assert_array_equal(arrays.get(f"conditions/0/{name}", arrays[name]), values)
+    assert {"conditions/0/layer0/weights", "conditions/0/layer0/contrast_edges", "conditions/0/test_outputs"} < set(arrays)
+    assert not {"conditions/0/test_raw", "conditions/0/layer0/level_edges", "conditions/0/layer0/count"} & set(arrays)
 
 
 def test_two_bits_more_cost_twelve_decibels_less() -> None:

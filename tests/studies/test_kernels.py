@@ -50,7 +50,7 @@ def a_frame(table: TransformTable, shape: tuple[int, int] = SHAPE) -> RawFrame:
 @pytest.mark.parametrize("name", TABLES)
 def test_every_table(name: str, kind: str) -> None:
     table = TABLES[name]()
-    by_noise = table.quiet is not None
+    by_noise = bool(table.conditions)
     device = OpenCLRenderer(table, by_noise=by_noise, **KINDS[kind])
     assert "Oclgrind" in device.device.name
     assert_equal_to_reference(ReferenceRenderer(table, by_noise), device, a_frame(table))

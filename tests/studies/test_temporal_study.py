@@ -26,8 +26,8 @@ from l3cli.cli import run
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics.display import displayed, srgb_curve, white_luminance
-from l3cli.rendering.quiet import quiet_renderer, quiet_table
-from l3cli.rendering.renderer import make_renderer
+from l3cli.rendering.conditions import with_edges_for
+from l3cli.rendering.renderer import NoiseRenderer, make_renderer
 from l3cli.rendering.temporal.chunks import filters
 from l3cli.simulation import procedural, sensor
 from l3cli.simulation.frame import Averaging, simulate
@@ -119,12 +119,10 @@ def part_of_pattern(camera: CameraModel) -> sensor.FixedPattern:
 
 @pytest.mark.slow
 def test_what_no_noise_over_time_would_gain(made: tuple[CameraModel, TransformTable]) -> None:
-    """Means of many frames, with fractions of a DN, by the usual set with the least edges and by the quiet set."""
+    """Means of many frames, with fractions of a DN, by the usual set with the least edges and by that for low noise."""
     camera, table = made
-    assert table.quiet is not None
-    usual = replace(table, quiet=None)
-    quiet = replace(usual, first=table.quiet.first, later=table.quiet.later)
-    renderers = [make_renderer("opencl", each) for each in (usual, quiet_table(usual, 0.25), quiet)]
+    usual, low = replace(table, conditions=()), table.under(table.conditions[0])
+    renderers = [make_renderer("opencl", each) for each in (usual, with_edges_for(usual, 0.25), low)]
     pattern = part_of_pattern(camera)
     none = sensor.FixedPattern(pattern.prnu * 0, pattern.dsnu * 0)
     means, gains = 400, []
@@ -143,8 +141,8 @@ def test_what_no_noise_over_time_would_gain(made: tuple[CameraModel, TransformTa
             made_of.append([psnr(shown(xyz, table, scale), ideal) for xyz in outputs])
         gains.append(np.array(made_of)[1:] - made_of[0][0])
     still, alike = np.mean(gains, axis=0)
-    print(f"\n{camera.name}: no noise over time: one set {still[1]:+.2f}, quiet set {still[2]:+.2f} dB")
-    print(f"{camera.name}: … and pixels are alike: one set {alike[1]:+.2f}, quiet set {alike[2]:+.2f} dB", flush=True)
+    print(f"\n{camera.name}: no noise over time: one set {still[1]:+.2f}, two sets {still[2]:+.2f} dB")
+    print(f"{camera.name}: … and pixels are alike: one set {alike[1]:+.2f}, two sets {alike[2]:+.2f} dB", flush=True)
     assert still[2] > still[1] > 0
 
 
@@ -152,7 +150,7 @@ def test_what_no_noise_over_time_would_gain(made: tuple[CameraModel, TransformTa
 @pytest.mark.parametrize("larger", [1, 2])
 def test_gains_and_losses(made: tuple[CameraModel, TransformTable], larger: int) -> None:
     camera, table = made
-    usual, both = (quiet_renderer("opencl", each) for each in (replace(table, quiet=None), table))
+    usual, both = (NoiseRenderer("opencl", each) for each in (replace(table, conditions=()), table))
     make = filters("opencl", table)
     pattern = part_of_pattern(camera)
     scenes = [drawn(camera, seed, larger) for seed in (1, 2, 3, 4, 5, 6)]
@@ -205,7 +203,7 @@ def without_noise(
 def test_how_far_pictures_are_from_those_without_noise(made: tuple[CameraModel, TransformTable]) -> None:
     """Where nothing moves: what the table itself does to detail and colours is on both sides of the comparison."""
     camera, table = made
-    usual, both = (quiet_renderer("opencl", each) for each in (replace(table, quiet=None), table))
+    usual, both = (NoiseRenderer("opencl", each) for each in (replace(table, conditions=()), table))
     pattern = part_of_pattern(camera)
     none = sensor.FixedPattern(pattern.prnu * 0, pattern.dsnu * 0)
     make, found = filters("opencl", table), []

@@ -26,10 +26,10 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import displayed, displayed_delta_e, srgb_from_xyz_matrix, white_luminance
 from l3cli.recipes.builtin import known_recipes
+from l3cli.rendering.conditions import mix_for, mixed, nearest_for
 from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.rendering.white.auto import AutoWhite
 from l3cli.rendering.white.balance import WhiteBalance, balanced, plain_balance
-from l3cli.rendering.white.lights import mix_for, mixed, nearest_for
 from l3cli.rendering.white.scene_white import SceneWhite, Whites
 from l3cli.rendering.white.source import usual_balance
 

@@ -4,19 +4,20 @@ import hashlib
 import json
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.partial_sums import open_partial_sums
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
+from l3cli.frames.frame import NoiseLeft
 from l3cli.io.images import read_image
 from l3cli.io.raw.files import read_raw
 from l3cli.rendering.reference import ReferenceRenderer
@@ -111,7 +112,7 @@ def test_a_table_without_layers_opens_as_one_of_one_layer(archived: Archived, fo
         assert "first" not in root
     save(table, folder / "again.h5")
     with h5py.File(folder / "again.h5") as root:
-        assert (int(root.attrs["version"]), "weights" in root, "first/weights" in root) == (4, False, True)
+        assert (int(root.attrs["version"]), "weights" in root, "first/weights" in root) == (5, False, True)
         assert (root["black_level"][()], root["white_level"][()]) == (64.0, 3814.0)
         assert not {"black", "white"} & set(root)
     assert equal(load(TransformTable, folder / "again.h5"), table)
@@ -135,3 +136,25 @@ def test_evaluations_and_training_take_old_files(l3: Callable, folder: Path) -> 
     again = ("train", folder / "training.h5", "--classes", folder / "classes.toml", "-o", folder / "new.h5", "--quiet")
     assert l3(*again)[0] == 0
     assert load(TransformTable, folder / "new.h5").first.weights.shape == (16, 3, 9)
+
+
+def test_tables_of_version_4_open_with_their_conditions(l3: Callable, tmp_path: Path) -> None:
+    """Low-noise transforms, those of lights, and sums for both noises, as they were learned and rendered."""
+    with zipfile.ZipFile(ROOT / "tests/data/version4.zip") as packed:
+        packed.extractall(tmp_path)
+    low, lights = (load(TransformTable, tmp_path / f"{name}.h5") for name in ("low_noise", "lights"))
+    assert [(each.light, each.noise) for each in low.conditions] == [(None, NoiseScale(0.25, 0.25))]
+    assert [(each.name, each.spectrum is not None) for each in lights.lights] == [("A", True), ("D65", True)]
+    assert [each.noise for each in lights.conditions] == [None, None]
+    shares = np.where(np.arange(8 * 10).reshape(8, 10) % 2, 256, 1024).astype(np.uint16)
+    frame = replace(read_raw(tmp_path / "raw.tif", low), noise_left=NoiseLeft(shares, 1024, (4, 4)))
+    outputs = ReferenceRenderer(low, by_noise=True).outputs(frame)
+    np.testing.assert_array_equal(outputs, np.load(tmp_path / "low_noise.npy"))
+    shown = ("--backend", "reference", "--exposure", "1", "--white", "A", "--quiet")
+    assert l3("render", tmp_path / "lights.h5", tmp_path / "raw.tif", "-o", tmp_path / "again.png", *shown)[0] == 0
+    np.testing.assert_array_equal(read_image(tmp_path / "again.png")[0], read_image(tmp_path / "lights.png")[0])
+    assert l3("train", "--merge", tmp_path / "layer_sums.h5", "-o", tmp_path / "merged.h5", "--quiet")[0] == 0
+    assert equal(load(TransformTable, tmp_path / "merged.h5"), low)
+    for table in (low, lights):
+        save(table, tmp_path / "again.h5")
+        assert equal(load(TransformTable, tmp_path / "again.h5"), table)

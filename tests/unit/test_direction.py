@@ -20,7 +20,7 @@ from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame, pad_mosaic
-from l3cli.rendering.quiet import quiet_table
+from l3cli.rendering.conditions import with_edges_for
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.training.symmetry import class_stabilisers, orientations, stabilisers, turned_classes
 from tests.helpers.calls import L3
@@ -140,7 +140,7 @@ def test_half_the_noise_is_as_flat(bayer: CameraModel) -> None:
 def test_a_table_for_less_noise_has_lower_edges() -> None:
     """A quarter of the variance: half of every strength edge, rounded."""
     table = random_table(BAYER, patch=9, direction=FOUR)
-    whole, quiet = (each.first.rule.axes[0].constants for each in (table, quiet_table(table, 0.25)))
+    whole, quiet = (each.first.rule.axes[0].constants for each in (table, with_edges_for(table, 0.25)))
     np.testing.assert_array_equal(quiet[: direction.HEAD], whole[: direction.HEAD])
     assert np.abs(quiet[direction.HEAD :] - whole[direction.HEAD :] / 2).max() <= 0.5
 

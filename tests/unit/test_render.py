@@ -45,7 +45,7 @@ RENDERED += [("tree of five bands", "graphics"), ("tree of stripes", "graphics")
 def renderers(request: pytest.FixtureRequest) -> tuple[ReferenceRenderer, OpenCLRenderer]:
     name, kind = request.param
     table = TABLES[name]()
-    by_noise = table.quiet is not None
+    by_noise = bool(table.conditions)
     return ReferenceRenderer(table, by_noise), OpenCLRenderer(table, by_noise=by_noise, **KINDS[kind])
 
 

@@ -16,10 +16,11 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.kernel import joined, kernel_arrays, kernel_macros, snippets
 from l3cli.classes.later import first_label_words
 from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippets
-from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, raw_middle
+from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, later_fixed_point, opponent_basis, raw_middle
 from l3cli.classes.ratios import DARKEST
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.spaces import Curve
+from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display
 
 PLANES = 3  # that a layer after the first reads
@@ -118,11 +119,11 @@ def joined_files(*names: str) -> str:
 
 
 def table_macros(table: TransformTable, sets: int = 1) -> Macros:
-    """Everything about a table that a kernel's loops and formulas depend on; `sets`: of transforms, 1 or 2."""
+    """Everything about a table that a kernel's loops and formulas depend on; `sets`: number of those of transforms."""
     rule = table.first.rule
     further = sum(len(axis.constants) for axis in rule.axes)
     return {
-        **({"QUIET_SITES": table.cfa.size, "FURTHER_CONSTANTS": further} if sets > 1 else {}),
+        **({"SETS": sets, "SET_SITES": table.cfa.size, "FURTHER_CONSTANTS": further} if sets > 1 else {}),
         "PATCH": rule.patch,
         "RADIUS": rule.radius,
         "SOURCES": 1,
@@ -237,6 +238,33 @@ def later_weights(layer: PlaneLayer) -> Weights:
 def rule_arrays(table: TransformTable, variant: str, rule: PlaneRule, *others: PlaneRule) -> tuple[NDArray, ...]:
     """The constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl); `others`: rules of further sets."""
     return (first_label_words(rule, table.first.rule, *others), *rule_constants(rule, variant))
+
+
+@dataclass(frozen=True)
+class PlaneStep:
+    """Buffers of the step to the planes and classes of a layer that reads planes."""
+
+    weights: Any  # of the layer before
+    rule: tuple[Any, ...]
+    nothing: Any  # where other transforms have a display's matrix
+
+
+def table_buffers(
+    sets: NoiseSets, variant: str, lanes: int, constant: Callable[..., Any]
+) -> tuple[list[Any], Any, list[PlaneStep]]:
+    """Return the buffers of the first layer's class rule, the last layer's transforms, and the step to each later layer.
+    `constant` makes buffers of arrays."""
+    table, later, steps = sets.tables[0], sets.later, []
+    for number in range(len(later)):
+        if number:
+            whole = later_plane_weights(later_fixed_point(later[number - 1], opponent_basis(table.white_point)))
+        else:
+            whole = first_plane_weights(sets.first_fixed_point, table.bits)
+        rules = rule_arrays(table, variant, *sets.later_rules(number))
+        before = constant(VARIANTS[variant].pack_whole(whole, lanes))
+        steps.append(PlaneStep(before, tuple(map(constant, rules)), constant(np.zeros(9, np.float32))))
+    last = later_weights(later[-1]) if later else first_weights(table, sets.first)
+    return [*map(constant, class_arrays(*sets.tables))], constant(VARIANTS[variant].pack(last, lanes)), steps
 
 
 def by_column(weights: NDArray, planes: int) -> NDArray:

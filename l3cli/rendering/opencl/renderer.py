@@ -15,17 +15,16 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
+from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
-from l3cli.rendering.noise_sets import sets_of
 from l3cli.rendering.opencl import layout
 from l3cli.rendering.opencl.devices import pyopencl, refusals
-from l3cli.rendering.opencl.planes import table_buffers
 from l3cli.rendering.opencl.programs import Programs, chosen, compiler_of
-from l3cli.rendering.opencl.quiet import bring
 from l3cli.rendering.opencl.steps import DeviceShading, DeviceSpectra
 from l3cli.rendering.opencl.work import SPECTRA, Band, Held, Track, Work, bands, constant, scratch, shares_memory, stages_of
 
 TRACKS = 2
+BEYOND = 16  # bytes behind the last pixel, which a vector may read
 
 
 class OpenCLRenderer:
@@ -43,7 +42,7 @@ class OpenCLRenderer:
         by_noise: bool = False,
     ) -> None:  # fmt: skip
         require_known_layers(table)
-        self.table, self.stages, self._sets = table, stages_of(table), sets_of(table, by_noise)
+        self.table, self.stages, self._sets = table, stages_of(table), NoiseSets(table, by_noise)
         self.device, self.variant = chosen(device, variant)
         with refusals(self.device):
             self._compiler = compiler_of(self.device)
@@ -51,7 +50,7 @@ class OpenCLRenderer:
             self._constant, self._scratch = partial(constant, self._context), partial(scratch, self._context)
             self._programs = Programs(self._compiler, table, self.variant, lanes, len(self._sets))
             self._cut = self._programs.cut
-            self._class_buffers, self._weights, self._later = table_buffers(
+            self._class_buffers, self._weights, self._later = layout.table_buffers(
                 self._sets, self.variant, self._cut.lanes, self._constant
             )
             self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
@@ -199,9 +198,21 @@ class OpenCLRenderer:
             track.raw = track.uploaded = self._scratch(track.uploaded, source.nbytes)
             work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
         if len(self._sets) > 1:
-            track.chosen = bring(frame, self.table, track, band, self._in_place, work)
+            track.chosen = self._chosen(frame, track, band, work)
         if self._shading.evens(frame):
             work.add("classes", self._shading.even(frame, track, band))
+
+    def _chosen(self, frame: RawFrame, track: Track, band: Band, work: Work) -> tuple[Any, ...]:
+        """Return the buffer with the number of the set that renders each pixel of a band."""
+        rows = band.reads[0]
+        pixels = np.zeros((rows.stop - rows.start) * band.columns + BEYOND, np.uint8)
+        pixels[:-BEYOND].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
+        if self._in_place:
+            return (work.in_place(track.queue, pixels),)
+        work.arrays.append(pixels)
+        track.sets = self._scratch(track.sets, pixels.nbytes)
+        work.add("upload", pyopencl().enqueue_copy(track.queue, track.sets, pixels, is_blocking=False))
+        return (track.sets,)
 
     def _classify(self, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
         """Classes of a band in the first layer."""

@@ -53,8 +53,8 @@ class Track:
         self.raw: Any = None  # what is read …
         self.uploaded: Any = None  # … which is this, unless it is the host's array
         self.labels: Any = None
-        self.quiet: Any = None  # which pixels the quiet set renders …
-        self.chosen: tuple[Any, ...] = ()  # … or the host's array that says so; nothing where there is one set
+        self.sets: Any = None  # number of the set of transforms that renders each pixel …
+        self.chosen: tuple[Any, ...] = ()  # … or the host's array of them; nothing where there is one set
         self.planes: list[Any] = [None] * layers  # that each later layer reads
         self.later_labels: list[Any] = [None] * layers
         self.made: Any = None  # outputs whose spectra are still to be smoothed

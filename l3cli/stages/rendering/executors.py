@@ -16,9 +16,9 @@ from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.io.sequences import FrameReference
 from l3cli.parallel import WorkerPool
 from l3cli.parallel.threads import BackgroundTask
+from l3cli.rendering.conditions import Mix, mixed
 from l3cli.rendering.display import Display
 from l3cli.rendering.white.balance import WhiteBalance
-from l3cli.rendering.white.lights import Mix, mixed
 from l3cli.stages.plan import is_dry
 from l3cli.stages.rendering.corrections import CameraFile, correction_again
 from l3cli.stages.rendering.rendition import Exposed, Rendered, Rendition, Unread, file_of, rendered, shown
@@ -153,12 +153,12 @@ def _renderer(
     """The table, of `pictures` X, Y, Z alone, mixed for a light, and what renders through it, made once a worker."""
     from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
-    from l3cli.rendering.quiet import quiet_renderer
+    from l3cli.rendering.renderer import NoiseRenderer
 
     require_same(path, digest)
     table = load(TransformTable, path)
     table = mixed(table.pictured() if pictures else table, mix)
-    return table, quiet_renderer(backend, table, **dict(engine))
+    return table, NoiseRenderer(backend, table, **dict(engine))
 
 
 def while_reading(
@@ -189,11 +189,11 @@ class Renderers:
 
     def of(self, setup: RenderSetup, table: "TransformTable") -> "Renderer":
         """The renderer of a run."""
-        from l3cli.rendering.quiet import quiet_renderer
+        from l3cli.rendering.renderer import NoiseRenderer
 
         key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items()), setup.mix
         if key not in self._kept:
-            self._kept = {key: quiet_renderer(setup.backend, table, **setup.engine)}
+            self._kept = {key: NoiseRenderer(setup.backend, table, **setup.engine)}
         return self._kept[key]
 
     def forget(self) -> None:

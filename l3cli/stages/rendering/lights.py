@@ -12,7 +12,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
 from l3cli.io.sequences import FrameSequence
-from l3cli.rendering.white.lights import Mix, described, nearest_for
+from l3cli.rendering.conditions import Mix, described, nearest_for
 from l3cli.rendering.white.source import WhiteSource, given_white
 from l3cli.system.console import Console
 

@@ -14,9 +14,9 @@ from l3cli.errors import DeviceError, InputFileError, RecipeError
 from l3cli.io.sequences import FrameSequence, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, Pacing
 from l3cli.options.render import RenderOptions
+from l3cli.rendering.conditions import mixed, nearest_for
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.temporal.chunks import Chunks, filters
-from l3cli.rendering.white.lights import mixed, nearest_for
 from l3cli.rendering.white.source import given_white, usual_balance
 from l3cli.stages.checkpoint import run_key
 from l3cli.stages.claims import OutputGuard

@@ -8,8 +8,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CAMERA_NOISE
 from l3cli.artifacts.layers import PlaneRule
 from l3cli.artifacts.partial_sums import LayerSums
+from l3cli.artifacts.plane_rules import GradientScale
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import fixed_point, opponent_basis
 from l3cli.physics.display import XYZ
@@ -19,7 +21,6 @@ from l3cli.system.console import Console
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
 from l3cli.training.layers.rules import (
     PILOT_MOSAICS,
-    GradientScale,
     gradient_scale,
     luminance_noise,
     sample_tree,
@@ -36,10 +37,10 @@ UNITS = 8  # a process: more tell progress better, but every one hands on its ow
 def learn_refinement_layers(
     run: TrainingRun, table: TransformTable, execution: Execution, like: TransformTable | None = None
 ) -> TransformTable:
-    """The table with the layers that the recipe wants after the first; `like`: classes are those of its layers, but for the
-    scale of gradients."""
+    """The table with the layers that the recipe wants after the first; `like`: whose classes these have."""
     if not run.has_later_layers:
-        tell_what_is_left_out(run, execution.console)
+        if like is None:
+            tell_what_is_left_out(run, execution.console)
         return table
     while len(table.later) < len(run.recipe.layer):
         layer = layer_pass(table, run.recipe, layer_mosaics(run, len(table.later)), run.seed)
@@ -97,13 +98,16 @@ class LayerUnit:
 
 
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
-    """The layer's class rule, from a pilot over all frames; that it is to be `like` takes from it the scale of gradients."""
+    """The layer's class rule, estimated from a pilot of all frames. With `like`, reuse that rule, but for other noise than
+    the camera's its gradient scale."""
+    if like is not None and layer.camera.noise_scale == CAMERA_NOISE:
+        return like
     frames = range(len(run.patches))
     units = _units(run, layer, None, frames, execution)
     measured = execution.console.progress(execution.pool(_measure, units), len(units), f"layer {layer.number}, pilot")
     scale = gradient_scale(layer, [noise for part in measured for noise in part])
     if like is not None:
-        return replace(like, **scale._asdict())
+        return like.scaled_as(scale)
     if not layer.recipe.leaves:
         rule: PlaneRule = structure_rule(layer, scale)
         classes = f"{rule.levels} levels × ({rule.structures} structures + {rule.cases - 1} saturation cases)"

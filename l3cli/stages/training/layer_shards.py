@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.artifacts.layers import PlaneRule, rule_fields
-from l3cli.artifacts.partial_sums import QUIET, USUAL, PartialLayerSums, PartialSumsReader, write_partial_sums
+from l3cli.artifacts.partial_sums import PartialLayerSums, PartialSumsReader, write_partial_sums
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
+from l3cli.stages.training.conditions import by_noise, with_noises
 from l3cli.stages.training.later_layers import layer_mosaics, layer_pass, layer_rule, parts_of, summed_layer
 from l3cli.stages.training.passes import Execution
-from l3cli.stages.training.quiet import quiet_as_table, with_quiet
 from l3cli.stages.training.run import TrainingRun
 from l3cli.training.layers.learn import add_sums, learn_layer, no_sums
 from l3cli.training.recipe import TrainingRecipe
@@ -26,12 +26,9 @@ def write_layer_shard(
     rule = layer_rule(run, layer, execution)
     index, count = shard
     frames = list(parts_of(range(len(mosaics)), count))[index - 1]
-    sets, quiet_fields = [summed_layer(run, layer, rule, frames, execution)], {}
-    if table.quiet:
-        layer_of_quiet = layer_pass(quiet_as_table(table), run.recipe, mosaics, run.seed)
-        quiet_rule = layer_rule(run, layer_of_quiet, execution, like=rule)
-        quiet_fields = {f"quiet_{name}": each for name, each in rule_fields(quiet_rule).items()}
-        sets.append(summed_layer(run, layer_of_quiet, quiet_rule, frames, execution))
+    layers = [layer_pass(each, run.recipe, mosaics, run.seed) for each in by_noise(table)]
+    rules = [rule, *(layer_rule(run, each, execution, like=rule) for each in layers[1:])]
+    sets = [summed_layer(run, each, rule, frames, execution) for each, rule in zip(layers, rules, strict=True)]
     head = PartialLayerSums(
         history=run.history_of_layers(layer.number),
         shard=index,
@@ -40,7 +37,7 @@ def write_layer_shard(
         side=layer.recipe.side,
         ratio_taps=layer.ratio_taps,
         **rule_fields(rule),
-        **quiet_fields,
+        gradients=tuple(each.scale for each in rules[1:]),
         table=table,
         sites=np.array(list(sets[0])),
     )
@@ -52,17 +49,15 @@ def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed:
     """The table with the layer that all shards of its pass give; InputFileError, which names `path`, if they do not fit
     their recipe."""
     head: PartialLayerSums = readers[0].head
-    usual = replace(head.table, quiet=None)
-    table = _with_layer(usual, head.rule, readers, USUAL, recipe, seed, path)
-    if head.table.quiet is None or head.quiet_rule is None:
-        return table
-    quiet = _with_layer(quiet_as_table(head.table), head.quiet_rule, readers, QUIET, recipe, seed, path)
-    return with_quiet(table, head.table.quiet.noise_left, quiet)
+    rules: list[PlaneRule] = [head.rule, *(head.rule.scaled_as(scale) for scale in head.gradients)]
+    tables = enumerate(zip(by_noise(head.table), rules, strict=True))
+    usual, *others = (_with_layer(*each, readers, number, recipe, seed, path) for number, each in tables)
+    return with_noises(usual, others, recipe.learning.noises)
 
 
 def _with_layer(
-    table: TransformTable, rule: PlaneRule, readers: list[PartialSumsReader], of_set: str, recipe: TrainingRecipe, seed: int,
-    path: Path,
+    table: TransformTable, rule: PlaneRule, readers: list[PartialSumsReader], condition: int, recipe: TrainingRecipe,
+    seed: int, path: Path,
 ) -> TransformTable:  # fmt: skip
     head: PartialLayerSums = readers[0].head
     layer = layer_pass(table, recipe, tuple(head.mosaics.tolist()), seed)
@@ -71,5 +66,5 @@ def _with_layer(
         raise InputFileError(f"{path} holds sums of other windows or sites than its recipe and camera have; make it again")
     for index, site in enumerate(sums):
         for reader in readers:
-            add_sums({site: sums[site]}, {site: reader.site(index, of_set)})
+            add_sums({site: sums[site]}, {site: reader.site(index, condition)})
     return replace(table, later=(*table.later, learn_layer(layer, rule, sums)), history=head.history)

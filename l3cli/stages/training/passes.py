@@ -59,6 +59,14 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     return TrainingPass(run.head, run.patches, rule, learning, white, run.seed, number, exposure, light)
 
 
+def pass_of(run: TrainingRun, table: TransformTable, number: int | None = None) -> TrainingPass:
+    """The first pass, or the pass `number`, of a run whose class rule and white are those of a table."""
+    learning = run.recipe.learning
+    number = number or (FIRST if has_two_passes(run.head, learning) else LAST)
+    about = (run.head, run.patches, table.first.rule, learning, table.white_point, run.seed, number)
+    return TrainingPass(*about, table.exposure, table.light)
+
+
 @dataclass(frozen=True)
 class PilotUnit:
     """A work unit of the pilot: some frames."""

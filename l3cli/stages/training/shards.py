@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.artifacts.partial_sums import (
-    QUIET,
-    USUAL,
     ClassSums,
     Head,
     PartialLayerSums,
@@ -26,11 +24,10 @@ from l3cli.options.pipeline import ShardOptions
 from l3cli.recipes.toml import parse_recipe
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.plan import Made, before_work
+from l3cli.stages.training.conditions import by_noise, passes_of, require_one_go, with_noises
 from l3cli.stages.training.later_layers import tell_what_is_left_out
 from l3cli.stages.training.layer_shards import merged_layer, write_layer_shard
-from l3cli.stages.training.lights import require_one_go
-from l3cli.stages.training.passes import Execution, first_pass, sum_unit, summed
-from l3cli.stages.training.quiet import filtered_head, quiet_as_table, quiet_pass, with_quiet
+from l3cli.stages.training.passes import Execution, first_pass, pass_of, sum_unit, summed
 from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun
 from l3cli.stages.training.whole import execution_of, say_table
 from l3cli.training.division import frame_blocks
@@ -66,10 +63,9 @@ def _write_shard(
     index, count = shard
     blocks = frame_blocks(pass_)[index - 1 :: count]
     sites = canonical_sites(run.head, pass_.rule, pass_.recipe)
-    sets = [_sums(run, pass_, table, blocks, sites, execution)]
-    quiet = quiet_pass(run, pass_) if run.recipe.learning.noise_left else None
-    if quiet:
-        sets.append(_sums(run, quiet, table and quiet_as_table(table), blocks, sites, execution))
+    passes = passes_of(pass_, run.recipe)
+    tables = by_noise(table) if table else [None for _ in passes]
+    sets = [_sums(run, *each, blocks, sites, execution) for each in zip(passes, tables, strict=True)]
     head = PartialSums(
         history=run.history_of_pass(pass_.number),
         shard=index,
@@ -82,7 +78,6 @@ def _write_shard(
         sites=np.array(sites),
         exposure=pass_.exposure,
         light=pass_.light,
-        quiet_rule=quiet.rule if quiet else None,
     )
     write_partial_sums(output, head, *sets)
     last = "layer 1" if run.has_later_layers else "last pass"
@@ -103,7 +98,8 @@ def _sums(
 
 def _is_of(run: TrainingRun, table: TransformTable, pass_: str) -> bool:
     """Return whether a table is what a pass of the run has made."""
-    return table.history == run.history(pass_) and bool(table.quiet) == bool(run.recipe.learning.noise_left)
+    noises = tuple(each.noise for each in table.conditions)
+    return table.history == run.history(pass_) and noises == run.recipe.learning.noises
 
 
 def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
@@ -114,8 +110,7 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Tr
             f"{path} is not the first pass of this run{layers}: other training sets, shares, recipe or seed; "
             'make it with "l3 train --merge" of the shards of the pass before'
         )
-    about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
-    return TrainingPass(*about, LAST, table.exposure, table.light)
+    return pass_of(run, table, LAST)
 
 
 def merge_shards(shards: tuple[Path, ...], output: Path, options: ShardOptions) -> TransformTable:
@@ -138,7 +133,7 @@ def _merged(shards: tuple[Path, ...], output: Path) -> TransformTable:
         _require_all_shards(shards, [reader.head for reader in readers])
         before_work({"partial sums": shards}, Made(output, f"transform table of {len(shards)} shards"))
         head = readers[0].head
-        recipe, seed = _recipe_and_seed(head, shards[0])
+        recipe, seed = _recipe_and_seed(readers[0], shards[0])
         if isinstance(head, PartialLayerSums):
             return merged_layer(readers, recipe, seed, shards[0])
         return _merged_pass(readers, recipe, seed, shards[0])
@@ -150,29 +145,26 @@ def _merged_pass(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed:
     pass_ = TrainingPass(*about, seed, head.pass_number, head.exposure, head.light)
     if head.sites.tolist() != canonical_sites(head.training, head.rule, pass_.recipe):
         raise InputFileError(f"{path} holds sums of other sites than its camera has; make it again")
-    table = _learned(pass_, readers, USUAL)
-    if head.quiet_rule is None:
-        return table
-    noise_left = recipe.learning.noise_left
-    quiet = replace(pass_, head=filtered_head(pass_.head, noise_left), rule=head.quiet_rule)
-    return with_quiet(table, noise_left, _learned(quiet, readers, QUIET))
+    usual, *others = (_learned(each, readers, number) for number, each in enumerate(passes_of(pass_, recipe)))
+    return with_noises(usual, others, recipe.learning.noises)
 
 
-def _learned(pass_: TrainingPass, readers: list[PartialSumsReader], of_set: str) -> TransformTable:
+def _learned(pass_: TrainingPass, readers: list[PartialSumsReader], condition: int) -> TransformTable:
     head: PartialSums = readers[0].head
     solutions = {
-        int(site): learn_site(pass_, (reader.site(index, of_set) for reader in readers), int(site))
+        int(site): learn_site(pass_, (reader.site(index, condition) for reader in readers), int(site))
         for index, site in enumerate(head.sites)
     }
     return assemble(pass_, solutions, head.history)
 
 
-def _recipe_and_seed(head: Head, path: Path) -> tuple[TrainingRecipe, int]:
+def _recipe_and_seed(reader: PartialSumsReader, path: Path) -> tuple[TrainingRecipe, int]:
     """Return the recipe and seed of the run that partial sums are of."""
+    head = reader.head
     stage = head.history[-1] if head.history else Stage("", {})
     seed = stage.options.get("seed")
     recipe = parse_recipe(stage.recipe, TrainingRecipe, str(path))
-    is_of_recipe = bool(recipe.learning.noise_left) == bool(head.quiet_rule)
+    is_of_recipe = len(recipe.learning.noises) == reader.conditions
     if type(seed) is not int or not is_of_recipe or (isinstance(head, PartialLayerSums) and not recipe.layer):
         raise InputFileError(f"{path} does not tell the run it is a shard of; make it again")
     return recipe, seed

@@ -12,11 +12,10 @@ from l3cli.options.pipeline import TrainOptions
 from l3cli.parallel import workers
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.plan import Made, before_work
+from l3cli.stages.training.conditions import learn_conditions, runs_by_light
 from l3cli.stages.training.held_frames import held_for_a_run
 from l3cli.stages.training.later_layers import learn_refinement_layers
-from l3cli.stages.training.lights import learn_lights, runs_by_light
 from l3cli.stages.training.passes import Execution, first_pass, learn_first
-from l3cli.stages.training.quiet import learn_quiet
 from l3cli.stages.training.run import TrainingRun, open_run
 from l3cli.system.console import Console
 
@@ -56,10 +55,10 @@ def execution_of(
 
 
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
-    """All passes of all sets."""
+    """All passes of all layers, for all conditions."""
     table = learn_first(run, first_pass(run, execution), execution)
-    table = learn_quiet(run, learn_refinement_layers(run, table, execution), execution)
-    return learn_lights(run, table, execution)
+    table = learn_refinement_layers(run, table, execution)
+    return learn_conditions(run, table, execution)
 
 
 def say_table(table: TransformTable, output: Path, console: Console) -> None:

@@ -2,12 +2,11 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.plane_rules import FACTORS, MOST_SHIFT, StructureRule, TreeRule
+from l3cli.artifacts.plane_rules import FACTORS, MOST_SHIFT, GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes import structure
 from l3cli.classes.later import plane_evidence
@@ -47,13 +46,6 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
     return measured
 
 
-class GradientScale(NamedTuple):
-    """Scale of gradients at each level of the first layer, as the rules of plane layers have it."""
-
-    gradient_factor: NDArray[np.uint8]
-    gradient_shift: NDArray[np.uint8]
-
-
 def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> GradientScale:
     """The scale at which noise has a standard deviation of SIGMA, from `luminance_noise` of all frames in order."""
     squares, count = np.sum([np.zeros((2, layer.rule.levels)), *noise], axis=0)
@@ -71,7 +63,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
 def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
     """Classes by level and structure."""
     return StructureRule(
-        **scale._asdict(),
+        **vars(scale),
         level_step=layer.recipe.level_step,
         strength_edges=np.rint(np.array(layer.recipe.strengths) * structure.NOISE_TRACE).astype(np.uint32),
         coherence=round(64 * layer.recipe.coherence),
@@ -97,7 +89,7 @@ def sample_tree(
             site = np.broadcast_to(place.site, seen.label.shape).ravel()
             weight = row_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures).ravel()
             target = seen.target.reshape(-1, seen.target.shape[-1]) @ judged
-            evidence = plane_evidence(seen.noisy, place.level, *scale)
+            evidence = plane_evidence(seen.noisy, place.level, scale.gradient_factor, scale.gradient_shift)
             inner = inner_pixels(seen.label.shape)
             free = inner[(layer.rule.lost(place.kind) == 0).ravel()[inner]]
             for canonical in np.unique(reading.canonical).tolist():
@@ -118,7 +110,7 @@ def tree_rule(layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int
     """Classes by the leaves of a tree grown on the samples of all frames in order."""
     sites = sorted({site for sample in samples for site in sample})
     tree = grow([TreeSample.together([one[site] for one in samples if site in one]) for site in sites], layer.recipe.leaves)
-    return TreeRule(**scale._asdict(), **tree._asdict(), turns=np.array(layer.turns, np.uint8), cases=layer.rule.lost_cases)
+    return TreeRule(**vars(scale), **tree._asdict(), turns=np.array(layer.turns, np.uint8), cases=layer.rule.lost_cases)
 
 
 def _judged(layer: LayerPass) -> NDArray[np.float32]:

@@ -1,42 +1,71 @@
-"""Transforms for each light of a training: its frames learned once more, by the classes of all
-(docs/method.md#several-lights)."""
+"""Conditions of a table: its frames learned once more for other noise, and those under each light, by the classes of all
+(docs/method.md#noise-sets, docs/method.md#several-lights)."""
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.light_set import LightSet
+from l3cli.artifacts.camera import NoiseScale
+from l3cli.artifacts.conditions import Condition, SceneLight
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.physics.correlated_lights import SAME_MIRED, mired_of
 from l3cli.physics.display import XYZ
-from l3cli.stages.training.later_layers import layer_mosaics, layer_pass, summed_layer
-from l3cli.stages.training.passes import Execution, first_pass, learn_first
+from l3cli.stages.training.later_layers import learn_refinement_layers
+from l3cli.stages.training.passes import Execution, first_pass, learn_first, pass_of
 from l3cli.stages.training.run import TrainingRun, TrainingSource
 from l3cli.system.console import Silent
-from l3cli.training.layers.learn import learn_layer
-from l3cli.training.training_pass import spread_patches
+from l3cli.training.recipe import TrainingRecipe
+from l3cli.training.training_pass import TrainingPass, at_noise, spread_patches
 
 SAME_LIGHT = 1e-3  # relative difference of whites that are of one light, as spectra of one name give them
 
 
-def learn_lights(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
-    """The table with transforms for each light, if the recipe wants them."""
-    sets = []
+def learn_conditions(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
+    """The table with transforms for each condition that the recipe wants: each light, and all in common, at each noise."""
+    table = _with_noises(run, pass_of(run, table), table, table, execution)
     for name, of_light in runs_by_light(run):
         execution.console.info(f"transforms for {name}: {len(of_light.patches)} frames")
         pass_ = first_pass(of_light, replace(execution, console=Silent()))  # its white and light; classes are the table's
         pass_ = replace(pass_, rule=table.first.rule, exposure=table.exposure)
-        made = learn_first(of_light, pass_, execution)
-        for number, common in enumerate(table.later):
-            layer = layer_pass(made, run.recipe, layer_mosaics(of_light, number), run.seed)
-            sums = summed_layer(of_light, layer, common.rule, range(len(layer.mosaics)), execution)
-            made = replace(made, later=(*made.later, learn_layer(layer, common.rule, sums)))
-        sets.append(LightSet.of(name, made.white_point, made.light, made.first, made.later))
-    return replace(table, lights=tuple(sets)) if sets else table
+        usual = learn_refinement_layers(of_light, learn_first(of_light, pass_, execution), execution, like=table)
+        made = _with_noises(of_light, pass_, usual, table, execution)
+        light = SceneLight(name, made.white_point, made.light)
+        of_noises = (replace(each, light=light) for each in made.conditions)
+        conditions = (*table.conditions, Condition.of(made.first, made.later, light, None), *of_noises)
+        table = replace(table, conditions=conditions)
+    return table
+
+
+def _with_noises(
+    run: TrainingRun, pass_: TrainingPass, usual: TransformTable, like: TransformTable, execution: Execution
+) -> TransformTable:
+    """The usual table, which a run has learned, with transforms for each other noise that the recipe wants."""
+    made = []
+    for each in passes_of(pass_, run.recipe)[1:]:
+        execution.console.info(f"transforms for {each.head.camera.noise_scale.shot:g} of the noise over time")
+        made.append(learn_refinement_layers(run, learn_first(run, each, execution), execution, like=like))
+    return with_noises(usual, made, run.recipe.learning.noises)
+
+
+def passes_of(usual: TrainingPass, recipe: TrainingRecipe) -> list[TrainingPass]:
+    """The usual pass, and those beside it for each other noise that the recipe wants."""
+    return [usual, *(at_noise(usual, noise, recipe.classes) for noise in recipe.learning.noises)]
+
+
+def with_noises(usual: TransformTable, tables: Sequence[TransformTable], noises: Sequence[NoiseScale]) -> TransformTable:
+    """The usual table with others as its transforms for these noises."""
+    conditions = (Condition.of(each.first, each.later, None, noise) for each, noise in zip(tables, noises, strict=True))
+    return replace(usual, conditions=tuple(conditions))
+
+
+def by_noise(table: TransformTable) -> list[TransformTable]:
+    """The transforms of a table of no single lights at each noise, those for the camera's first, as tables."""
+    return [replace(table, conditions=()), *map(table.under, table.conditions)]
 
 
 def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:

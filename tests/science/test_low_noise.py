@@ -8,23 +8,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.partial_sums import QUIET, open_partial_sums, write_partial_sums
+from l3cli.artifacts.camera import CameraModel, NoiseScale
+from l3cli.artifacts.partial_sums import open_partial_sums, write_partial_sums
+from l3cli.artifacts.plane_rules import GradientScale
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import NoiseLeft, RawFrame
-from l3cli.rendering.quiet import quiet_renderer
+from l3cli.rendering.conditions import noise_limits
 from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.renderer import NoiseRenderer
 from l3cli.simulation import sensor
 from l3cli.training.patches import expose_patches
-from l3cli.training.quiet import FilteredCamera
 from tests.helpers.artifacts import some_layer_sums, some_sums
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS
-from tests.helpers.tables import XYZ, random_table, with_later, with_quiet, with_tree
+from tests.helpers.tables import XYZ, random_table, with_later, with_low_noise, with_tree
 
 LEAVES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\ncount = 4\n'
 CLASSES = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[classes.direction]\n[learning]\npatches = 2000\nfirst_draws = 1\n"
@@ -48,9 +49,13 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {path.name: path for path in folder.iterdir()}
 
 
+def at_noise(camera: CameraModel, share: float) -> CameraModel:
+    return dataclasses.replace(camera, noise_scale=NoiseScale(share, share))
+
+
 def test_noise_over_time_falls_and_what_pixels_differ_by_stays(bayer: CameraModel) -> None:
     dark = 3.0
-    whole, filtered = bayer.noise_terms(dark), FilteredCamera.of(bayer, 0.25).noise_terms(dark)
+    whole, filtered = bayer.noise_terms(dark), at_noise(bayer, 0.25).noise_terms(dark)
     still = dataclasses.replace(bayer, noise=dataclasses.replace(bayer.noise, dsnu=0.0, prnu=0.0, column_noise=0.0))
     moving, span = still.noise_terms(dark), bayer.white_level - bayer.black_level
     rounding = (span / (span - dark)) ** 2 / 12
@@ -60,25 +65,23 @@ def test_noise_over_time_falls_and_what_pixels_differ_by_stays(bayer: CameraMode
 
 
 def test_the_usual_set_is_what_it_would_be_alone(learned: dict[str, Path]) -> None:
-    """The quiet one decides by lower edges."""
+    """That for low noise decides by lower edges."""
     one, two = (load(TransformTable, learned[f"{name}.h5"]) for name in ("one", "two"))
-    assert equal(dataclasses.replace(two, quiet=None), one)
-    assert one.quiet is None
-    assert two.quiet is not None
-    assert two.quiet.noise_left == 0.1
-    usual, quiet = two.first.rule, two.quiet.first.rule
-    assert (quiet.contrast_edges <= usual.contrast_edges).all()
-    assert (quiet.contrast_edges[:, :2] < 0.5 * usual.contrast_edges[:, :2]).all()  # darkest: noise that varies in time
-    edges, lower = (rule.axes[0].constants[5:] for rule in (usual, quiet))
+    assert equal(dataclasses.replace(two, conditions=()), one)
+    assert not one.conditions
+    assert two.conditions[0].noise == NoiseScale(0.1, 0.1)
+    usual, low = two.first.rule, two.under(two.conditions[0]).first.rule
+    assert (low.contrast_edges <= usual.contrast_edges).all()
+    assert (low.contrast_edges[:, :2] < 0.5 * usual.contrast_edges[:, :2]).all()  # darkest: noise that varies in time
+    edges, lower = (rule.axes[0].constants[5:] for rule in (usual, low))
     assert (lower < edges).all()
 
 
 def test_each_set_is_best_at_the_noise_that_it_is_learned_for(learned: dict[str, Path]) -> None:
     """Of a dark scene with all of its camera's noise, and with a tenth of what varies in time."""
     table = load(TransformTable, learned["two.h5"])
-    assert table.quiet is not None
     assert table.camera is not None
-    sets = [table, dataclasses.replace(table, first=table.quiet.first, later=table.quiet.later, quiet=None)]
+    sets = [table, table.under(table.conditions[0])]
     renderers = [ReferenceRenderer(each) for each in sets]
     with open_training_set(learned["set.h5"]) as reader:
         scene = reader.frame(0)
@@ -86,7 +89,7 @@ def test_each_set_is_best_at_the_noise_that_it_is_learned_for(learned: dict[str,
     level = np.float32(0.003 / (scene.electrons.mean() / table.camera.full_scale))
     signal = sensor.mosaic(scene.electrons, table.camera.cfa) * level / np.float32(table.camera.full_scale)
     target = scene.target * np.float32(level * scene.exposure / table.output_unit)
-    for camera, best in ((table.camera, 0), (FilteredCamera.of(table.camera, 0.1), 1)):
+    for camera, best in ((table.camera, 0), (at_noise(table.camera, 0.1), 1)):
         values = expose_patches(signal, camera, np.random.default_rng(5)).astype(np.uint16)
         frame = RawFrame("dark", values, table.black_level, table.white_level)
         error = [float(np.mean((renderer.outputs(frame) - target)[1, 4:-4, 4:-4] ** 2)) for renderer in renderers]
@@ -97,84 +100,78 @@ def test_frames_without_a_filter_are_rendered_as_by_one_set(learned: dict[str, P
     one, two = (load(TransformTable, learned[f"{name}.h5"]) for name in ("one", "two"))
     values = np.random.default_rng(1).integers(240, 900, (24, 40)).astype(np.uint16)
     frame = RawFrame("frame", values, one.black_level, one.white_level)
-    renderer = quiet_renderer("reference", two)
-    np.testing.assert_array_equal(renderer.outputs(frame), quiet_renderer("reference", one).outputs(frame))
+    renderer = NoiseRenderer("reference", two)
+    np.testing.assert_array_equal(renderer.outputs(frame), NoiseRenderer("reference", one).outputs(frame))
     shares = np.full((6, 10), 1000, np.uint16)
     shares[:, 5:] = 150
     half = dataclasses.replace(frame, noise_share=0.5, noise_left=NoiseLeft(shares, 1000, (4, 4)))
-    assert two.quiet is not None
-    quiet = dataclasses.replace(two, first=two.quiet.first, later=two.quiet.later, quiet=None)
+    low = two.under(two.conditions[0])
     outputs, reach = renderer.outputs(half), 8
-    isolated = [ReferenceRenderer(table).outputs(frame) for table in (one, quiet)]
+    isolated = [ReferenceRenderer(table).outputs(frame) for table in (one, low)]
     np.testing.assert_array_equal(outputs[:, :, : 20 - reach], isolated[0][:, :, : 20 - reach])
     np.testing.assert_array_equal(outputs[:, :, 20 + reach :], isolated[1][:, :, 20 + reach :])
     assert (isolated[0] != isolated[1]).any()
 
 
-def test_cells_up_to_the_limit_are_quiet() -> None:
+def test_cells_up_to_the_limit_are_of_low_noise() -> None:
     left = NoiseLeft(np.array([[353, 354], [355, 1000]], np.uint16), 1000, (2, 3))
-    quiet = with_quiet(random_table(BAYER), noise_left=0.125).quiet
-    assert quiet is not None
-    assert quiet.limit == pytest.approx(0.2102, abs=1e-4)
-    np.testing.assert_array_equal(left.quiet(0.354, (3, 5)), [[1, 1, 1, 1, 1], [1, 1, 1, 1, 1], [0, 0, 0, 0, 0]])
-    np.testing.assert_array_equal(left.quiet(0.3535, (3, 5)), [[1, 1, 1, 0, 0], [1, 1, 1, 0, 0], [0, 0, 0, 0, 0]])
+    low, lower = NoiseScale(0.25, 0.25), NoiseScale(0.125, 0.125)
+    limits = noise_limits(with_low_noise(random_table(BAYER), 0.125, 0.25))
+    assert list(limits) == [low, lower]
+    assert limits[low] == 0.25**0.75
+    assert limits[lower] == pytest.approx(0.125**0.75 * 0.25**0.25)
+    np.testing.assert_array_equal(left.below([0.354], (3, 5)), [[1, 1, 1, 1, 1], [1, 1, 1, 1, 1], [0, 0, 0, 0, 0]])
+    np.testing.assert_array_equal(left.below([0.9, 0.3535], (3, 5)), [[2, 2, 2, 1, 1], [2, 2, 2, 1, 1], [1, 1, 1, 0, 0]])
 
 
 @pytest.mark.parametrize("layers", [lambda table: with_later(table, 3, 5), with_tree])
 def test_two_sets_are_written_and_read(layers: Callable[[TransformTable], TransformTable], tmp_path: Path) -> None:
-    table = with_quiet(layers(random_table(BAYER)))
+    table = with_low_noise(layers(random_table(BAYER)))
     save(table, tmp_path / "table.h5")
     assert equal(load(TransformTable, tmp_path / "table.h5"), table)
 
 
 def test_a_table_of_pictures_alone_keeps_both_sets() -> None:
-    table = with_quiet(random_table(BAYER, outputs=(*XYZ, "N"))).pictured()
+    table = with_low_noise(random_table(BAYER, outputs=(*XYZ, "N"))).pictured()
     assert table.outputs == XYZ
-    assert table.quiet is not None
-    assert table.quiet.first.weights.shape == table.first.weights.shape
+    assert table.conditions[0].first.weights.shape == table.first.weights.shape
 
 
-def test_a_quiet_set_of_other_classes_is_refused() -> None:
-    table = with_quiet(with_later(random_table(BAYER), 3))
-    quiet = table.quiet
-    assert quiet is not None
-    assert quiet.later[0].structure is not None
+def test_low_noise_transforms_of_other_layers_are_refused() -> None:
+    table = with_low_noise(with_later(random_table(BAYER), 3))
+    (low,) = table.conditions
+    assert low.edges is not None
 
     def changed(message: str, **fields: Any) -> None:
         with pytest.raises(ValueError, match=message):
-            dataclasses.replace(table, quiet=dataclasses.replace(quiet, **fields))
+            dataclasses.replace(table, conditions=(dataclasses.replace(low, **fields),))
 
-    rule, structure = quiet.first.rule, quiet.later[0].structure
-    other_levels = dataclasses.replace(rule, level_edges=rule.level_edges + np.uint32(1))
-    changed("noise_left is 1, not", noise_left=1.0)
-    changed("quiet holds 1 layers, the table 2", later=())
-    changed("quiet/first has other classes", first=dataclasses.replace(quiet.first, rule=other_levels))
-    coarser = dataclasses.replace(structure, coherence=structure.coherence + 1)
-    changed("quiet/later/0 has other classes", later=(dataclasses.replace(quiet.later[0], structure=coarser),))
-    narrow = dataclasses.replace(quiet.later[0], weights=quiet.later[0].weights[:, :, :3])
-    changed("windows or transforms of other shapes", later=(narrow,))
+    changed("conditions/0 holds 1 layers, the table 2", later=())
+    changed("a condition must have", noise=None, edges=None)
+    narrow = dataclasses.replace(low.later[0], weights=low.later[0].weights[:, :, :3])
+    changed("conditions/0/later/0 has transforms of other shapes", later=(narrow,))
+    changed(
+        "conditions/0/first/weights .* along tap", first=dataclasses.replace(low.first, weights=low.first.weights[..., :4])
+    )
+    dark = dataclasses.replace(low.edges, contrast_edges=low.edges.contrast_edges[:, :2])
+    changed("conditions/0/edges/contrast_edges .* along level", edges=dark)
+    scale = low.edges.gradients[0]
+    short = GradientScale(scale.gradient_factor[:2], scale.gradient_shift[:2])
+    changed("gradients of other levels", edges=dataclasses.replace(low.edges, gradients=(short,)))
 
 
-def test_sums_of_a_quiet_set_of_other_classes_are_refused(bayer: CameraModel, tmp_path: Path) -> None:
+def test_sums_for_low_noise_are_those_of_all_sites(bayer: CameraModel, tmp_path: Path) -> None:
     head, sums = some_sums(bayer)
-    dark = dataclasses.replace(head.rule, contrast_edges=head.rule.contrast_edges // 2)
-    write_partial_sums(tmp_path / "one.h5", dataclasses.replace(head, quiet_rule=dark), iter([sums]), iter([sums]))
+    write_partial_sums(tmp_path / "one.h5", head, iter([sums]), iter([sums]))
     with open_partial_sums(tmp_path / "one.h5") as reader:
-        assert equal(reader.head.quiet_rule, dark)
-        assert equal(reader.site(0, QUIET), sums)
-    write_partial_sums(tmp_path / "less.h5", dataclasses.replace(head, quiet_rule=dark), iter([sums]), iter([]))
+        assert reader.conditions == 1
+        assert equal(reader.site(0, 1), sums)
+    write_partial_sums(tmp_path / "less.h5", head, iter([sums]), iter([]))
     with pytest.raises(InputFileError, match="lacks sums of some sites"), open_partial_sums(tmp_path / "less.h5"):
         pass
-    other = dataclasses.replace(head.rule, shift=head.rule.shift + 1)
-    with pytest.raises(ValueError, match="quiet_rule has other classes"):
-        dataclasses.replace(head, quiet_rule=other)
     layer, _ = some_layer_sums(bayer)
-    assert layer.structure is not None
-    coarser = dataclasses.replace(layer.structure, coherence=layer.structure.coherence + 1)
-    with pytest.raises(ValueError, match="the quiet set's rule has other classes"):
-        dataclasses.replace(layer, table=with_quiet(layer.table), quiet_structure=coarser)
-    with pytest.raises(ValueError, match="either a structure rule or a tree"):
-        dataclasses.replace(layer, table=with_quiet(layer.table))
+    with pytest.raises(ValueError, match="gradients are not those of each noise"):
+        dataclasses.replace(layer, table=with_low_noise(layer.table))
 
 
 def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refused: Callable) -> None:

@@ -1,0 +1,189 @@
+"""Selection of a table's transforms by the conditions of what is rendered: a frame's light, or a mixture of two
+(docs/method.md#several-lights), and the noise that a filter in time has left in each pixel (docs/method.md#noise-sets)."""
+
+import functools
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CAMERA_NOISE, NoiseScale
+from l3cli.artifacts.class_rule import FurtherFeatures
+from l3cli.artifacts.conditions import Condition
+from l3cli.artifacts.layers import MosaicLayer, PlaneLayer, PlaneRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import LightSpectrum
+from l3cli.classes.features import further_features
+from l3cli.classes.kernel import kernel_macros
+from l3cli.classes.planes import FixedPoint, fixed_point
+from l3cli.errors import InputFileError
+from l3cli.frames.frame import RawFrame
+from l3cli.physics.correlated_lights import mired_of
+
+Layers = TypeVar("Layers", TransformTable, Condition)
+Float = TypeVar("Float", np.float32, np.float64)
+
+
+# ----------------------------------------------------------------------------------------------- light, by the frame
+
+
+@dataclass(frozen=True)
+class Mix:
+    """Two of a table's lights, by their indices, and the share of the cooler one."""
+
+    warm: int
+    cool: int
+    share: float
+
+
+def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
+    """Return the mix for a scene whose white has the XYZ (3): linear in reciprocal colour temperature between the lights
+    next to it, the outermost light beyond. None: the table has transforms for no single light."""
+    if not table.lights:
+        return None
+    mireds = [mired_of(light.white_point[:3]) for light in table.lights]
+    order = sorted(range(len(mireds)), key=lambda index: -mireds[index])
+    wanted = mired_of(white)
+    cooler = next((place for place, index in enumerate(order) if mireds[index] <= wanted), len(order) - 1)
+    warm, cool = order[max(cooler - 1, 0)], order[cooler]
+    span = mireds[warm] - mireds[cool]
+    return Mix(warm, cool, float(np.clip((mireds[warm] - wanted) / span, 0.0, 1.0)) if span > 0 else 1.0)
+
+
+def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
+    """Return the one of those two lights that is nearer to a white (3), alone: for frames that are balanced for it."""
+    mix = mix_for(table, white)
+    return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
+
+
+def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
+    """Return the table of the transforms that a mix of its lights makes; None: of those for all lights in common."""
+    common = table.of_light(None)
+    if mix is None:
+        return common
+    share, (warm, cool) = mix.share, (table.of_light(table.lights[index]) for index in (mix.warm, mix.cool))
+    light = None
+    if warm.light and cool.light and np.array_equal(warm.light.wavelength, cool.light.wavelength):
+        light = LightSpectrum(warm.light.wavelength, _between(warm.light.radiance, cool.light.radiance, share))
+
+    pairs = zip(common.conditions, warm.conditions, cool.conditions, strict=True)
+    return replace(
+        _mixed_layers(common, warm, cool, share),
+        white_point=_between(warm.white_point, cool.white_point, share),
+        light=light,
+        conditions=tuple(_mixed_layers(*pair, share) for pair in pairs),
+    )
+
+
+def described(table: TransformTable, mix: Mix) -> str:
+    """Return the mix in words, such as "62 % A, 38 % D65", or "A"."""
+    warm, cool, percent = table.lights[mix.warm].name, table.lights[mix.cool].name, round(100 * mix.share)
+    if percent in (0, 100):
+        return cool if percent else warm
+    return f"{100 - percent} % {warm}, {percent} % {cool}"
+
+
+def _mixed_layers(common: Layers, warm: Layers, cool: Layers, share: float) -> Layers:
+    def layer(of: Any, one: Any, other: Any) -> Any:
+        names = ("weights", "intercept")
+        return replace(of, **{name: _between(getattr(one, name), getattr(other, name), share) for name in names})
+
+    later = tuple(map(layer, common.later, warm.later, cool.later))
+    return replace(common, first=layer(common.first, warm.first, cool.first), later=later)
+
+
+def _between(warm: NDArray[Float], cool: NDArray[Float], share: float) -> NDArray[Float]:
+    """Equal ones stay what they are; shares of 0 and 1 give one of the two."""
+    one, other = warm.astype(np.float64), cool.astype(np.float64)
+    return np.where(one == other, one, (1 - share) * one + share * other).astype(warm.dtype)
+
+
+# ---------------------------------------------------------------------------------------------- noise, by the pixel
+
+
+def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
+    """Return for each noise below the camera's that a table has transforms for, the largest first, the share of the noise up
+    to which a pixel is rendered by these: a quarter of the way, in logarithms, to the next larger noise."""
+    lower = sorted((each.noise for each in table.noises if each.noise and each.noise.shot < 1), key=lambda each: -each.shot)
+    return {each: each.shot**0.75 * above.shot**0.25 for above, each in itertools.pairwise([CAMERA_NOISE, *lower])}
+
+
+class NoiseSets:
+    """Transforms that the pixels of a frame choose from: those for the noise of a table's camera and, `by_noise`, those for
+    less. InputFileError if they do not read alike.
+
+    Classes for less noise follow the others, as if they were of an array of more sites: whatever is chosen by class, by
+    kernels or by the reference, lies in arrays of all sets, one behind the other.
+    """
+
+    def __init__(self, table: TransformTable, by_noise: bool) -> None:
+        limits = noise_limits(table) if by_noise else {}
+        of_noise = {each.noise: each for each in table.noises}
+        self.tables = (table, *(table.under(of_noise[noise]) for noise in limits))
+        self._limits = list(limits.values())
+        macros = [kernel_macros(each.first.rule) for each in self.tables[:2]]
+        if macros[0] != macros[-1]:
+            raise InputFileError("transforms for less noise have classes of another formula; train the table again")
+
+    def __len__(self) -> int:
+        return len(self.tables)
+
+    def chosen(self, frame: RawFrame) -> NDArray[np.uint8]:
+        """Return the number of the set that renders each pixel (row, col) of a frame."""
+        if frame.noise_left is None:
+            return np.zeros(frame.values.shape, np.uint8)
+        return frame.noise_left.below(self._limits, frame.values.shape)
+
+    @functools.cached_property
+    def first(self) -> MosaicLayer:
+        """The first layers, one behind the other; the rule is that of the first set."""
+        names = ("weights", "intercept", "samples", "condition")
+        return self._joined(names, [table.first for table in self.tables])
+
+    @functools.cached_property
+    def later(self) -> tuple[PlaneLayer, ...]:
+        """Each later layer of all sets in the same way."""
+        layers = zip(*(table.later for table in self.tables), strict=True)
+        return tuple(self._joined(("weights", "intercept", "samples"), parts) for parts in layers)
+
+    @functools.cached_property
+    def first_fixed_point(self) -> FixedPoint:
+        """The first layers as integers."""
+        return self._joined(("weights", "intercept", "fraction"), [fixed_point(table) for table in self.tables])
+
+    def later_rules(self, number: int) -> tuple[PlaneRule, ...]:
+        """Return the rule of later layer `number`, from 0, in each set."""
+        return tuple(table.later[number].rule for table in self.tables)
+
+    @staticmethod
+    def _joined(names: tuple[str, ...], parts: Sequence[Any]) -> Any:
+        if len(parts) == 1:
+            return parts[0]
+        return replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def with_edges_for(table: TransformTable, share: float) -> TransformTable:
+    """Return the table for frames with this share of the camera's noise variance: class edges that follow noise, but not
+    trees, are scaled, so that detail that noise would hide is told from flat areas again; transforms stay as learned."""
+    rule = table.first.rule
+    axes = tuple(feature.quieter(axis, share) for feature, axis in further_features(rule))
+    features = FurtherFeatures.of(axes) if axes else None
+    first = replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=features)
+    later = tuple(
+        layer
+        if layer.structure is None
+        else replace(
+            layer, structure=replace(layer.structure, strength_edges=_scaled(layer.structure.strength_edges, share))
+        )
+        for layer in table.later
+    )
+    return replace(table, first=replace(table.first, rule=first), later=later, conditions=())
+
+
+def _scaled(edges: NDArray[np.uint32], share: float) -> NDArray[np.uint32]:
+    """Edges (edge, …) times a share; they still increase."""
+    least = np.arange(len(edges)).reshape(-1, *[1] * (edges.ndim - 1))
+    return np.maximum(np.rint(edges * share), least).astype(np.uint32)
