@@ -28,7 +28,7 @@ SHAPES: dict[str, Callable[[int], str]] = {  # of about so many letters
     "wrong values": lambda size: HEAD + "luminances_cd_m2 = [" + '"x", ' * (size // 5) + "]\n",
     "a long key": lambda size: HEAD + SCENE + "z" * size + " = 1\n",
     "a long number": lambda size: f"{HEAD}{SCENE}field_of_view_deg = 0x{'f' * size}\n",
-    "one light": lambda size: "exposure_share = [0.9]\nilluminants = [" + '"D65", ' * (size // 7) + "]\n" + SCENE,
+    "one light": lambda size: "exposure_share = [0.9]\nilluminants = [" + '"D6000K",' * (size // 9) + "]\n" + SCENE,
     "no numbers": lambda size: HEAD + "luminances_cd_m2 = [" + "nan, " * (size // 5) + "]\n",
     "lights that are none": lambda size: "exposure_share = [0.9]\nilluminants = [" + '"zz", ' * (size // 6) + "]\n" + SCENE,
     "glob of everything": lambda size: f"{HEAD}{SCENE}file = '{'/*' * min(size // 2, 100)}'\n",
