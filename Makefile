@@ -14,6 +14,8 @@ NOTEBOOKS := build/notebooks
 RELEASE := build/release
 KERNELS := $(CURDIR)/build/kernels
 OCLGRIND ?= /usr/lib/oclgrind/liboclgrind-rt-icd.so
+# What demo and curve are made by; a change of it makes them again.
+CODE := $(shell find l3cli opencl -name '*.py' -o -name '*.cl')
 JOBS ?= 2
 INPUTS ?= 20000
 PORT ?= 8000
@@ -25,6 +27,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: help install demo demo-steps snakemake docs docs-build gallery peers notebooks wheels test vapoursynth study soak video fuzz kernels curve lint format bench clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
+.SECONDARY:
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -41,22 +44,36 @@ install: $(BIN)/python ## a .venv with l3, PoCL and the development tools (WITH=
 comma := ,
 needs = @$(MAKE) --no-print-directory install WITH="$(1)"
 
-demo: ## a five-band camera from virtual lab to rendered picture
+demo: ## a five-band camera from virtual lab to rendered picture; again, only what a change of recipes or code reaches
 	$(call needs,)
 	$(MAKE) --no-print-directory demo-steps
 
-demo-steps:
-	rm -rf $(DEMO) && mkdir -p $(DEMO)
-	$(TIMED) $(L3) lab configs/cameras/fiveband.toml -o $(DEMO)/lab --jobs $(JOBS)
-	$(TIMED) $(L3) calibrate $(DEMO)/lab/MEASUREMENTS.toml --truth configs/cameras/fiveband.toml -o $(DEMO)/camera.h5
-	$(TIMED) $(L3) simulate configs/scenes/default.toml --camera $(DEMO)/camera.h5 -o $(DEMO)/training.h5 --jobs $(JOBS)
-	$(TIMED) $(L3) train $(DEMO)/training.h5 --classes configs/classes/default.toml -o $(DEMO)/table.h5 --jobs $(JOBS)
-	$(TIMED) $(L3) simulate configs/scenes/demo_unseen.toml --camera configs/cameras/fiveband.toml \
-	  -o $(DEMO)/unseen.h5 --pictures $(DEMO)/unseen
-	$(TIMED) $(L3) render $(DEMO)/table.h5 $(DEMO)/unseen/*_raw.tif -o $(DEMO)/rendered.png
+demo-steps: $(DEMO)/rendered.png $(DEMO)/report.html
 	$(TIMED) $(L3) evaluate $(DEMO)/table.h5 $(DEMO)/unseen.h5
-	$(TIMED) $(L3) report $(DEMO)/camera.h5 $(DEMO)/training.h5 $(DEMO)/table.h5 $(DEMO)/unseen.h5 -o $(DEMO)/report.html
 	@ls "$$PWD"/$(DEMO)/report.html "$$PWD"/$(DEMO)/rendered.png "$$PWD"/$(DEMO)/unseen/*_ideal.png
+
+$(DEMO)/lab/MEASUREMENTS.toml: configs/cameras/fiveband.toml $(CODE)
+	mkdir -p $(DEMO)
+	$(TIMED) $(L3) lab $< -o $(@D) --force --jobs $(JOBS)
+
+$(DEMO)/camera.h5: $(DEMO)/lab/MEASUREMENTS.toml
+	$(TIMED) $(L3) calibrate $< --truth configs/cameras/fiveband.toml -o $@ --force
+
+$(DEMO)/training.h5: configs/scenes/default.toml $(DEMO)/camera.h5
+	$(TIMED) $(L3) simulate $< --camera $(DEMO)/camera.h5 -o $@ --force --jobs $(JOBS)
+
+$(DEMO)/table.h5: $(DEMO)/training.h5 configs/classes/default.toml
+	$(TIMED) $(L3) train $< --classes configs/classes/default.toml -o $@ --force --jobs $(JOBS)
+
+$(DEMO)/unseen.h5: configs/scenes/demo_unseen.toml configs/cameras/fiveband.toml $(CODE)
+	mkdir -p $(DEMO)
+	$(TIMED) $(L3) simulate $< --camera configs/cameras/fiveband.toml -o $@ --pictures $(DEMO)/unseen --force
+
+$(DEMO)/rendered.png: $(DEMO)/table.h5 $(DEMO)/unseen.h5
+	$(TIMED) $(L3) render $< $(DEMO)/unseen/*_raw.tif -o $@ --force
+
+$(DEMO)/report.html: $(DEMO)/camera.h5 $(DEMO)/training.h5 $(DEMO)/table.h5 $(DEMO)/unseen.h5
+	$(TIMED) $(L3) report $^ -o $@ --force
 
 # One process more than there are cores: many tests wait for processes that they start. Files go in their order, small ones
 # last: none is begun late that takes long.
@@ -143,16 +160,22 @@ kernels: ## kernels under Oclgrind, for accesses out of bounds and races, and on
 
 curve: ## Bayer and RGBW over luminance: which is better where (ten minutes)
 	$(call needs,)
-	rm -rf $(CURVE) && mkdir -p $(CURVE)
-	for camera in bayer rgbw; do \
-	  $(L3) simulate configs/scenes/default.toml --camera configs/cameras/$$camera.toml -o $(CURVE)/$$camera.training.h5 \
-	    --jobs $(JOBS) && \
-	  $(L3) simulate configs/scenes/curve.toml --camera configs/cameras/$$camera.toml -o $(CURVE)/$$camera.unseen.h5 \
-	    --jobs $(JOBS) && \
-	  $(L3) train $(CURVE)/$$camera.training.h5 -o $(CURVE)/$$camera.table.h5 --jobs $(JOBS) && \
-	  $(L3) evaluate $(CURVE)/$$camera.table.h5 $(CURVE)/$$camera.unseen.h5 --json > $(CURVE)/$$camera.json || exit 1; \
-	done
-	$(L3) compare $(CURVE)/bayer.json $(CURVE)/rgbw.json --figure mean_delta_e --figure scielab --figure psnr -o $(CURVE)/curve.html
+	$(MAKE) --no-print-directory $(CURVE)/curve.html
+
+$(CURVE)/%.training.h5: configs/scenes/default.toml configs/cameras/%.toml $(CODE)
+	mkdir -p $(@D) && $(L3) simulate $< --camera configs/cameras/$*.toml -o $@ --force --jobs $(JOBS)
+
+$(CURVE)/%.unseen.h5: configs/scenes/curve.toml configs/cameras/%.toml $(CODE)
+	mkdir -p $(@D) && $(L3) simulate $< --camera configs/cameras/$*.toml -o $@ --force --jobs $(JOBS)
+
+$(CURVE)/%.table.h5: $(CURVE)/%.training.h5
+	$(L3) train $< -o $@ --force --jobs $(JOBS)
+
+$(CURVE)/%.json: $(CURVE)/%.table.h5 $(CURVE)/%.unseen.h5
+	$(L3) evaluate $^ --json > $@
+
+$(CURVE)/curve.html: $(CURVE)/bayer.json $(CURVE)/rgbw.json
+	$(L3) compare $^ --figure mean_delta_e --figure scielab --figure psnr -o $@ --force
 
 lint: ## ruff format and check, mypy
 	$(call needs,test lint docs)
