@@ -1,14 +1,18 @@
-"""Plausibility of a frame's values for a table's camera: mistakes about depth, byte order, black level and size, and
-where its colour filter array begins: sites of one channel see alike on average."""
+"""Warnings of frames that a table was not made for: of another camera, array, light level, or of values that its camera
+hardly gives, by mistakes about depth, byte order, black level and size."""
 
 import itertools
+import re
 from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.rendering.exposure import CoverageMeter
 
 BEYOND = 1.5  # times the white level: no saturated pixel lies so far above it …
 SHALLOW = 0.55  # of it: nor do pixels of the same depth clip so far below
@@ -22,6 +26,141 @@ TORN = 1.5  # times as much as with rows and columns exchanged that rows may dif
 LINES = 64  # pairs of rows that are compared
 SAMPLES = 128  # super-pixels along either axis that are looked at, at most
 LEAST_SIGNAL = 1e-3  # of full scale: the mean of a frame below which it is dark
+
+
+NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
+SITES_DIFFER = 0.1  # of the mean of a channel, between its sites, from which on the array is not where it is taken to be …
+SITES_AGREE = 0.4  # … if another phase leaves no more than this of it
+LONG, MANY_TIMES = 60.0, 100.0  # s; times the training's: exposure times that are probably in another unit
+T = TypeVar("T", bound="WithFrame")
+
+
+class WithFrame(Protocol):
+    """Holder of a frame, raw or already rendered."""
+
+    @property
+    def frame(self) -> object: ...
+
+
+@dataclass
+class FrameWarnings:
+    """Warnings of some frames of a run, each once: of one frame, or of the worst of several."""
+
+    table: TransformTable
+    _seen: int = 0
+    _untimed: list[str] = field(default_factory=list)  # frames whose exposure time and dark level are unknown
+    _others: dict[str, tuple[str, int]] = field(default_factory=dict)  # text about camera or array: frame, number
+    _notes: dict[str, str] = field(default_factory=dict)  # first frame of each
+    _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # share, frame, number of frames
+
+    def __post_init__(self) -> None:
+        self._meter = CoverageMeter(self.table)
+
+    def measure(self, frame: RawFrame) -> None:
+        """Measure a frame."""
+        self._seen += 1
+        if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
+            self._untimed.append(frame.name)
+        for text in (other_camera(frame, self.table), other_phase(frame, self.table), *mistaken(frame, self.table)):
+            self._note(text, frame.name)
+        for note in frame.notes:
+            self._notes.setdefault(note, frame.name)
+        coverage = self._meter.coverage(frame)
+        for what, limit in NOTABLE.items():
+            share = getattr(coverage, what)
+            if share >= limit:
+                worst, name, count = self._worst.get(what, (0.0, "", 0))
+                self._worst[what] = (share, frame.name, count + 1) if share > worst else (worst, name, count + 1)
+
+    def watched(self, frames: Iterator[T], stills: bool) -> Iterator[T]:
+        """Pass frames on, after a check of every still, or the first frame of a sequence, unless others are to read it.
+        Later frames are only checked for values that the converter cannot give, and only if the first has none."""
+        first_text = ""
+        for each in frames:
+            if isinstance(each.frame, RawFrame) and (stills or not self._seen):
+                self.measure(each.frame)
+                first_text = beyond_converter(each.frame, self.table)
+            elif isinstance(each.frame, RawFrame) and not first_text:
+                self._note(beyond_converter(each.frame, self.table), each.frame.name)
+            yield each
+
+    def _note(self, text: str, name: str) -> None:
+        """Count what is said of a frame; "" says nothing."""
+        if text:
+            first, count = self._others.get(text, (name, 0))
+            self._others[text] = first, count + 1
+
+    @property
+    def assumption(self) -> str:
+        """Return what was assumed of a frame whose exposure time is unknown; "" if nothing was."""
+        if not self._untimed:
+            return ""
+        exposure, dark = self.table.exposure, self.table.dark_signal(None)
+        return (
+            f"{self._untimed[0]}: exposure time unknown; dark current of the training's {exposure:.3g} s is taken off "
+            f"({dark:.2g} DN); give ‹exposure_time› or ‹dark›"
+        )
+
+    def lines(self) -> Iterator[str]:
+        """Yield a line for each warning."""
+        darkest, brightest = self._meter.learned_range()
+        texts = {
+            "darker": f"are darker than anything the table was trained on ({darkest:.2g} of full scale); name a "
+            "lower learning.darkest or simulate shorter exposures, and train again",
+            "brighter": f"are brighter than anything the table was trained on ({brightest:.2g} of full scale); raise "
+            "learning.brightest or simulate longer exposures, and train again",
+            "untrained": "fall into classes that are filled from their neighbours; train on more scenes or patches",
+            "saturated": "are clipped or touch clipped ones, where colour is a guess; expose shorter, or mend ‹white_level›",
+        }
+        for text, (name, count) in self._others.items():
+            yield f"{name}{f' and {count - 1} more' if count > 1 else ''}: {text}"
+        for note, name in self._notes.items():
+            yield f"{name}: {note}"
+        for what, (share, name, count) in self._worst.items():
+            where = name if self._seen == 1 else f"{count} of {self._seen} frames, most in {name}"
+            yield f"{where}: {share:.0%} of the pixels {texts[what]}"
+
+
+def other_camera(frame: RawFrame, table: TransformTable) -> str:
+    """Return a warning if a file names another camera than the table's; "" if it names none, or that one."""
+    theirs = [_words(name) for name in frame.taken_by]
+    ours = _words(table.camera_name)
+    if not frame.taken_by or any(ours & words - _words(frame.taken_by[0]) or ours == words for words in theirs):
+        return ""
+    name = max(frame.taken_by[:2], key=len)
+    return (
+        f"it was taken by {name}, the table is for {table.camera_name}; give the table of this camera, or name it so in "
+        "its recipe"
+    )
+
+
+def _words(name: str) -> set[str]:
+    return set(re.findall(r"[0-9a-z]+", name.lower()))
+
+
+def other_phase(frame: RawFrame, table: TransformTable) -> str:
+    """Return a warning, with the phase that fits, if the sites of one channel differ as they do where a file misstates
+    its array; else ""."""
+    now, least, phases = best_phases(frame, table)
+    if now < SITES_DIFFER or not phases or least > SITES_AGREE * now:
+        return ""
+    fitting = " or ".join(f"{row},{col}" for row, col in phases)
+    return (
+        f"sites of one channel differ by {now:.0%} on average, its colour filter array begins elsewhere than it says; "
+        f"‹phase› {fitting} leaves {least:.1%}"
+    )
+
+
+def odd_exposure_time(seconds: float | None, table: TransformTable) -> str:
+    """Return a warning of an exposure time that is given and probably not in seconds, or nothing."""
+    times = seconds / table.exposure if seconds is not None and table.exposure else 0.0
+    if seconds is None or (seconds <= LONG and times < MANY_TIMES):
+        return ""
+    compared = f", {times:.0f} times that of the training ({table.exposure:.3g} s)" if times >= MANY_TIMES else ""
+    return (
+        f"‹exposure_time› {seconds:g} is {seconds:g} seconds{compared}: dark current of "
+        f"{table.dark_signal(seconds):.3g} DN is taken off; give seconds, not milliseconds"
+    )
 
 
 def mistaken(frame: RawFrame, table: TransformTable) -> Iterator[str]:

@@ -4,8 +4,7 @@ from typing import Any
 
 from l3cli.options.tools import BenchOptions
 from l3cli.rendering import benchmark
-from l3cli.rendering.opencl.devices import survey
-from l3cli.stages.input_warnings import warn_of_kernels
+from l3cli.rendering.opencl.devices import cache_warning, survey
 
 
 def measure(options: BenchOptions) -> dict[str, Any]:
@@ -16,5 +15,6 @@ def measure(options: BenchOptions) -> dict[str, Any]:
     devices = survey()
     jobs = benchmark.jobs(options.device, options.variant)
     results = [job() for job in options.console.progress(jobs, len(jobs), "cases")]
-    warn_of_kernels(options.console)
+    if reason := cache_warning():
+        options.console.warn(reason)
     return {"devices": devices, "results": results}

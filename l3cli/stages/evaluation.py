@@ -17,6 +17,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader, frame_name, open_training_set
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.evaluation import Evaluation
+from l3cli.evaluation.likeness import unlike
 from l3cli.evaluation.pictures import frame_pictures, planes_of
 from l3cli.evaluation.sequence import CELL, SequenceEvaluation, SequenceFigures
 from l3cli.frames.frame import RawFrame
@@ -27,10 +28,10 @@ from l3cli.options.pipeline import EvaluateOptions, SequenceOptions
 from l3cli.physics import spectra
 from l3cli.rendering.conditions import Mix, described, mix_for, mixed
 from l3cli.rendering.display import require_xyz
+from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.stages.checkpoint import incomplete_folder, refuse_other_run, run_key
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.input_warnings import warn_if_trained_on, warn_if_unlike, warn_of_kernels
 from l3cli.stages.plan import Made, before_work
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
@@ -74,7 +75,9 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
             before_work({"table": [table], "frames": [frames], **theirs}, *made)
             if pictures is not None:
                 unfinished.enter_context(incomplete_folder(pictures, key, options.force))
-            warn_if_trained_on(transforms, table, frames, console)
+            if any(sha256(frames) in digests for stage in transforms.history for digests in stage.inputs.values()):
+                text = "figures flatter it; simulate other scenes, or the same ones with another ‹seed›"
+                console.warn(f"{table} was trained on {frames}: {text}")
             warn_if_unlike((table, transforms), (frames, reader.head.camera), console)
             renderers = FrameRenderers(options.backend, transforms, console)
             for index in console.progress(range(len(reader)), len(reader), "frames"):
@@ -83,8 +86,23 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
                 if pictures is not None:
                     for name, picture in frame_pictures(frame, planes).items():
                         write_picture(pictures / f"{frame_name(index, frame.scene)}_{name}.png", picture)
-        warn_of_kernels(console)
+        if reason := cache_warning():
+            console.warn(reason)
         return evaluation.document()
+
+
+def warn_if_unlike(table: tuple[object, TransformTable], frames: tuple[object, CameraModel], console: Console) -> str:
+    """Warn if a table is judged on frames of another camera than it was trained for; both with the name of their file.
+    Return the warning, or ""."""
+    (name, transforms), (other, camera) = table, frames
+    if not (differences := unlike(transforms, camera)):
+        return ""
+    text = (
+        f"{name} was trained for another camera ({transforms.camera_name}) than took the frames of {other} ({camera.name}): "
+        f"they differ in {differences}; judge it on frames of its own camera"
+    )
+    console.warn(text)
+    return text
 
 
 class FrameRenderers:

@@ -16,9 +16,9 @@ from l3cli.export.source import PREFIX, c_files
 from l3cli.options.tools import ExportOptions
 from l3cli.physics.display import XYZ
 from l3cli.rendering.conditions import mix_for, mixed, noise_limits
+from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import given_white
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.input_warnings import warn_of_white
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.rendering.lights import mix_of_given
 from l3cli.system.console import Console
@@ -102,8 +102,8 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
             values = {"limit": noise_limits(transforms)[low.noise], "noise_left": low.noise.shot}
             transforms, readme = transforms.under(low), LOW_NOISE_README.format(**values)
         balance = shown.balance if shown else None
-        if white and shown and form == "c":
-            warn_of_white(white, shown, transforms, console)
+        if white and shown and form == "c" and (doubt := far_from_training(white, shown, transforms)):
+            console.warn(doubt)
         if form == "c":
             files = c_files(transforms, words or "float32", balance, PREFIX if prefix is None else prefix)
         else:

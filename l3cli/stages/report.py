@@ -16,6 +16,7 @@ from l3cli.artifacts.training_set import TrainingPair, TrainingSet, TrainingSetR
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.pictures.openimageio import jpeg
 from l3cli.options.tools import ReportOptions
+from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
 from l3cli.report.evaluation import evaluation_section, front_section, shown_frames
@@ -30,9 +31,9 @@ from l3cli.report.side_by_side import Side, shared_frame, side_by_side_section
 from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
 from l3cli.simulation.procedural import chart_places
+from l3cli.stages import evaluation
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.evaluation import FrameRenderers, document, evaluate_frame, raw_of, read_sequence_figures
-from l3cli.stages.input_warnings import warn_if_unlike, warn_of_kernels
+from l3cli.stages.evaluation import FrameRenderers, evaluate_frame, raw_of, warn_if_unlike
 from l3cli.stages.plan import Made, before_work
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256, write_whole
@@ -60,7 +61,8 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
         title, lead, sections = _compose(given, options.backend, console)
         page = render_page(title, lead, sections).encode()
         write_whole(output, page)
-        warn_of_kernels(console)
+        if reason := cache_warning():
+            console.warn(reason)
         much = "; fewer files would make a lighter page" if len(page) > LIMIT else ""
         console.info(f"{output}: {len(page) / 1e6:.2f} MB, {len(sections)} sections{much}")
 
@@ -134,7 +136,7 @@ def _read(paths: tuple[Path, ...]) -> Given:
     sums: dict[str, str] = {}
     for path, name in zip(paths, short_names(paths), strict=True):
         if path.suffix.lower() == SEQUENCE:
-            sequences[name], sums[name] = document(read_sequence_figures(path)), sha256(path)
+            sequences[name], sums[name] = evaluation.document(evaluation.read_sequence_figures(path)), sha256(path)
             continue
         artifact, digest = _artifact(path), sha256(path)
         entries.setdefault(digest, Entry(name, path, digest, artifact))
@@ -307,13 +309,13 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], backend: str, 
     warning = warn_if_unlike((pair.table.name, pair.transforms), (pair.frames.name, pair.head.camera), console)
     renderers = FrameRenderers(backend, pair.transforms, console)
     with open_training_set(pair.frames.path, unchanged=True) as reader:
-        evaluation = Evaluation(pair.transforms, reader.head)
+        judgement = Evaluation(pair.transforms, reader.head)
         pictures, chart, front = pair.transforms.outputs == XYZ, None, None
         for index in console.progress(range(len(reader)), len(reader), "frames"):
-            frame, planes = evaluate_frame(evaluation, renderers, reader, index)
+            frame, planes = evaluate_frame(judgement, renderers, reader, index)
             if pictures and chart is None:
                 chart = chart_subsection(frame, index, planes, pair.head)
-        figures = evaluation.document()
+        figures = judgement.document()
         if pictures:
             shown = {index: _pictures(pair, reader, renderers, index) for index in shown_frames(figures)}
             pixels = _pixels(reader, renderers, anchor, *next(iter(shown.items())), limits)

@@ -316,7 +316,7 @@ def frames_of(table: TransformTable, level: float, count: int) -> Iterator[RawFr
 def test_levels_without_training_are_counted(pipeline: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from dataclasses import replace
 
-    from l3cli.stages.input_warnings import FrameWarnings
+    from l3cli.rendering.raw_checks import FrameWarnings
 
     table = load(TransformTable, pipeline / "table.h5")
     samples = table.first.samples.reshape(table.cfa.size, table.first.rule.levels, -1).copy()
@@ -332,10 +332,8 @@ def test_levels_without_training_are_counted(pipeline: Path, capsys: pytest.Capt
     warnings = FrameWarnings(part)
     for frame in (*frames_of(part, 0.7, 3), *frames_of(part, 0.01, 2)):
         warnings.measure(frame)
-    capsys.readouterr()
-    warnings.report(terminal.Terminal())
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("warning: 3 of 5 frames, most in frame 0: 100% of the pixels are brighter than anything")
+    (line,) = warnings.lines()
+    assert line.startswith("3 of 5 frames, most in frame 0: 100% of the pixels are brighter than anything")
     assert line.endswith("simulate longer exposures, and train again")
 
 

@@ -14,14 +14,13 @@ from l3cli.frames.shading import Shading
 from l3cli.io.raw.cfa_codes import neutral_of_channels
 from l3cli.physics import correlated_lights, spectra
 from l3cli.physics.display import daylight, delta_e_2000, display_white, lab, scene_white
-from l3cli.rendering.raw_checks import best_phases
+from l3cli.rendering.raw_checks import best_phases, other_camera, other_phase
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.white.auto import AutoWhite
 from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance, balanced, plain_balance
 from l3cli.rendering.white.grey import GreyRenderer, Square
 from l3cli.rendering.white.scene_white import Whites
 from l3cli.rendering.white.source import AUTO, CAMERA, CameraWhite, SquareWhite, given_white, white_source
-from l3cli.stages.input_warnings import other_camera, other_phase
 from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.tables import colorimetric_table, random_table, with_later
 

@@ -25,6 +25,7 @@ DARKEST = 0.05  # of white: below, errors of surfaces count no more than there
 MOST_GREEN = 0.03  # distance from the black bodies in CIE 1960 uv that no lamp for people has
 SAME_WHITE = 5e-4  # distance in CIE 1960 uv of whites that are the same, as written with four digits
 MOST_MISFIT = 0.12  # of the logarithms of channels; fluorescent and LED lamps reach half of it
+NEAR_WHITE = 0.02  # distance of chromaticities u′v′ from which on two whites are different lights
 COOLEST, WARMEST = 24_000.0, 1_700.0  # K: what a search ends with lies beyond them
 
 
@@ -174,3 +175,43 @@ def _white(outputs: Array) -> NDArray[np.float64]:
     if not (np.isfinite(outputs).all() and outputs.min() > 0):
         raise InputFileError("the table makes no white of this grey; is it the table of this camera?")
     return np.asarray(outputs, np.float64)
+
+
+# ------------------------------------------------------------------------------------------------------- warnings
+
+
+def far_from_training(asked: str, white: SceneWhite, table: TransformTable) -> str:
+    """Return a warning if the table was probably not trained under a light that is `asked` for and not named, or nothing."""
+    if (white.modelled and "," not in asked) or _alike(white.light.xyz, table.white_point):
+        return ""
+    x, y = table.white_point[:2] / table.white_point.sum()
+    how = "colours are adapted from it alone; name the light, or train with it among the illuminants of SCENES.toml"
+    if white.modelled:
+        how = "taken for that of a black body or daylight; name a fluorescent or LED lamp, or give a grey's ROW,COL"
+    return f"‹white› {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: {how}"
+
+
+def implausible(what: str, white: SceneWhite) -> str:
+    """Return a warning of a white that no likely light gives, or nothing."""
+    if white.plausible:
+        return ""
+    return (
+        f"{what} is what no daylight, lamp or black body gives the table's camera ({white}); greys are made neutral by "
+        "it, and no colour is corrected further; is it the table of this camera? give ‹white› otherwise"
+    )
+
+
+def unlike_stated(name: str, white: SceneWhite, stated: SceneWhite) -> str:
+    """Return a warning if a file states quite another white than what is grey in its frame has, or nothing."""
+    if _alike(white.light.xyz, stated.light.xyz):
+        return ""
+    return (
+        f"{name}: its file states another white ({stated.light.kelvin:.0f} K) than its chart shows "
+        f"({white.light.kelvin:.0f} K); the chart's is taken, and ‹white› camera would leave a cast"
+    )
+
+
+def _alike(one: Array, other: Array) -> bool:
+    """Return whether two whites (XYZ) may be of one light."""
+    difference = (uv(one) - uv(other)) * (1.0, 1.5)  # CIE 1976 u′v′
+    return float(np.linalg.norm(difference)) <= NEAR_WHITE

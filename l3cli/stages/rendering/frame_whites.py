@@ -2,9 +2,8 @@
 
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
-from l3cli.rendering.white.scene_white import SceneWhite
+from l3cli.rendering.white.scene_white import SceneWhite, implausible, unlike_stated
 from l3cli.rendering.white.source import WhiteSource
-from l3cli.stages.input_warnings import warn_of_odd_white, warn_of_stated_white
 from l3cli.stages.rendering.chart_white import ChartSceneWhite
 from l3cli.system.console import Console
 
@@ -54,9 +53,11 @@ class WhiteReport:
             self._say(frame.name, white)
         if not self._warned:
             self._warned = True
-            warn_of_odd_white(f"{frame.name}: its white, {self._source.about},", white, self._console)
+            doubts = [implausible(f"{frame.name}: its white, {self._source.about},", white)]
             if isinstance(white, ChartSceneWhite) and white.stated is not None:
-                warn_of_stated_white(frame.name, white, white.stated, self._console)
+                doubts.append(unlike_stated(frame.name, white, white.stated))
+            for doubt in filter(None, doubts):
+                self._console.warn(doubt)
 
     def report(self) -> None:
         """At the end."""

@@ -16,11 +16,13 @@ from l3cli.io.video import USUAL_RATE, Pacing
 from l3cli.options.render import RenderOptions
 from l3cli.rendering.conditions import mixed, nearest_for
 from l3cli.rendering.display import require_xyz
+from l3cli.rendering.opencl.devices import cache_warning
+from l3cli.rendering.raw_checks import odd_exposure_time
 from l3cli.rendering.temporal.chunks import Chunks, filters
+from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import given_white, usual_balance
 from l3cli.stages.checkpoint import run_key
 from l3cli.stages.claims import OutputGuard
-from l3cli.stages.input_warnings import warn_of_exposure_time, warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.chart_white import source_of
 from l3cli.stages.rendering.checkpoint import FrameOrigins, checkpointed
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
@@ -107,8 +109,8 @@ def render(
             executor_of(setup, transforms, scheduler, renderers or Renderers()) as executor,
         ):
             tally = render_frames(job, executor, checkpoint, origins())
-        warn_of_exposure_time(known.exposure, transforms, console)
-        warn_of_kernels(console)
+        for text in filter(None, (odd_exposure_time(known.exposure, transforms), cache_warning())):
+            console.warn(text)
         return tally
 
 
@@ -158,7 +160,7 @@ def _rendition(
     require_xyz(table.outputs)
     given, space_of = given_white(white, table), chosen_space(options.space, destination.linear)
     balance = usual_balance(table) if white is None or given is None else given.balance
-    if white is not None and given is not None:
-        warn_of_white(white, given, table, options.console)
+    if white is not None and given is not None and (doubt := far_from_training(white, given, table)):
+        options.console.warn(doubt)
     rendition = Rendition(balance, options.exposure.factor, options.bits, space_of, stops=options.exposure.stops)
     return for_developers(rendition, options.remosaic) if destination.raw else rendition

@@ -21,11 +21,11 @@ from l3cli.io.video import Pacing, VideoChoice, new_video, new_y4m
 from l3cli.options.render import RenderOptions
 from l3cli.parallel.threads import WriteBehind, prefetched
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
+from l3cli.rendering.raw_checks import FrameWarnings
 from l3cli.rendering.temporal.chunks import Chunks, needed
 from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
 from l3cli.rendering.white.scene_white import SceneWhite
 from l3cli.rendering.white.source import WhiteSource
-from l3cli.stages.input_warnings import FrameWarnings
 from l3cli.stages.rendering.checkpoint import FrameOrigins, PictureCheckpoint
 from l3cli.stages.rendering.destination import Destination
 from l3cli.stages.rendering.executors import Local, Remote
@@ -128,7 +128,10 @@ def render_frames(
                 writing.put((pending, made))
         if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
-    warnings.report(console)
+    if warnings.assumption:
+        console.info(warnings.assumption)
+    for text in warnings.lines():
+        console.warn(text)
     told.report()
     report_times(job, tally)
     tally.seconds = max(time.monotonic() - start, 1e-9)
