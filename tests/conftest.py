@@ -12,7 +12,7 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.cli import run
+from l3cli.cli import run, terminal
 from l3cli.parallel import processes
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
@@ -41,8 +41,9 @@ def fiveband() -> CameraModel:
 
 
 @pytest.fixture
-def l3(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
-    """Run `l3 ARGUMENTS`: exit code, stdout, stderr."""
+def l3(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, str, str]]:
+    """Run `l3 ARGUMENTS`: exit code, stdout, stderr; how far it is is not said, however slow the machine."""
+    monkeypatch.setattr(terminal, "OFTEN", 3600.0)
 
     def call(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()

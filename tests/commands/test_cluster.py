@@ -16,11 +16,10 @@ import numpy as np
 import pytest
 
 from l3cli.cli import run
-from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.errors import L3Error, RecipeError
 from l3cli.parallel import cluster as elsewhere
 from l3cli.parallel import workers
 from l3cli.parallel.cluster import Scheduler
-from l3cli.system.files import require_same, sha256
 from l3cli.system.limits import ONE_BLAS_THREAD
 from tests.helpers.paths import ROOT
 from tests.helpers.tasks import PATIENCE, refusing, squared
@@ -267,18 +266,6 @@ def test_a_worker_of_another_version_is_refused(cluster: Cluster, monkeypatch: p
         pytest.raises(L3Error, match=r"a worker has l3cli \S+, this machine 0\.0\.1"),
     ):
         list(pool(squared, range(1)))
-
-
-def test_another_file_under_the_name_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "training.h5"
-    path.write_bytes(b"ours")
-    digest = sha256(path)
-    require_same(path, digest)
-    path.write_bytes(b"theirs")
-    with pytest.raises(InputFileError, match="is another file for a worker"):
-        require_same(path, digest)
-    with pytest.raises(InputFileError, match="cannot be read by a worker"):
-        require_same(tmp_path / "absent", digest)
 
 
 def test_without_workers_a_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

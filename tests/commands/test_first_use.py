@@ -1,7 +1,6 @@
 """What a first-time user meets: l3 alone, recipes by name, recipes that explain themselves, pictures of any size."""
 
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -15,10 +14,8 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as program
 from l3cli.io.pictures.registry import write_picture
-from l3cli.stages.starting import COMMON
 from tests.helpers.paths import CONFIGS
 from tests.helpers.readme import PAGES, commands, sessions
 
@@ -135,27 +132,6 @@ def test_the_shell_is_offered_names_beside_files(tmp_path: Path, monkeypatch: py
 
 
 # ---------------------------------------------------------------------------------------- recipes explain themselves
-
-
-def test_nothing_that_users_read_cites_what_they_do_not_have(l3: Callable) -> None:
-    texts = {str(path): path.read_text(encoding="utf-8") for path in CONFIGS.rglob("*") if path.is_file()}
-    texts |= {name: l3(name, "--help")[1] for name in COMMANDS}
-    assert set(COMMON.values()) <= {name.partition("configs/")[2] for name in texts}
-    for name, text in texts.items():
-        assert not re.search(r"\b(METHOD|DESIGN|STYLE)\b|docs/", text), name
-
-
-def test_no_message_cites_what_users_do_not_have() -> None:
-    import ast
-
-    for path in (CONFIGS.parent / "l3cli").rglob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        docstrings = {
-            id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)
-        }  # docstrings are for programmers
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
-                assert "METHOD" not in node.value, (path, node.lineno)
 
 
 # ------------------------------------------------------------------------------------------------- pictures of any size

@@ -1,4 +1,5 @@
-"""How the commands behave towards people: help, completion, progress, names suggested, tables that fit, input warnings."""
+"""How the commands behave towards people: help, completion, progress, names suggested, tables that fit, warnings, logs, what
+every command promises about outputs, seeds and mistakes."""
 
 import json
 import os
@@ -14,15 +15,20 @@ import numpy as np
 import pytest
 
 from l3cli import __version__
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import COMMANDS, l3, terminal
 from l3cli.errors import suggestion
 from l3cli.frames.frame import RawFrame
 from l3cli.io.confinement import LANDLOCK, SECCOMP
+from l3cli.io.images import read_image
 from l3cli.rendering.exposure import CoverageMeter
+from l3cli.system.console import HEADING
 from l3cli.system.text import columns
+from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
+from tests.helpers.recipes import CLASSES
 from tests.helpers.tables import with_first
 from tests.helpers.terminal import in_terminal
 
@@ -349,3 +355,120 @@ def test_looking_costs_milliseconds(pipeline: Path) -> None:
         meter.coverage(frame)
         times.append(time.perf_counter() - start)
     assert min(times) < 0.02  # 2 ms on a quiet core
+
+
+LINE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ (info|warning|error) (\w+) (.*)")
+
+
+def lines(log: Path) -> list[tuple[str, str, str]]:
+    heading, *rest = log.read_text().splitlines()
+    assert heading.encode() + b"\n" == HEADING
+    return [match.groups() for line in rest if (match := LINE.fullmatch(line)) or pytest.fail(line)]  # type: ignore[misc]
+
+
+def test_a_log_holds_what_is_said_also_quietly_and_the_error_that_ends_a_run(l3: L3, pipeline: Path, tmp_path: Path) -> None:
+    log, out = tmp_path / "l3.log", tmp_path / "table.h5"
+    train = ("train", pipeline / "training.h5", "--classes", pipeline / "classes.toml", "-o", out, "--log", log)
+    code, _, said = l3(*train)
+    assert code == 0
+    held = lines(log)
+    assert {command for _, command, _ in held} == {"train"}
+    assert [message for _, _, message in held if message in said.splitlines()] == said.splitlines()
+    assert any(re.fullmatch(r"sums: \d+ done in \S+ s", message) for _, _, message in held)
+    code, _, said = l3(*train)  # the table is there
+    assert code == 1
+    assert lines(log)[: len(held)] == held
+    assert lines(log)[-1] == ("error", "train", said.strip().removeprefix("l3: "))
+    before = len(lines(log))
+    assert l3(*train, "--force", "--quiet") == (0, "", "")
+    assert len(lines(log)) > before
+
+
+def test_warnings_have_their_level(l3: L3, pipeline: Path, tmp_path: Path) -> None:
+    np.save(tmp_path / "bright.npy", np.full((64, 64), 3814, np.uint16))
+    call = ("render", pipeline / "table.h5", tmp_path / "bright.npy", "-o", tmp_path / "a.png", "--log", tmp_path / "l3.log")
+    assert l3(*call)[0] == 0
+    assert any(level == "warning" and "clipped" in message for level, _, message in lines(tmp_path / "l3.log"))
+
+
+@pytest.mark.parametrize("kind", ["input", "folder", "link to an input"])
+def test_what_is_no_log_is_never_written_to(kind: str, pipeline: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
+    raw = tmp_path / "frame.npy"
+    np.save(raw, np.full((64, 64), 300, np.uint16))
+    (tmp_path / "link").symlink_to(raw)
+    before = raw.read_bytes()
+    log = {"input": raw, "folder": tmp_path, "link to an input": tmp_path / "link"}[kind]
+    error = refused(2, "render", pipeline / "table.h5", raw, "-o", tmp_path / "a.png", "--log", log)
+    assert "is no log of l3's" in error
+    assert raw.read_bytes() == before
+
+
+def test_a_log_that_cannot_be_written_is_said_before_any_work(
+    pipeline: Path, tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    call = ("render", pipeline / "table.h5", tmp_path / "a.npy", "-o", tmp_path / "a.png")
+    assert "cannot be written" in refused(1, *call, "--log", tmp_path / "nowhere/l3.log")
+
+
+def test_an_unseen_scene_comes_out_better_than_by_the_basic_pipeline(pipeline: Path, l3: Callable) -> None:
+    code, out, err = l3("evaluate", pipeline / "table.h5", pipeline / "unseen.h5", "--json")
+    assert (code, err) == (0, "")
+    figures = json.loads(out)["mean"]
+    ours, basic = figures["ours"], figures["basic"]  # of the same frames
+    assert ours["mean_delta_e"] < 0.85 * basic["mean_delta_e"]  # in fact 0.76
+    assert ours["scielab"] < 0.95 * basic["scielab"]  # in fact 0.87
+    assert ours["psnr"] > basic["psnr"] + 3  # in fact 4.5 dB
+    picture, _ = read_image(pipeline / "picture.png")
+    ideal, _ = read_image(next((pipeline / "unseen").glob("*_ideal.png")))
+    assert picture.shape == ideal.shape == (160, 240, 3)
+    assert np.corrcoef(picture.ravel().astype(float), ideal.ravel().astype(float))[0, 1] > 0.95
+
+
+def test_the_history_names_every_stage(pipeline: Path) -> None:
+    table = load(TransformTable, pipeline / "table.h5")
+    camera = load(CameraModel, pipeline / "camera.h5")
+    assert [stage.command for stage in table.history] == ["calibrate", "simulate", "train"]
+    assert table.history[0] == camera.history[0]
+    assert table.history[2].recipe == CLASSES
+    text = json.dumps([stage.__dict__ for stage in table.history])
+    assert str(pipeline) not in text
+
+
+def test_an_existing_output_is_refused_before_any_work(pipeline: Path, refused: Callable) -> None:
+    raw = next((pipeline / "unseen").glob("*_raw.tif"))
+    for arguments in (
+        ("lab", pipeline / "camera.toml", "-o", pipeline / "lab"),
+        ("calibrate", pipeline / "lab/MEASUREMENTS.toml", "-o", pipeline / "camera.h5"),
+        ("simulate", pipeline / "scenes.toml", "--camera", pipeline / "camera.h5", "-o", pipeline / "training.h5"),
+        ("train", pipeline / "training.h5", "-o", pipeline / "table.h5"),
+        ("render", pipeline / "table.h5", raw, "-o", pipeline / "picture.png"),
+    ):
+        before = {path: path.stat().st_mtime_ns for path in pipeline.rglob("*")}
+        assert "--force" in refused(1, *arguments)
+        assert {path: path.stat().st_mtime_ns for path in pipeline.rglob("*")} == before
+
+
+def test_artifacts_of_the_wrong_kind_name_the_right_one(pipeline: Path, tmp_path: Path, refused: Callable) -> None:
+    out = tmp_path / "out.h5"
+    table, camera, training = pipeline / "table.h5", pipeline / "camera.h5", pipeline / "training.h5"
+    assert 'holds a transform table; give the file written by "l3 simulate"' in refused(3, "train", table, "-o", out)
+    wrong = ("simulate", pipeline / "scenes.toml", "--camera", training, "-o", out)
+    assert 'holds a training set; give the file written by "l3 calibrate"' in refused(3, *wrong)
+    raw = next((pipeline / "unseen").glob("*_raw.tif"))
+    assert "holds a camera model" in refused(3, "render", camera, raw, "-o", tmp_path / "out.png")
+    assert "holds a camera model" in refused(3, "evaluate", camera, training)
+
+
+def test_a_wrong_call_points_to_the_help(refused: Callable) -> None:
+    assert 'see "l3 --help"' in refused(2, "paint")
+    assert 'see "l3 train --help"' in refused(2, "train")
+    assert 'see "l3 info --help"' in refused(2, "info", "--colour", "x.h5")
+
+
+def test_an_interrupt_is_one_line_and_130(monkeypatch: pytest.MonkeyPatch, l3: Callable, tmp_path: Path) -> None:
+    def interrupted(path: Path) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("l3cli.stages.information.describe", interrupted)
+    code, out, err = l3("info", tmp_path / "x.h5")
+    assert (code, out, err.strip()) == (130, "", "l3: interrupted")

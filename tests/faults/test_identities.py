@@ -15,7 +15,7 @@ from l3cli.io.pictures.registry import write_picture
 from l3cli.recipes import builtin
 from l3cli.stages import starting
 from l3cli.system.files import atomic_output, protecting, refuse_protected
-from tests.helpers.hostile_inputs import CURVE_CAMERA, DRAWN, LAB, TABLE
+from tests.helpers.hostile_inputs import CURVE_CAMERA
 from tests.helpers.sequences import FAST, RGGB, RUN, frames
 
 CURVES = "\n".join(f"{nm},{nm / 700},{1 - nm / 900},{nm / 900}" for nm in range(390, 721, 10))
@@ -24,11 +24,8 @@ CUBE = 'exposure_share = [0.9]\n[[scene]]\nsource = "cube"\nfile = "cube.npy"\nw
 
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder to work in: a camera that names its curves, measurements that name theirs, a scene, sequence and a table."""
-    texts = {"camera.toml": CURVE_CAMERA, "lab.toml": LAB, "drawn.toml": DRAWN, "cube.toml": CUBE, "curves.csv": CURVES}
-    texts |= {"measured.toml": TABLE.replace("sweep.csv", "responsivity.csv"), "diode.csv": "390,0.5\n710,0.9\n"}
-    texts["responsivity.csv"] = "\n".join(f"{x},100,110,{90 + x / 10},64,64,64,{x / 10},1" for x in (400, 500, 600, 700))
-    for name, text in texts.items():
+    """A folder to work in: a camera that names its curves, a scene, a sequence and a table."""
+    for name, text in {"camera.toml": CURVE_CAMERA, "cube.toml": CUBE, "curves.csv": CURVES}.items():
         (tmp_path / name).write_text(text)
     np.save(tmp_path / "cube.npy", np.random.default_rng(0).random((18, 20, 7)).astype(np.float32))
     frames().tofile(tmp_path / "clip.raw")
@@ -53,23 +50,6 @@ def protected(desk: Path, refused: Callable[..., str]) -> Callable[..., str]:
         return said
 
     return call
-
-
-def test_what_measurements_name_is_not_exported_over(protected: Callable[..., str]) -> None:
-    protected("calibrate measured.toml -o camera.h5 --accept --export . --force")
-
-
-def test_the_curves_of_a_camera_are_not_replaced(desk: Path, protected: Callable[..., str]) -> None:
-    protected("simulate drawn.toml --camera camera.toml -o curves.csv --force")
-    (desk / "lab/spectra").mkdir(parents=True)
-    (desk / "curves.csv").rename(desk / "lab/spectra/mono.csv")
-    (desk / "camera.toml").write_text(CURVE_CAMERA.replace("curves.csv", "lab/spectra/mono.csv"))
-    protected("lab camera.toml --recipe lab.toml -o lab --force")
-
-
-def test_a_source_cube_is_not_replaced(protected: Callable[..., str]) -> None:
-    protected("simulate cube.toml --camera camera.toml -o cube.npy --force")
-    protected("simulate cube.toml --camera camera.toml -o ./lab/../cube.npy --force")
 
 
 def test_stored_frames_are_not_removed_where_they_are_what_is_read(desk: Path, protected: Callable[..., str]) -> None:

@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 
 from l3cli.artifacts import container
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.partial_sums import open_partial_sums, write_partial_sums
-from l3cli.artifacts.schema import Artifact, equal
-from l3cli.artifacts.store import load, save, write_fields
+from l3cli.artifacts.partial_sums import write_partial_sums
+from l3cli.artifacts.schema import Artifact
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
+from l3cli.artifacts.training_set import TrainingSet, write_training_set
 from l3cli.cli import run
 from l3cli.errors import InputFileError
 from tests.helpers.artifacts import a_camera, a_frame, a_table, some_layer_sums, some_sums
-from tests.helpers.calls import L3, Refused
+from tests.helpers.calls import Refused
 from tests.helpers.paths import CONFIGS
 
 SCENES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
@@ -127,41 +127,6 @@ def test_a_file_without_its_digest_or_before_its_first_byte_is_refused(
 
 
 # ---------------------------------------------------------------------------------------------------------- versions
-
-
-def save_version_1(artifact: Artifact, path: Path) -> h5py.File:
-    """An artifact in the layout of format version 1: no user block. Open, for what a caller adds."""
-    root = h5py.File(path, "w", libver=("earliest", "v110"))
-    root.attrs["kind"], root.attrs["version"] = artifact.kind, np.int64(1)
-    stages = json.dumps([dataclasses.asdict(stage) for stage in artifact.history], sort_keys=True)
-    root.create_dataset("history", data=np.bytes_(stages.encode()), dtype=h5py.string_dtype("utf-8", len(stages.encode())))
-    write_fields(root, artifact)
-    return root
-
-
-def test_format_version_1_is_read_and_becomes_the_newest(
-    bayer: CameraModel, fiveband: CameraModel, tmp_path: Path, l3: L3
-) -> None:
-    path = tmp_path / "old.h5"
-    artifact = a_camera(bayer)
-    save_version_1(artifact, path).close()
-    again = load(CameraModel, path)
-    assert equal(again, artifact)
-    assert again.history == artifact.history
-    code, out, _ = l3("info", "--verify", path)
-    assert code == 0
-    assert "format version 1: without a digest" in out
-    save(again, path)
-    assert f"format version {CameraModel.version}: every byte is as written" in l3("info", "--verify", path)[1]
-    with save_version_1(TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description=""), path) as root:
-        write_fields(root.create_group("frames/00000"), a_frame())
-    with open_training_set(path) as reader:
-        assert equal(reader.frame(0), a_frame())
-    head, sums = some_sums(bayer)
-    with save_version_1(head, path) as root:
-        write_fields(root.create_group("sums/00000"), sums)
-    with open_partial_sums(path) as sums_reader:
-        assert equal(sums_reader.site(0), sums)
 
 
 @pytest.mark.parametrize("kind", [CameraModel, TransformTable])

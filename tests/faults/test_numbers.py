@@ -178,13 +178,6 @@ def test_a_device_is_not_chosen_by_digits_that_are_no_number(refused: Callable) 
         assert "no OpenCL device is called" in refused(4, "bench", "--quiet", "--device", wanted)
 
 
-def test_a_terminal_of_odd_width_gets_its_bar() -> None:
-    from tests.helpers.terminal import in_terminal
-
-    program = "from l3cli.cli.terminal import Terminal; list(Terminal().progress(range(3), 3, 'frames'))"
-    assert "Traceback" not in in_terminal([sys.executable, "-c", program], {"COLUMNS": "²", "LINES": "³"})
-
-
 # ---------------------------------------------------------------------------------------------------------------- rates
 
 

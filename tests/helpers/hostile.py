@@ -9,7 +9,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -285,8 +285,3 @@ def _is_of_workers() -> bool:
 
 def _is_decoder(arguments: tuple[Any, ...]) -> bool:
     return "l3cli.io.decoder_process" in str(arguments[1])
-
-
-def with_command(subject: Subject, command: str) -> Subject:
-    """The same subject, read by another command."""
-    return replace(subject, commands=(command,))

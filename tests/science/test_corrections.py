@@ -1,22 +1,30 @@
 """Bad pixels and shading are corrected: to the same classes on every backend, and to pictures as of a sound camera."""
 
+import json
 import pickle
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
 from l3cli import api
 from l3cli.artifacts.camera import CameraModel, DefectMap, FlatField
+from l3cli.artifacts.container import seal
+from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
+from l3cli.calibration.corrections import corner_falloff, flat_field
+from l3cli.calibration.defects import as_map, counts, join, outliers
 from l3cli.errors import InputFileError
 from l3cli.frames.correction import NEIGHBOURS, Correction, correction_of, plan_correction
 from l3cli.frames.frame import RawFrame
+from l3cli.frames.hot_pixels import HotTest
+from l3cli.frames.measurement import Body
 from l3cli.frames.shading import FRACTION, STEP, clipped_from, colour_corrected, shading_of
 from l3cli.io.sequences import FrameReference
 from l3cli.physics.display import displayed, srgb_curve
@@ -26,7 +34,7 @@ from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.white.source import usual_balance
-from l3cli.simulation.sensor import mosaic
+from l3cli.simulation.sensor import expose, mosaic
 from l3cli.stages.rendering.corrections import CameraFile
 from l3cli.stages.rendering.executors import Local, Remote, RenderSetup
 from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread
@@ -294,3 +302,215 @@ def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
         ((_, made),) = Remote(pool, setup, True, shading).render(iter([exposed]))  # type: ignore[arg-type]
         np.testing.assert_array_equal(made.pixels, here.pixels)
     assert STEP % 16 == 0  # of the kernels' vectors none lies over a node
+
+
+def frame_of(camera: CameraModel, electrons: np.ndarray, seed: int = 1) -> RawFrame:
+    values = expose(camera, electrons, 0.01, np.random.default_rng(seed))
+    return RawFrame("f", values, camera.black_level, camera.white_level)
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_hot_pixels_are_found_and_sound_ones_kept(bayer: CameraModel, bits: int) -> None:
+    scale = 2 ** (bits - 12)
+    camera = replace(
+        bayer, bits=bits, gain=bayer.gain * scale, black_level=64.0 * scale, white_level=bayer.white_level * scale
+    )
+    rng, shape = np.random.default_rng(3), (camera.rows, camera.cols)
+    light = np.kron(rng.uniform(20, 9000, (24, 32)), np.ones((8, 8)))
+    light[:40, :40] = 40000  # clipped
+    frame, test = frame_of(camera, light), HotTest.of(camera)
+    assert np.count_nonzero(test.without_hot(frame, camera.cfa).values != frame.values) == 0
+    flat = frame_of(camera, np.full(shape, 500.0))
+    places = rng.choice(flat.values.size, 100, replace=False)
+    raised = flat.values.astype(int)
+    raised.ravel()[places] += 400 * scale
+    mended = test.without_hot(replace(flat, values=raised.astype(np.uint16)), camera.cfa)
+    found = (mended.values != raised).ravel()
+    assert found.sum() == found[places].sum() > 85  # the others touch, or a neighbour is as bright
+    assert np.abs(mended.values.ravel()[places[found[places]]] - flat.values.mean()).max() < 60 * scale
+    assert test.without_hot(replace(flat, values=flat.values[:4, :4]), camera.cfa).values.shape == (4, 4)
+
+
+def test_stars_are_no_hot_pixels(bayer: CameraModel) -> None:
+    """From 500 electrons in all on; fainter ones that half a pixel holds are as dark beside it as noise."""
+    rng = np.random.default_rng(5)
+    down, across = np.mgrid[-4:5, -4:5]
+    for blur in (0.5, 0.7, 1.0):  # pixels; a lens at f/2.8 and half a pixel of defocus make as much
+        sky = np.full((bayer.rows, bayer.cols), 100.0)
+        for _ in range(200):
+            row, col = rng.integers(6, bayer.rows - 6), rng.integers(6, bayer.cols - 6)
+            spot = np.exp(-((down - rng.uniform(-0.5, 0.5)) ** 2 + (across - rng.uniform(-0.5, 0.5)) ** 2) / 2 / blur**2)
+            sky[row - 4 : row + 5, col - 4 : col + 5] += np.exp(rng.uniform(6.2, 11)) * spot / spot.sum()
+        frame = frame_of(bayer, sky)
+        np.testing.assert_array_equal(HotTest.of(bayer).without_hot(frame, bayer.cfa).values, frame.values)
+
+
+def test_a_simulated_frame_is_hardly_touched(pipeline: Path) -> None:
+    with open_training_set(pipeline / "unseen.h5") as reader:
+        frame, camera = next(iter(reader)), reader.head.camera
+    assert isinstance(frame, TrainingFrame)
+    for share in (1.0, 0.1, 0.01):
+        raw = frame_of(camera, share * mosaic(frame.electrons, camera.cfa))
+        changed = HotTest.of(camera).without_hot(raw, camera.cfa).values != raw.values
+        assert changed.mean() < 5e-5
+
+
+def test_render_mends_them_where_it_is_asked_to(tmp_path: Path, l3: L3, refused: Refused) -> None:
+    camera = random_camera(BAYER, 3, 12, 100.0)
+    save(replace(random_table(BAYER, black_level=100.0, patch=3), camera=camera), tmp_path / "table.h5")
+    frame = frame_of(camera, np.full((24, 32), 3000.0)).values
+    hot = frame.copy()
+    hot[11, 13] += 2500
+    np.save(tmp_path / "hot.npy", hot)
+    call = ("render", tmp_path / "table.h5", tmp_path / "hot.npy", "--backend", "reference", "-o")
+    for name, options in (("plain", ()), ("off", ("--hot", "off")), ("auto", ("--hot", "auto"))):
+        assert l3(*call, tmp_path / f"{name}.exr", *options)[0] == 0
+    plain, off, auto = ((tmp_path / f"{name}.exr").read_bytes() for name in ("plain", "off", "auto"))
+    assert plain == off != auto
+    assert "auto" in refused(2, *call, tmp_path / "no.exr", "--hot", "yes")
+    with h5py.File(tmp_path / "table.h5", "r+") as root:
+        del root["camera"]
+    seal(tmp_path / "table.h5")
+    assert "--hot needs the camera's noise" in refused(2, *call, tmp_path / "no.exr", "--hot", "auto")
+
+
+DARK_CORNERS = (0.45, 0.5, 0.6)
+CAPTURES = """
+base = "{}"
+[[dark]]
+frames = [{}]
+exposure_s = 0.01
+[[white]]
+frames = [{}]
+exposure_ms = 10
+"""
+
+
+def body_of(camera: CameraModel) -> Body:
+    return Body(
+        camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa, camera.optics
+    )
+
+
+@pytest.fixture(scope="module")
+def wrong(bayer: CameraModel) -> Flaws:
+    return flaws(bayer, DARK_CORNERS)
+
+
+@pytest.fixture(scope="module")
+def captures(bayer: CameraModel, wrong: Flaws, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four darks and eight whites as .npy, the camera's model, and the measurement file."""
+    folder, rng = tmp_path_factory.mktemp("captures"), np.random.default_rng(5)
+    names: dict[str, list[str]] = {"dark": [], "white": []}
+    for kind, count, share in (("dark", 4, 0.0), ("white", 8, 0.8)):
+        for number in range(count):
+            electrons = np.full((bayer.rows, bayer.cols), share * bayer.full_scale)
+            np.save(folder / f"{kind}{number}.npy", seen(bayer, wrong, electrons, rng))
+            names[kind].append(f'"{kind}{number}.npy"')
+    save(bayer, folder / "camera.h5")
+    (folder / "M.toml").write_text(CAPTURES.format("camera.h5", *(", ".join(each) for each in names.values())))
+    return folder
+
+
+def test_darks_and_whites_alone_give_defects_and_flat_field(
+    captures: Path, bayer: CameraModel, wrong: Flaws, tmp_path: Path, l3: L3
+) -> None:
+    code, out, err = l3("calibrate", captures / "M.toml", "-o", tmp_path / "camera.h5", "--json")
+    assert code == 0, err
+    camera, result = load(CameraModel, tmp_path / "camera.h5"), json.loads(out)
+    assert camera.defects
+    assert camera.flat_field
+    bad = np.zeros(wrong.kind.shape, bool)
+    bad[tuple(camera.defects.position.T)] = True
+    missed = (wrong.kind > 0) & ~bad
+    assert not missed.any()
+    assert (bad & (wrong.kind == 0)).sum() <= 2
+    assert (result["defect map"]["rows"], result["defect map"]["columns"]) == (1, 1)
+    assert result["defect map"]["clusters"] >= 3
+    assert set(camera.defects.pixel_kind) == {"hot", "dead", "row", "column"}
+    assert list(result["corner fall-off %"].values()) == pytest.approx([100 * (1 - each) for each in DARK_CORNERS], abs=1.0)
+    assert equal(replace(camera, defects=None, flat_field=None, fit=None), bayer)
+    assert [stage.command for stage in camera.history] == ["calibrate"]
+    assert set(camera.history[0].inputs) == {"measurements", "frames", "camera"}
+    code, out, _ = l3("calibrate", captures / "M.toml", "-o", tmp_path / "again.h5")
+    assert "rows 1, columns 1, clusters" in out
+    assert "light lost in the darkest corner: r 5" in out
+    assert (tmp_path / "camera.h5").read_bytes() == (tmp_path / "again.h5").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ('[[white]]\nframes = ["white0.npy"]\nexposure_ms = 0', "above 0"),
+        ('[[white]]\nframes = ["dark1.npy"]\nexposure_ms = 10', "dark1.npy: channel r is dark; expose"),
+        ('[[white]]\nframes = ["clipped.npy"]\nexposure_ms = 10', "clipped.npy: channel r is clipped; expose"),
+        ('[[white]]\nframes = ["scene.npy"]\nexposure_ms = 10', "give an even white"),
+        ('[[white]]\nframes = ["deep.npy"]\nexposure_ms = 10', "deep.npy holds 4096 DN, more than 12 bits"),
+        ('[[white]]\nframes = ["small.npy"]\nexposure_ms = 10', "whole raw frames"),
+        ('[[white]]\nframes = ["nowhere.npy"]\nexposure_ms = 10', "nowhere.npy"),
+        ('[[grey]]\nframes = ["white0.npy"]\nexposure_ms = 10', "`grey`"),
+    ],
+)
+def test_captures_that_cannot_serve_are_refused(
+    captures: Path, bayer: CameraModel, change: str, message: str, tmp_path: Path, refused: Refused
+) -> None:
+    rng, shape = np.random.default_rng(3), (bayer.rows, bayer.cols)
+    np.save(captures / "clipped.npy", np.full(shape, 4095, np.uint16))
+    np.save(captures / "deep.npy", np.full(shape, 4096, np.uint16))
+    np.save(captures / "scene.npy", rng.integers(500, 2000, (24, 32)).repeat(8, 0).repeat(8, 1).astype(np.uint16))
+    np.save(captures / "small.npy", np.full((96, 128), 2000, np.uint16))
+    text = (captures / "M.toml").read_text().partition("[[white]]")[0] + change
+    (captures / "BAD.toml").write_text(text)
+    assert message in refused(3 if "`" not in message and "above" not in message else 2, "calibrate", captures / "BAD.toml",
+                              "-o", tmp_path / "c.h5")  # fmt: skip
+
+
+def test_lines_that_are_off_by_less_than_a_pixel_may_be(bayer: CameraModel) -> None:
+    """Twice what pixels differ by: one alone is no defect, a whole row is. Column noise is none either."""
+    rng, shape = np.random.default_rng(4), (96, 128)
+    dark = 64 + rng.normal(size=shape) + rng.normal(size=shape[1])
+    assert not len(outliers(dark, bayer.cfa))
+    dark[30] += 4
+    found = outliers(dark, bayer.cfa)
+    assert len(found) == 128
+    assert set(found[:, 0]) == {30}
+
+
+def test_lines_clusters_and_kinds() -> None:
+    shape = (20, 30)
+    column = np.array([(row, 7) for row in range(20) if row != 3])
+    single, cluster = np.array([(5, 20)]), np.array([(10, 10), (11, 11), (12, 10)])
+    found = as_map(join(column, single, cluster), single, shape)
+    assert counts(found, shape) == {"hot": 1, "dead": 3, "rows": 0, "columns": 1, "clusters": 1}
+    assert found.pixel_kind.count("column") == 20  # the one that had seemed sound, too
+
+
+def test_the_surface_is_that_of_cos4_whatever_its_width(bayer: CameraModel) -> None:
+    for share in (0.9, 0.3):
+        field = flat_field(1000 * shading(bayer, (share,) * 3), body_of(bayer))
+        np.testing.assert_allclose(corner_falloff(field), 1 - share, rtol=1e-3)
+        assert field.shading_gain[:, 16, 24] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_map_beyond_the_sensor_or_a_field_of_nonsense_is_refused(bayer: CameraModel) -> None:
+    with pytest.raises(ValueError, match="beyond the 192×256"):
+        replace(bayer, defects=DefectMap(np.array([[192, 0]]), ("hot",)))
+    with pytest.raises(ValueError, match="grid of the flat field"):
+        replace(bayer, flat_field=FlatField(np.array([0.0, 95.0]), np.array([0.0, 255.0]), np.ones((3, 2, 2))))
+    with pytest.raises(ValueError, match="twice"):
+        DefectMap(np.array([[1, 0], [1, 0]]), ("hot", "hot"))
+    with pytest.raises(ValueError, match="no kind"):
+        DefectMap(np.array([[1, 0]]), ("warm",))
+    lines = np.array([0.0, 100.0])
+    for gain in (0.0, 20.0, np.array([1.0, 1.0, 4.0])[:, None, None]):
+        with pytest.raises(ValueError, match="flat field"):
+            FlatField(lines, lines, np.ones((3, 2, 2)) * gain)
+    with pytest.raises(InputFileError, match="dark"):
+        flat_field(np.zeros((bayer.rows, bayer.cols)), body_of(bayer))
+
+
+def test_old_cameras_have_neither(bayer: CameraModel, tmp_path: Path) -> None:
+    save(bayer, tmp_path / "camera.h5")
+    again = load(CameraModel, tmp_path / "camera.h5")
+    assert again.defects is None
+    assert again.flat_field is None

@@ -215,8 +215,7 @@ def mistype(folder: Path, frame: str, factor: float) -> None:
 
 
 @pytest.mark.parametrize("kind", ["mono", "chart", "white", "dark"])
-@pytest.mark.parametrize("factor", [1e3, 1e-3])
-@pytest.mark.parametrize("place", [0.4, 0.7])
+@pytest.mark.parametrize(("factor", "place"), [(1e3, 0.4), (1e-3, 0.7)])
 def test_a_mistyped_exposure_is_named(
     kind: str, factor: float, place: float, copied: Path, tmp_path: Path, refused: Refused
 ) -> None:
@@ -245,18 +244,6 @@ def test_an_odd_step_can_be_accepted(copied: Path, tmp_path: Path, refused: Refu
     assert fit is not None
     assert fit.sweep is not None
     assert [line.partition(":")[0] for line in fit.sweep.odd] == [frame]
-
-
-def test_watts_in_the_monochromator_alone_are_refused(copied: Path, tmp_path: Path, refused: Refused) -> None:
-    """Their scale cancels in Eq. 1 and their shape hardly shows: R² would stay at 0.999."""
-    path = copied / "spectra/mono.csv"
-    heading, *rows = path.read_text().splitlines()
-    table = np.array([row.split(",") for row in rows], dtype=float)
-    table[:, 1:] /= spectra.photons_from_energy(table[:, :1], np.ones((len(table), 1)))
-    path.write_text("\n".join([heading, *(",".join(map(str, row)) for row in table)]))
-    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert "mono.csv" in line
-    assert "photons/s/sr/m²/nm" in line
 
 
 def test_inputs_replaced_meanwhile_are_refused(

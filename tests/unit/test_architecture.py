@@ -51,7 +51,7 @@ BUDGET = {  # at most; a change that lowers a number lowers it here, towards the
     "lines of l3cli": 48_900,  # 41 000
     "lines of l3cli/stages": 7_600,  # 5 500
     "lines of l3cli/cli": 1_620,  # 1 700
-    "lines of tests": 38_450,  # 32 000
+    "lines of tests": 37_900,  # 32 000
     "modules": 443,  # 290
     "modules in the root": 3,
     "lines of the longest module": 500,

@@ -23,11 +23,6 @@ from tests.helpers.cameras import BAYER
 from tests.helpers.rendered import KINDS, OUTPUT_TOLERANCE, STRIPES, TABLES, assert_equal_to_reference
 from tests.helpers.tables import XYZ, frame_of_all_levels, random_table, with_first, with_later, with_tree
 
-# XYZ near 1 is off by 1e-7 in float32; the matrix (rows of up to 6 in sum) and the curve's slope of 12.92 make half a step
-# of 1/65535 of that, and rounding can add one.
-WORST_16_BIT = 2
-
-
 TREES = [name for name in TABLES if name.startswith("tree")][:-1]  # of several leaves
 
 

@@ -123,20 +123,6 @@ def test_work_shares_of_large_sums_have_few_sites(bayer: CameraModel) -> None:
         assert max(len(part.sites) for part in parts) <= max(2, SUM_BYTES // empty_sums(pass_.rule, 3).moments.nbytes)
 
 
-def test_workers_stay_for_several_calls() -> None:
-    with workers(2) as pool:
-        seen = {pid for _ in range(3) for pid in pool(_process, range(8))}
-        assert list(pool(abs, range(-3, 3))) == [3, 2, 1, 0, 1, 2]
-    assert len(seen) <= 2
-    assert os.getpid() not in seen
-    with workers(1) as pool:
-        assert set(pool(_process, range(2))) == {os.getpid()}
-
-
-def _process(item: int) -> int:
-    return os.getpid()
-
-
 def lit_set(path: Path, camera: CameraModel, count: int, white: tuple[float, float, float]) -> Path:
     """A training set under another light."""
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="a known mix of the channels")
@@ -193,57 +179,18 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
 
 
 @pytest.mark.usefixtures("same_workers")
-def test_a_second_layer_has_the_same_bytes_in_shards(
-    bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable
-) -> None:
-    """One process, two processes, a third pass in two shards and in one: the same table to the last bit."""
-    training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
-    more = a_set(tmp_path / "more.h5", bayer, 2, smooth=True)
-    (tmp_path / "classes.toml").write_text(TWO_LAYERS)
-    run = (training, more, "--classes", tmp_path / "classes.toml", "--seed", 5)
-    for jobs in (1, 2):
-        assert l3("train", *run, "-o", tmp_path / f"whole{jobs}.h5", "--jobs", jobs)[0] == 0
-    whole = (tmp_path / "whole1.h5").read_bytes()
-    assert whole == (tmp_path / "whole2.h5").read_bytes()
-    assert [layer.side for layer in load(TransformTable, tmp_path / "whole1.h5").later] == [3]
-
-    _, first, said = in_shards(l3, run, 2, tmp_path)
-    assert f"this is the first pass: go on with --shard I/N --first {first}" in said
-    second, one_layer, said = in_shards(l3, run, 2, tmp_path, "--first", first)
-    assert f"this is the first layer: go on with --shard I/N --first {one_layer}" in said
-    third, table, said = in_shards(l3, run, 3, tmp_path, "--first", one_layer)
-    assert "go on with" not in said
-    assert table.read_bytes() == whole
-    assert in_shards(l3, run, 1, tmp_path, "--first", one_layer, "--jobs", 2)[1].read_bytes() == whole
-    assert in_shards(l3, run, 6, tmp_path, "--first", one_layer)[1].read_bytes() == whole  # more shards than frames
-    code, out, _ = l3("info", third[0])
-    assert (code, "partial sums of a layer" in out) == (0, True)
-
-    out = tmp_path / "no.h5"
-    assert "shards are missing: 2/3" in refused(3, "train", "--merge", third[0], third[2], "-o", out)
-    assert "are the same shard, 1 of 3" in refused(3, "train", "--merge", third[0], *third, "-o", out)
-    assert "different runs or passes" in refused(3, "train", "--merge", third[0], second[1], "-o", out)
-    assert "different runs or passes" in refused(3, "train", "--merge", second[0], third[1], "-o", out)
-    for wrong in (table, tmp_path / "whole1.h5"):
-        message = refused(3, "train", *run, "--shard", "1/3", "--first", wrong, "-o", out)
-        assert "is not the first pass of this run, nor its first layer" in message
-    other = (*run[:-1], 6, "--shard", "1/3")
-    assert "nor its first layer" in refused(3, "train", *other, "--first", one_layer, "-o", out)
-    # the same sets and seed, another recipe
-    (tmp_path / "classes.toml").write_text(TWO_LAYERS.replace("mosaics = 12", "mosaics = 13"))
-    assert "nor its first layer" in refused(3, "train", *run, "--shard", "1/3", "--first", one_layer, "-o", out)
-
-
 def test_three_layers_have_the_same_bytes_in_shards(
     bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A layer by structure and one by a tree, each in a pass of its own, with a second set of all of them; a shard takes
-    only the table of the pass before."""
+    """A layer by structure and one by a tree, each in a pass of its own, with a second set of all of them: by one process,
+    by two, and in shards, more of them than frames; a shard takes only the table of the pass before."""
     monkeypatch.setattr(division, "BATCH", 500)  # two blocks of frames, one for each shard
     training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
     (tmp_path / "classes.toml").write_text(THREE_LAYERS.replace("draws = 2\n", "draws = 2\nnoise_left = 0.1\n"))
     run = (training, "--classes", tmp_path / "classes.toml", "--seed", 5)
-    assert l3("train", *run, "-o", tmp_path / "whole.h5")[0] == 0
+    for name, jobs in (("whole", 1), ("whole2", 2)):
+        assert l3("train", *run, "-o", tmp_path / f"{name}.h5", "--jobs", jobs)[0] == 0
+    assert (tmp_path / "whole.h5").read_bytes() == (tmp_path / "whole2.h5").read_bytes()
     whole = load(TransformTable, tmp_path / "whole.h5")
     assert len(whole.later) == len(whole.conditions[0].later) == 2
 
@@ -258,8 +205,13 @@ def test_three_layers_have_the_same_bytes_in_shards(
     parts, table, said = in_shards(l3, run, 2, tmp_path, *before)
     assert "go on with" not in said
     assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
+    assert in_shards(l3, run, 6, tmp_path, *before)[1].read_bytes() == table.read_bytes()
+    code, out, _ = l3("info", parts[0])
+    assert (code, "partial sums of a layer" in out) == (0, True)
 
     out = tmp_path / "no.h5"
+    assert "shards are missing: 2/2" in refused(3, "train", "--merge", parts[0], "-o", out)
+    assert "are the same shard, 1 of 2" in refused(3, "train", "--merge", parts[0], *parts, "-o", out)
     assert "different runs or passes" in refused(3, "train", "--merge", parts[0], shards[2][1], "-o", out)
     of_this_run = "is not the first pass of this run, nor its first layer or second layer: "
     assert of_this_run in refused(3, "train", *run, "--shard", "1/2", "--first", table, "-o", out)  # nothing follows it
@@ -404,6 +356,7 @@ def test_a_small_training_set_is_read_once(
     with open_training_set(training) as reader:
         size = sum(value.nbytes for value in vars(reader.frame(0)).values() if isinstance(value, np.ndarray))
     monkeypatch.setattr(HELD, "most", 2 * size)
+    HELD.clear()
     read.clear()
     assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
     assert sorted(read) == [0, 1, 2, 2, 2]  # by the pilot, and two passes

@@ -1,4 +1,4 @@
-"""The feature "direction": what it says of ramps and noise, how it turns with its patch, how tables keep and learn it."""
+"""The feature "direction", the structure classes of further layers, and chroma as light and shade would make it."""
 
 import dataclasses
 from pathlib import Path
@@ -6,15 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import Axis, ClassRule, FurtherFeatures
+from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import describe, load, save
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes import direction
+from l3cli.classes import direction, structure
 from l3cli.classes.decide import label_mosaic, label_patches
 from l3cli.classes.names import class_name
+from l3cli.classes.ratios import DARKEST, shaded_chroma
 from l3cli.classes.recipe import ClassRecipe, left_out
 from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods, sites
@@ -254,3 +259,118 @@ def test_trained_turned_sites_read_one_another(pipeline: Path, tmp_path: Path, l
         )
         > 2
     )
+
+
+SIZE = 33
+
+
+def rule_of(signs: list[tuple[int, int]]) -> StructureRule:
+    return StructureRule(
+        level_step=1,
+        gradient_factor=np.array([64], np.uint8),
+        gradient_shift=np.array([6], np.uint8),
+        strength_edges=np.array([2 * structure.NOISE_TRACE], np.uint32),
+        coherence=31,
+        turns=np.array(signs, np.int8),
+        cases=1,
+    )
+
+
+def structure_at_centre(picture: np.ndarray, signs: tuple[int, int] = (1, 1)) -> int:
+    rows, cols = picture.shape
+    level = np.zeros((rows - 2, cols - 2), np.int64)
+    labels = structure.structures(
+        picture.astype(np.int64), level, np.zeros((rows - 6, cols - 6), np.int64), rule_of([signs])
+    )
+    return int(labels[rows // 2 - 3, cols // 2 - 3])
+
+
+def grating(angle: float, amplitude: float = 2000.0) -> np.ndarray:
+    """Stripes across `angle` in radians, the direction of the gradient from the columns towards the rows."""
+    row, col = np.mgrid[:SIZE, :SIZE] - SIZE // 2
+    return np.rint(amplitude * np.sin((col * np.cos(angle) + row * np.sin(angle)) * 0.5))
+
+
+@pytest.mark.parametrize("number", range(DIRECTIONS))
+def test_each_direction_of_an_edge_is_another_class(number: int) -> None:
+    assert structure_at_centre(grating(np.pi * number / DIRECTIONS)) == 2 + number
+
+
+def test_noise_of_its_level_is_flat_and_corners_have_no_direction() -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((200, 200)) * structure.SIGMA / np.sqrt(2)  # differences have twice the variance
+    level, site = np.zeros((198, 198), np.int64), np.zeros((194, 194), np.int64)
+    labels = structure.structures(np.rint(noise).astype(np.int64), level, site, rule_of([(1, 1)]))
+    assert np.mean(labels == 0) > 0.97
+    dot = np.zeros((SIZE, SIZE))
+    dot[SIZE // 2, SIZE // 2] = 30000
+    assert structure_at_centre(dot) == 1
+
+
+@given(st.integers(0, 7), st.floats(0, np.pi), st.integers(0, 2**32 - 1))
+def test_a_turned_picture_has_the_class_of_the_unturned_one_where_the_turn_is_known(
+    turn: int, angle: float, seed: int
+) -> None:
+    """A site whose window is read in the order orientations()[turn] sees its neighbourhood as its canonical site does."""
+    noise = np.random.default_rng(seed).standard_normal((SIZE, SIZE)) * 100
+    canonical = grating(angle) + np.rint(noise)
+    seen = np.empty(SIZE * SIZE)
+    seen[orientations(SIZE)[turn]] = canonical.ravel()
+    signs = structure.turn_signs(orientations(3)[turn])
+    assert structure_at_centre(seen.reshape(SIZE, SIZE), signs) == pytest.approx(structure_at_centre(canonical), abs=0)
+
+
+SHAPE = (9, 12)
+
+
+def planes_of(luminance: NDArray[np.floating], first: float, second: float) -> NDArray[np.float64]:
+    """Planes (plane, row, col) of one colour, whose chroma is `first` and `second` times its luminance."""
+    return np.stack([first * luminance, luminance, second * luminance])
+
+
+def means(plane: NDArray[np.floating], side: int) -> NDArray[np.float64]:
+    """Over side × side about the pixels that have all of it."""
+    return np.lib.stride_tricks.sliding_window_view(plane, (side, side)).mean(axis=(-2, -1), dtype=np.float64)
+
+
+@given(
+    st.integers(0, 2**32 - 1), st.sampled_from([3, 5, 7]), st.floats(-2, 2), st.floats(-2, 2), st.floats(DARKEST, 2.0**20)
+)
+def test_of_one_colour_it_is_all_that_chroma_differs_by(
+    seed: int, side: int, first: float, second: float, level: float
+) -> None:
+    """Whatever light falls on it, up to twice its mean."""
+    luminance = level * (1.2 + np.random.default_rng(seed).random(SHAPE))
+    planes = planes_of(luminance, first, second)
+    reach = side // 2
+    inside = np.s_[reach:-reach, reach:-reach]
+    for made, plane in zip(shaded_chroma(planes, side), planes[[0, 2]], strict=True):
+        np.testing.assert_allclose(made[inside], plane[inside] - means(plane, side), atol=1e-9 * level)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 3), st.booleans())
+def test_it_turns_with_the_planes(seed: int, turns: int, mirrored: bool) -> None:
+    planes = np.random.default_rng(seed).normal(0, 2000, (3, *SHAPE))
+
+    def turned(values: NDArray[np.floating]) -> NDArray[np.floating]:
+        return np.rot90(values[..., ::-1] if mirrored else values, turns, (1, 2))
+
+    np.testing.assert_allclose(shaded_chroma(turned(planes), 5), turned(shaded_chroma(planes, 5)), atol=1e-8)
+
+
+def test_flat_areas_and_greys_have_none() -> None:
+    flat = planes_of(np.full(SHAPE, 5000.0), 0.3, -0.2)
+    assert np.abs(shaded_chroma(flat, 5)).max() < 1e-9
+    grey = planes_of(np.random.default_rng(0).random(SHAPE) * 5000, 0.0, 0.0)
+    assert (shaded_chroma(grey, 5) == 0).all()
+
+
+def test_it_is_never_more_than_the_mean_and_dark_planes_have_little() -> None:
+    """A spark, and noise about nothing: what is divided by stays above DARKEST, what is multiplied within one."""
+    rng = np.random.default_rng(1)
+    spark = np.full(SHAPE, 1000.0)
+    spark[4, 5] = 1e6
+    planes = planes_of(spark, 0.5, 0.5)
+    assert shaded_chroma(planes, 5)[0, 4, 5] == means(planes[0], 5)[2, 3]
+    dark = rng.normal(0, DARKEST / 100, (3, *SHAPE))
+    assert np.abs(shaded_chroma(dark, 5)).max() < np.abs(dark).max() / 10
