@@ -92,11 +92,11 @@ def test_a_sequence_is_shown_as_the_command_shows_it(tmp_path: Path) -> None:
     renderer = l3.Renderer(RGGB, backend="reference")
     show = renderer.sequence(Fraction(30), white="8,8,8")
     assert all(np.array_equal(show(frame), picture) for frame, picture in zip(clip, expected, strict=True))
-    held = renderer.sequence(None, white="8,8,8")
-    first, last = held(clip[0]), held(clip[-1])
+    stored = renderer.sequence(None, white="8,8,8")
+    first, last = stored(clip[0]), stored(clip[-1])
     np.testing.assert_array_equal(first, expected[0])
     assert (last != expected[-1]).any()
-    np.testing.assert_array_equal(held(clip[0]), first)
+    np.testing.assert_array_equal(stored(clip[0]), first)
     fixed = renderer.sequence(Fraction(30), exposure=0.7)(clip[1])
     np.testing.assert_array_equal(fixed, renderer.picture(clip[1], exposure=0.7))
 
@@ -131,7 +131,7 @@ def test_what_is_loaded_and_saved_is_the_same_file(pipeline: Path, tmp_path: Pat
     assert isinstance(l3.load(pipeline / "training.h5"), TrainingSet)
 
 
-def test_mistakes_raise_and_say_what_is_wrong(pipeline: Path, tmp_path: Path) -> None:
+def test_mistakes_raise_and_state_what_is_wrong(pipeline: Path, tmp_path: Path) -> None:
     with pytest.raises(InputFileError, match="does not exist"):
         l3.load(tmp_path / "nothing.h5")
     with pytest.raises(RecipeError, match=r"did you mean \"default\""):
@@ -225,15 +225,15 @@ def test_figures_of_two_pictures_are_those_of_evaluations() -> None:
     assert l3.scielab(ours, ideal).mean() == pytest.approx(expected.scielab)
     assert l3.psnr(ours, ideal) == pytest.approx(expected.psnr)
     assert l3.ssim(ours, ideal) == pytest.approx(expected.ssim)
-    for bits, near in ((8, 1e-2), (16, 1e-4)):
+    for bits, close in ((8, 1e-2), (16, 1e-4)):
         coded = [codes(each, bits) for each in (ours, ideal)]
-        assert l3.delta_e_2000(*coded).mean() == pytest.approx(expected.mean_delta_e, rel=near)
-        assert l3.psnr(coded[0], ideal) == pytest.approx(expected.psnr, rel=near)
+        assert l3.delta_e_2000(*coded).mean() == pytest.approx(expected.mean_delta_e, rel=close)
+        assert l3.psnr(coded[0], ideal) == pytest.approx(expected.psnr, rel=close)
     assert l3.ssim(ours[..., 0], ours[..., 0]) == 1.0
 
 
 @pytest.mark.parametrize(
-    ("one", "other", "said"),
+    ("one", "other", "words"),
     [
         (np.zeros((8, 9, 3)), np.zeros((9, 8, 3)), r"\(8, 9, 3\) and dtype float64 and .*\(9, 8, 3\).* differ in shape"),
         (np.zeros((8, 9)), np.zeros((8, 9)), r"\(8, 9\) and dtype float64 is no picture of colours"),
@@ -243,9 +243,9 @@ def test_figures_of_two_pictures_are_those_of_evaluations() -> None:
         (np.full((8, 9, 3), np.nan), np.zeros((8, 9, 3)), r"dtype float64 holds values outside of 0…1"),
     ],
 )
-def test_arrays_that_are_no_pictures_are_described(one: np.ndarray, other: np.ndarray, said: str) -> None:
+def test_arrays_that_are_no_pictures_are_described(one: np.ndarray, other: np.ndarray, words: str) -> None:
     for figure in (l3.delta_e_2000, l3.scielab):
-        with pytest.raises(InputFileError, match=said):
+        with pytest.raises(InputFileError, match=words):
             figure(one, other)
 
 

@@ -21,7 +21,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmark, "TINY", (benchmark.Case(20, 10, 5, "bayer", "fast"),))
 
 
-def test_json_says_what_was_measured_how(l3: L3) -> None:
+def test_json_states_what_was_measured_how(l3: L3) -> None:
     code, out, err = l3("bench", "--json", "--quiet")
     assert (code, err) == (0, "")
     document = json.loads(out)
@@ -46,7 +46,7 @@ def test_one_variant_alone_is_timed(l3: L3) -> None:
     assert "graphics" not in out
 
 
-def test_stages_of_two_layers_stand_beside_those_of_one(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stages_of_two_layers_stand_next_to_those_of_one(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     cases = benchmark.FULL[0], benchmark.Case(80, 50, 5, "bayer", "default")
     monkeypatch.setattr(benchmark, "FULL", cases)
     monkeypatch.setattr(benchmark, "FRAMES", 2)

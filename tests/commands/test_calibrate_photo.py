@@ -161,7 +161,7 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
 
 
 @pytest.mark.parametrize(
-    ("text", "code", "says"),
+    ("text", "code", "words"),
     [
         ('frames = ["none.npy"]', 3, "no chart of 4×6 patches"),
         ('frames = ["clipped.npy"]\nCORNERS', 3, "shorten the exposure"),
@@ -179,9 +179,11 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
         ('frames = ["table.csv"]', 3, "table.csv"),
     ],
 )
-def test_one_line_for_every_mistake(folder: Path, text: str, code: int, says: str, tmp_path: Path, refused: Refused) -> None:
+def test_one_line_for_every_mistake(
+    folder: Path, text: str, code: int, words: str, tmp_path: Path, refused: Refused
+) -> None:
     text = text.replace("CORNERS", CORNERS)
-    assert says in refused(code, "calibrate", measured(folder, f"[photo]\n{text}\n"), "-o", tmp_path / "camera.h5")
+    assert words in refused(code, "calibrate", measured(folder, f"[photo]\n{text}\n"), "-o", tmp_path / "camera.h5")
 
 
 def test_wrong_calls(folder: Path, tmp_path: Path, refused: Refused) -> None:

@@ -42,7 +42,7 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "words"),
     [
         ("exposure_s", "exposure", "[mono"),
         ("pixel_pitch_um = 4.0\n", "", "missing key `pixel_pitch_um` in [sensor]"),
@@ -66,10 +66,12 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ("lamp_drift = ", "lamp_drift = -", "lamp_drift in 0…1"),
     ],
 )
-def test_wrong_keys_are_recipe_errors(old: str, new: str, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
+def test_wrong_keys_are_recipe_errors(
+    old: str, new: str, words: str, copied: Path, tmp_path: Path, refused: Refused
+) -> None:
     edit(copied, old, new)
     line = refused(2, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert says in line
+    assert words in line
     assert "MEASUREMENTS.toml" in line
 
 
@@ -90,7 +92,7 @@ def no_picture(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "says"),
+    ("spoil", "words"),
     [
         (Path.unlink, "does not exist"),
         (truncate, "not an image that can be read"),
@@ -101,12 +103,12 @@ def no_picture(path: Path) -> None:
 )
 @pytest.mark.parametrize("kind", ["mono", "chart", "white", "dark"])
 def test_bad_frames_are_named(
-    kind: str, spoil: Callable[[Path], None], says: str, copied: Path, tmp_path: Path, refused: Refused
+    kind: str, spoil: Callable[[Path], None], words: str, copied: Path, tmp_path: Path, refused: Refused
 ) -> None:
     frame = sorted((copied / kind).iterdir())[1]
     spoil(frame)
     line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert says in line
+    assert words in line
     assert frame.name in line
 
 
@@ -119,18 +121,18 @@ def test_an_8_bit_frame_is_no_raw_frame(copied: Path, tmp_path: Path, refused: R
 
 
 @pytest.mark.parametrize(
-    ("column", "says"),
+    ("column", "words"),
     [("dark, as it were", "not a row of numbers"), ("nan", "increase"), ("", "not a row of numbers")],
 )
 @pytest.mark.parametrize("name", ["mono.csv", "chart_*_A.csv"])
-def test_bad_spectra_are_named(name: str, column: str, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
+def test_bad_spectra_are_named(name: str, column: str, words: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
     (path,) = (copied / "spectra").glob(name)
     lines = path.read_text().splitlines()
     cells = lines[10].split(",")
     lines[10] = ",".join([*cells[:-1], column])
     path.write_text("\n".join(lines))
     line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert says in line
+    assert words in line
     assert path.name in line
 
 
@@ -146,13 +148,13 @@ def test_a_missing_spectrum_is_named(copied: Path, tmp_path: Path, refused: Refu
     assert "mono.csv" in refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
 
 
-@pytest.mark.parametrize(("name", "says"), [("mono.csv", "does not cover its light"), ("chart_*_A.csv", "do not cover")])
-def test_spectra_that_end_too_early_are_named(name: str, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
+@pytest.mark.parametrize(("name", "words"), [("mono.csv", "does not cover its light"), ("chart_*_A.csv", "do not cover")])
+def test_spectra_that_end_too_early_are_named(name: str, words: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
     (path,) = (copied / "spectra").glob(name)
     lines = path.read_text().splitlines()
     path.write_text("\n".join([lines[0], *(line for line in lines[1:] if float(line.partition(",")[0]) < 600)]))
     line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert says in line
+    assert words in line
     assert "_A.tif" in line or "590nm" in line
 
 
@@ -245,7 +247,7 @@ def test_finished_curves_are_columns_of_a_shared_file(table: Path, tmp_path: Pat
     np.testing.assert_allclose(camera.responsivity[0], 400 / 401, rtol=1e-9)  # in proportion to wavelength: per photon flat
 
 
-def test_the_last_lines_say_peaks_widths_and_files(table: Path, tmp_path: Path, l3: L3) -> None:
+def test_the_last_lines_state_peaks_widths_and_files(table: Path, tmp_path: Path, l3: L3) -> None:
     rows = [
         f"{nm},{100 + 100 * (nm == 500)},{110 + 50 * (nm == 600)},{90 + nm / 10},64,64,64,50,1" for nm in range(400, 701, 50)
     ]
@@ -278,7 +280,7 @@ def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refu
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new", "code", "says"),
+    ("name", "old", "new", "code", "words"),
     [
         ("sweep.csv", "400,100", "400,text", 3, "not a row of numbers"),
         ("sweep.csv", "500,100", "500,nan", 3, "every value be a number"),
@@ -303,13 +305,13 @@ def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refu
     ],
 )
 def test_a_bad_table_is_named(
-    name: str, old: str, new: str, code: int, says: str, table: Path, tmp_path: Path, refused: Refused
+    name: str, old: str, new: str, code: int, words: str, table: Path, tmp_path: Path, refused: Refused
 ) -> None:
     (table / "a.json").write_text('{"spectral_data": {"data": {"main": {"400": [1, 2, "x"]}}}}')
     text = (table / name).read_text()
     assert old in text
     (table / name).write_text(text.replace(old, new, 1))
-    assert says in refused(code, "calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert words in refused(code, "calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
 
 
 def test_a_table_of_other_channels_is_refused(table: Path, tmp_path: Path, refused: Refused) -> None:
@@ -325,7 +327,7 @@ def corners_of(folder: Path) -> str:
 
 
 @pytest.mark.parametrize(
-    ("corners", "code", "says"),
+    ("corners", "code", "words"),
     [
         ("corners = [[-5, 10], [240, 10], [240, 180], [10, 180]]", 3, "outside the frame"),
         ("corners = [[10, 10], [240, 10], [240, 1800], [10, 180]]", 3, "outside the frame"),
@@ -334,9 +336,11 @@ def corners_of(folder: Path) -> str:
         ("corners = [[10, 10], [14, 10]]", 2, "2 corners"),
     ],
 )
-def test_wrong_corners_are_named(corners: str, code: int, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
+def test_wrong_corners_are_named(
+    corners: str, code: int, words: str, copied: Path, tmp_path: Path, refused: Refused
+) -> None:
     edit(copied, corners_of(copied), corners)
-    assert says in refused(code, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert words in refused(code, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
 
 
 def test_charts_upside_down_do_not_make_a_camera(copied: Path, tmp_path: Path, refused: Refused) -> None:
@@ -349,13 +353,13 @@ def test_charts_upside_down_do_not_make_a_camera(copied: Path, tmp_path: Path, r
 def test_saturated_captures_are_refused(copied: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
     full = np.full((bayer.rows, bayer.cols), 3814, dtype=np.uint16)
     chart = sorted((copied / "chart").iterdir())[0]
-    kept = read_frame(chart, (bayer.rows, bayer.cols), bayer.bits).copy()
+    left = read_frame(chart, (bayer.rows, bayer.cols), bayer.bits).copy()
     write_mosaic(chart, full)
     command = (3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
     line = refused(*command)
     assert "patch 1 is saturated in channel r" in line
     assert chart.name in line
-    write_mosaic(chart, kept)
+    write_mosaic(chart, left)
     for frame in (copied / "mono").iterdir():
         write_mosaic(frame, full)
     assert "channel r is saturated in every monochromatic capture" in refused(*command)

@@ -124,20 +124,20 @@ monitor = 20  # monitor is 20
 def comments(text: str) -> list[tuple[int, str]]:
     """The faults that comments announce: line, words."""
     lines = [(number, line.partition("  # ")[2]) for number, line in enumerate(text.splitlines(), 1)]
-    return [(number, words) for number, told in lines if told for words in told.split(" | ")]
+    return [(number, words) for number, noted in lines if noted for words in noted.split(" | ")]
 
 
-def told(out: str) -> list[tuple[str, int, str]]:
+def noted(out: str) -> list[tuple[str, int, str]]:
     """File, line and message of every fault that is listed."""
     found = [re.fullmatch(r"(.+?\.toml):(\d+): (.+)", line) for line in out.splitlines()]
     return [(match[1], int(match[2]), match[3]) for match in found if match]
 
 
-def require_told(path: Path, text: str, l3: L3) -> None:
+def require_listed(path: Path, text: str, l3: L3) -> None:
     """Every fault announced, and no other one; each once, at its line."""
     path.write_text(text)
     code, out, err = l3("check", path)
-    found = told(out)
+    found = noted(out)
     assert code == 3
     assert len(found) == len(comments(text)), out
     assert err == f"l3: {len(found)} faults in 1 of 1 files; correct them\n"
@@ -146,15 +146,15 @@ def require_told(path: Path, text: str, l3: L3) -> None:
 
 
 @pytest.mark.parametrize(("name", "text"), [("scenes", SCENES), ("classes", CLASSES), ("lab", LAB)])
-def test_every_fault_is_told_at_its_line(name: str, text: str, tmp_path: Path, l3: L3) -> None:
-    require_told(tmp_path / f"{name}.toml", text, l3)
+def test_every_fault_is_reported_at_its_line(name: str, text: str, tmp_path: Path, l3: L3) -> None:
+    require_listed(tmp_path / f"{name}.toml", text, l3)
 
 
-def test_every_fault_of_a_measurement_file_is_told(tmp_path: Path, l3: L3) -> None:
+def test_every_fault_of_a_measurement_file_is_reported(tmp_path: Path, l3: L3) -> None:
     (tmp_path / "there.tif").touch()
     (tmp_path / "light.csv").write_text("nm,450nm\n440,1e18\n450,2e18\n460,1e18\n")
     (tmp_path / "watts.csv").write_text("nm,550nm\n540,0.1\n550,0.2\n560,0.1\n")
-    require_told(tmp_path / "mine.toml", MEASUREMENTS, l3)
+    require_listed(tmp_path / "mine.toml", MEASUREMENTS, l3)
 
 
 PHOTOS = """[[photo]]
@@ -168,7 +168,7 @@ layout = [4, 0]  # the least is 1
 """
 
 
-def test_every_fault_of_photos_is_told(tmp_path: Path, l3: L3) -> None:
+def test_every_fault_of_photos_is_reported(tmp_path: Path, l3: L3) -> None:
     (tmp_path / "there.tif").touch()
     camera = (
         MEASUREMENTS.partition("[[mono]]")[0]
@@ -176,10 +176,10 @@ def test_every_fault_of_photos_is_told(tmp_path: Path, l3: L3) -> None:
         .replace('"g"]', '"g b"]')
         .replace("drift = 2", "drift = 0")
     )
-    require_told(tmp_path / "mine.toml", re.sub("  # .*", "", camera) + PHOTOS, l3)
+    require_listed(tmp_path / "mine.toml", re.sub("  # .*", "", camera) + PHOTOS, l3)
 
 
-def test_every_fault_of_a_camera_is_told_at_its_line(tmp_path: Path, l3: L3) -> None:
+def test_every_fault_of_a_camera_is_reported_at_its_line(tmp_path: Path, l3: L3) -> None:
     path, text = tmp_path / "camera.toml", bayer_camera()
     for old, new, _ in CAMERA:
         assert old in text
@@ -187,11 +187,11 @@ def test_every_fault_of_a_camera_is_told_at_its_line(tmp_path: Path, l3: L3) -> 
     path.write_text(text)
     code, out, _ = l3("check", path)
     assert code == 3
-    lines, found = text.splitlines(), told(out)
-    assert len(found) == sum(len(says) for _, _, says in CAMERA)
+    lines, found = text.splitlines(), noted(out)
+    assert len(found) == sum(len(what) for _, _, what in CAMERA)
     assert [line for _, line, _ in found] == sorted(line for _, line, _ in found)
-    for _, new, says in CAMERA:
-        for part, words in zip(new.splitlines() or ["[sensor]"], says, strict=True):
+    for _, new, what in CAMERA:
+        for part, words in zip(new.splitlines() or ["[sensor]"], what, strict=True):
             number = next(line for _, line, message in found if words in message)
             assert part.partition(" ")[0] in lines[number - 1]
 
@@ -215,14 +215,14 @@ def test_a_folder_of_init_is_checked_with_its_camera(tmp_path: Path, l3: L3) -> 
     assert out.count("  for Bayer BGGR: ") == 6
     (tmp_path / "demo/unseen.toml").write_text('exposure_share = [1]\n[[scene]]\nsource = "skin"\nsize = [2000, 20]\n')
     code, out, _ = l3("check", tmp_path / "demo")
-    assert (code, [found[1] for found in told(out)]) == (3, [4])
+    assert (code, [found[1] for found in noted(out)]) == (3, [4])
     assert "larger than the sensor of 1080×1920" in out
 
 
 def test_a_benchmark_wants_its_pictures(l3: L3) -> None:
     code, out, _ = l3("check", "benchmark-bayer")
     assert code == 3
-    assert {Path(path).name for path, _, _ in told(out)} == {"test.toml", "training.toml"}
+    assert {Path(path).name for path, _, _ in noted(out)} == {"test.toml", "training.toml"}
     assert known_benchmarks()
 
 
@@ -233,9 +233,9 @@ def test_what_a_camera_means(tmp_path: Path, l3: L3) -> None:
     path = CONFIGS / "cameras/fiveband.toml"
     code, out, err = l3("check", "fiveband", "--json")
     assert (code, err) == (0, "")
-    (told_of,) = json.loads(out)["files"]
-    camera, figures = load_camera(path), told_of["meaning"]
-    assert (told_of["kind"], told_of["faults"]) == ("camera", [])
+    (listed_of,) = json.loads(out)["files"]
+    camera, figures = load_camera(path), listed_of["meaning"]
+    assert (listed_of["kind"], listed_of["faults"]) == ("camera", [])
     assert figures["array"][0] == ["b", "g", "c", "g"]
     assert figures["channels"]["g"]["sites"] == 8
     assert figures["saturation_exposure_cd_s_per_m2"]["D65"] == pytest.approx(camera.saturation_exposure, rel=2e-3)
@@ -308,7 +308,7 @@ def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "line", "says"),
+    ("content", "line", "what"),
     [
         (b"a = 1\nb = \n", 2, "is not valid TOML"),
         (b"", 1, "its keys do not show its kind"),
@@ -320,11 +320,11 @@ def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
         (b"[[scene]]\r\nsource = 'rgb'\r\n\r\nfile = 'x.png'\r\n", 4, "x.png does not exist"),
     ],
 )
-def test_files_of_other_kinds(content: bytes, line: int, says: str, tmp_path: Path, l3: L3) -> None:
+def test_files_of_other_kinds(content: bytes, line: int, what: str, tmp_path: Path, l3: L3) -> None:
     (tmp_path / "a.toml").write_bytes(content)
     code, out, _ = l3("check", tmp_path / "a.toml")
     assert code == 3
-    assert [found[1] for found in told(out) if says in found[2]] == [line]
+    assert [found[1] for found in noted(out) if what in found[2]] == [line]
 
 
 CORRECTIONS = """base = "camera.toml"
@@ -360,7 +360,7 @@ def test_measurements_of_a_known_camera(tmp_path: Path, l3: L3) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line", "says"),
+    ("old", "new", "line", "what"),
     [
         ("camera.toml", "none.toml", 1, "none.toml does not exist"),
         ("camera.toml", "dark1.npy", 1, "dark1.npy"),
@@ -373,12 +373,12 @@ def test_measurements_of_a_known_camera(tmp_path: Path, l3: L3) -> None:
         ('"camera.toml"', '"camera.toml"\nsweep = 3', 2, "unknown key `sweep`"),
     ],
 )
-def test_wrong_measurements_of_a_known_camera(old: str, new: str, line: int, says: str, tmp_path: Path, l3: L3) -> None:
+def test_wrong_measurements_of_a_known_camera(old: str, new: str, line: int, what: str, tmp_path: Path, l3: L3) -> None:
     path = measured_folder(tmp_path)
     path.write_text(CORRECTIONS.replace(old, new, 1))
     code, out, _ = l3("check", path)
     assert code == 3
-    assert [found[1] for found in told(out) if says in found[2]] == [line]
+    assert [found[1] for found in noted(out) if what in found[2]] == [line]
 
 
 def test_a_file_with_a_base_is_of_the_kind_of_its_other_keys() -> None:
@@ -470,7 +470,7 @@ def use(kind: str, path: Path, camera: CameraModel) -> None:
 
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), name=st.sampled_from(sorted(names())), number=st.integers(0, 2))
-def test_what_is_told_is_what_is_refused(
+def test_what_is_reported_is_what_is_refused(
     data: st.DataObject, name: str, number: int, bayer: CameraModel, tmp_path: Path
 ) -> None:
     kind, shipped = names()[name][number % len(names()[name])]

@@ -68,7 +68,7 @@ def test_all_frames_of_a_clip_have_one_exposure_and_each_its_own_noise(clip: Pat
     assert not np.array_equal(frames[0].raw[:, 2:], frames[1].raw[:, :-2])
 
 
-def test_the_exposure_that_is_said_renders_as_bright_as_the_ideal(
+def test_the_exposure_that_is_reported_renders_as_bright_as_the_ideal(
     bayer_recipe: Path, bayer: CameraModel, tmp_path: Path, l3: L3
 ) -> None:
     """By a table that shows plain areas as they are."""
@@ -77,15 +77,15 @@ def test_the_exposure_that_is_said_renders_as_bright_as_the_ideal(
     call = ("simulate", tmp_path / "clip.toml", "--camera", bayer_recipe, "-o", tmp_path / "clip.h5")
     code, _, err = l3(*call, "--pictures", tmp_path / "clip")
     assert code == 0
-    said = re.search(r"frames 0–2: --exposure (\S+) renders them", err)
-    assert said
+    words = re.search(r"frames 0–2: --exposure (\S+) renders them", err)
+    assert words
     store.save(colorimetric_table(bayer), tmp_path / "table.h5")
     raws = tmp_path / "clip/%05d_grey-ramp-0-0_raw.tif"
     render = ("render", tmp_path / "table.h5", raws, "-o", tmp_path / "out/%05d.png", "--backend", "reference", "--quiet")
-    assert l3(*render, "--exposure", said[1])[0] == 0
+    assert l3(*render, "--exposure", words[1])[0] == 0
     code, out, err = l3("evaluate", "--sequence", tmp_path / "out/%05d.png", "--ideal", tmp_path / "clip", "--json")
     assert (code, err) == (0, "")  # no word of another brightness
-    options = ("--exposure", said[1], *render[5:])
+    options = ("--exposure", words[1], *render[5:])
     code, _, err = l3("render", tmp_path / "table.h5", tmp_path / "clip", "-o", tmp_path / "again", *options)
     assert (code, err) == (0, "")  # of the folder, too, beside its ideal pictures
     for number, path in enumerate(sorted((tmp_path / "again").iterdir())):
@@ -123,7 +123,7 @@ def test_a_check_counts_the_frames(clip: Path, bayer_recipe: Path, l3: L3) -> No
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "words"),
     [
         (("size = [96, 128]", "size = [66, 80]"), "the camera sees 67×91 samples"),
         (("size = [32, 40]", "size = [12, 40]"), "motion.size is 12×40"),
@@ -139,11 +139,11 @@ def test_a_check_counts_the_frames(clip: Path, bayer_recipe: Path, l3: L3) -> No
         (("shake_pixels = 0.2", "shutter = 50"), "the most is 1"),
     ],
 )
-def test_what_cannot_be_is_said_before_any_work(
-    change: tuple[str, str], said: str, tmp_path: Path, bayer_recipe: Path, refused: Refused, l3: L3
+def test_what_cannot_be_is_reported_before_any_work(
+    change: tuple[str, str], words: str, tmp_path: Path, bayer_recipe: Path, refused: Refused, l3: L3
 ) -> None:
     (tmp_path / "clip.toml").write_text(CLIP.replace(*change))
-    assert said in refused(2, "simulate", tmp_path / "clip.toml", "--camera", bayer_recipe, "-o", tmp_path / "clip.h5")
+    assert words in refused(2, "simulate", tmp_path / "clip.toml", "--camera", bayer_recipe, "-o", tmp_path / "clip.h5")
     code, out, _ = l3("check", tmp_path / "clip.toml", bayer_recipe)
     assert code == 3
-    assert said in out
+    assert words in out

@@ -59,10 +59,10 @@ class Cluster:
         self.workers += [self._start("worker", self.address, *options) for _ in range(count)]
 
     def _start(self, *command: object) -> "subprocess.Popen[bytes]":
-        here = {"PYTHONPATH": str(ROOT), **ONE_BLAS_THREAD}  # holds what the workers are to do
+        place = {"PYTHONPATH": str(ROOT), **ONE_BLAS_THREAD}  # holds what the workers are to do
         line = [sys.executable, "-m", "dask", *command, "--no-dashboard", *self._tls]
         with open(self._folder / "log", "ab") as log:
-            return subprocess.Popen(list(map(str, line)), stdout=log, stderr=log, env={**os.environ, **here})
+            return subprocess.Popen(list(map(str, line)), stdout=log, stderr=log, env={**os.environ, **place})
 
     def end(self) -> None:
         for process in (*self.workers, self.scheduler):
@@ -156,9 +156,9 @@ def test_train_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path
 def test_a_shard_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
     (tmp_path / "classes.toml").write_text(CLASSES)
     command = ("train", made / "training.h5", "--classes", tmp_path / "classes.toml", "--shard", "2/2")
-    for name, where in (("here", ()), ("there", ("--scheduler", cluster.address))):
+    for name, where in (("place", ()), ("there", ("--scheduler", cluster.address))):
         assert l3(*command, "-o", tmp_path / name, *where)[0] == 0
-    assert (tmp_path / "here").read_bytes() == (tmp_path / "there").read_bytes()
+    assert (tmp_path / "place").read_bytes() == (tmp_path / "there").read_bytes()
 
 
 def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
@@ -168,9 +168,9 @@ def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Pat
     assert _content(tmp_path / "pictures") == _content(made / "pictures")
     assert l3("render", *frames(made), "-o", tmp_path / "video.y4m", *where)[0] == 0
     assert (tmp_path / "video.y4m").read_bytes() == (made / "video.y4m").read_bytes()
-    for name, white, there in (("here", "auto", ()), ("there", "auto", where), ("named", "A", ()), ("sent", "A", where)):
+    for name, white, there in (("place", "auto", ()), ("there", "auto", where), ("named", "A", ()), ("sent", "A", where)):
         assert l3("render", *frames(made), "--exposure", 1, "--white", white, "-o", tmp_path / name, *there)[0] == 0
-    assert _content(tmp_path / "here") == _content(tmp_path / "there") != _content(made / "pictures")
+    assert _content(tmp_path / "place") == _content(tmp_path / "there") != _content(made / "pictures")
     assert _content(tmp_path / "named") == _content(tmp_path / "sent")
     assert l3("render", *frames(made), "-o", tmp_path / "raw/####.dng", "--remosaic", "bayer", *where)[0] == 0
     assert _content(tmp_path / "raw") == _content(made / "raw")
@@ -195,7 +195,7 @@ def test_a_broken_frame_is_named_or_left_out(cluster: Cluster, made: Path, tmp_p
     assert _content(tmp_path / "pictures") == whole
 
 
-def test_what_a_frame_cannot_be_is_said_of_the_first(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+def test_what_a_frame_cannot_be_is_reported_of_the_first(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
     shutil.copytree(made / "frames", tmp_path / "frames")
     (tmp_path / "frames/0000.raw").write_bytes(bytes([255]) * (2 * ROWS * COLS))
     call = ("render", made / "table.h5", *frames(tmp_path)[1:], "--exposure", 1, "-o", tmp_path / "pictures")
@@ -235,7 +235,7 @@ def test_a_killed_worker_changes_nothing(
 # ----------------------------------------------------------------------------------------------- what goes wrong
 
 
-def test_what_a_worker_raises_is_raised_here(cluster: Cluster) -> None:
+def test_what_a_worker_raises_is_raised_in_place(cluster: Cluster) -> None:
     with workers(1, Scheduler(cluster.address)) as pool:
         assert list(pool(squared, range(40))) == [number**2 for number in range(40)]
         with pytest.raises(L3Error, match="not 0"):
@@ -360,7 +360,7 @@ def test_wrong_doors_are_one_line(
 
 
 @pytest.mark.parametrize(
-    ("address", "near"),
+    ("address", "close"),
     [
         ("tcp://127.0.0.1:8786", True),
         ("tcp://127.8.8.8:1", True),
@@ -372,8 +372,8 @@ def test_wrong_doors_are_one_line(
         ("tcp://cluster.example:8786", False),
     ],
 )
-def test_what_listens_on_this_machine_alone_is_known(address: str, near: bool) -> None:
-    assert elsewhere._is_loopback(address) == near
+def test_what_listens_on_this_machine_alone_is_known(address: str, close: bool) -> None:
+    assert elsewhere._is_loopback(address) == close
 
 
 def test_a_scheduler_open_to_others_is_warned_of(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -87,8 +87,8 @@ def test_arrays_share_a_file_whose_other_columns_are_left_out(folder: Path, l3: 
     np.testing.assert_allclose(mapped.responsivity[0], percent.mean(axis=1) / 100, rtol=1e-7)
     (folder / CSV).write_text(text.replace(",r (%)", ",red (%)"))
     (folder / "camera.toml").write_text(RECIPE.read_text())
-    says = 'no column is called "r"; there are b, NIR, red, G; name it, columns = {r = "NIR"}'
-    assert says in refused(3, *simulate, "--force")
+    words = 'no column is called "r"; there are b, NIR, red, G; name it, columns = {r = "NIR"}'
+    assert words in refused(3, *simulate, "--force")
     (folder / "camera.toml").write_text(RECIPE.read_text().replace(f'"{CSV}"', f'"{CSV}"\ncolumns = {{ir = "NIR"}}'))
     assert 'responsivity.columns: "ir" is no channel; did you mean' in refused(2, *simulate, "--force")
     (folder / CSV).write_text(written("nm,r (%),r (%),g (%),b (%)", nm, four))
@@ -173,18 +173,18 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_in_curves_is_one_line(mistake: str, folder: Path, refused: Refused, l3: L3) -> None:
-    text, says = MISTAKES[mistake]
+    text, words = MISTAKES[mistake]
     (folder / CSV).write_text(text(*curves()))
     line = refused(3, "simulate", folder / "scenes.toml", "--camera", folder / RECIPE.name, "-o", folder / "training.h5")
     assert line.startswith(f"l3: {folder / CSV}")
-    assert says in line
+    assert words in line
     code, out, _ = l3("check", folder / RECIPE.name)
     number = RECIPE.read_text().partition("\nfile =")[0].count("\n") + 2
     assert (code, out) == (3, f"{folder / RECIPE.name}:{number}: {line.removeprefix('l3: ')}")
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "code", "says"),
+    ("old", "new", "code", "words"),
     [
         (CSV, "none.csv", 3, "none.csv does not exist"),
         (
@@ -204,8 +204,8 @@ def test_a_mistake_in_curves_is_one_line(mistake: str, folder: Path, refused: Re
     ],
 )
 def test_a_mistake_in_the_recipe_is_one_line(
-    old: str, new: str, code: int, says: str, folder: Path, refused: Refused
+    old: str, new: str, code: int, words: str, folder: Path, refused: Refused
 ) -> None:
     path = folder / RECIPE.name
     path.write_text(path.read_text().replace(old, new))
-    assert says in refused(code, "simulate", folder / "scenes.toml", "--camera", path, "-o", folder / "training.h5")
+    assert words in refused(code, "simulate", folder / "scenes.toml", "--camera", path, "-o", folder / "training.h5")

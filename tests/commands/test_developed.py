@@ -149,7 +149,7 @@ def test_a_developed_frame_names_its_makers_not_its_camera(l3: Callable, desk: P
 
 
 @pytest.mark.parametrize(
-    ("output", "options", "said"),
+    ("output", "options", "words"),
     [
         ("x.dng", ("--space", "srgb"), "leave --space out"),
         ("x.dng", ("--bits", 32), "leave --bits out"),
@@ -159,9 +159,9 @@ def test_a_developed_frame_names_its_makers_not_its_camera(l3: Callable, desk: P
     ],
 )
 def test_what_a_dng_cannot_hold_is_refused(
-    refused: Callable, desk: Path, output: str, options: tuple[str, ...], said: str
+    refused: Callable, desk: Path, output: str, options: tuple[str, ...], words: str
 ) -> None:
-    assert said in refused(2, "render", desk / "table.h5", desk / "frame.npy", "-o", desk / output, *options)
+    assert words in refused(2, "render", desk / "table.h5", desk / "frame.npy", "-o", desk / output, *options)
     assert not (desk / output).exists()
 
 

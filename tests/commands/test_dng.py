@@ -307,14 +307,14 @@ def read(folder: Path, tags: Tags, strips: list[bytes] | None = None) -> RawFram
 
 
 @pytest.mark.parametrize("name", READ)
-def test_what_is_read_changes_the_frame_as_it_says(tmp_path: Path, name: str) -> None:
+def test_what_is_read_changes_the_frame_as_it_states(tmp_path: Path, name: str) -> None:
     tags, strips, holds = READ[name]
     frame = read(tmp_path, tags, strips)
     assert holds(frame)
     assert frame.notes == ()
 
 
-def test_the_mosaic_is_read_beside_a_larger_enhanced_image(tmp_path: Path) -> None:
+def test_the_mosaic_is_read_next_to_a_larger_enhanced_image(tmp_path: Path) -> None:
     version = (50706, "B", 4, (1, 4, 0, 0), True)
     array = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, (0, 1, 1, 2), True)]
     with tifffile.TiffWriter(tmp_path / "a.dng") as file:
@@ -340,7 +340,7 @@ def test_a_mosaic_by_another_name_is_refused(tmp_path: Path, drop: tuple[int, ..
 
 
 @pytest.mark.parametrize("name", NOTED)
-def test_what_is_left_to_the_user_is_said(tmp_path: Path, name: str) -> None:
+def test_what_is_left_to_the_user_is_reported(tmp_path: Path, name: str) -> None:
     tags, words = NOTED[name]
     frame = read(tmp_path, tags)
     assert the_mosaic(frame)
@@ -348,7 +348,7 @@ def test_what_is_left_to_the_user_is_said(tmp_path: Path, name: str) -> None:
     assert words in note
 
 
-def test_the_page_says_of_every_tag_what_is_done_and_the_tables_above_test_it() -> None:
+def test_the_page_states_of_every_tag_what_is_done_and_the_tables_above_test_it() -> None:
     text = (ROOT / "docs" / "raw-files.md").read_text()
     _, _, section = text.partition("## Tags of a DNG")
     table, _, harmless = section.partition("\nThe rest is harmless:\n")
@@ -396,7 +396,7 @@ def in_view(whole: np.ndarray) -> np.ndarray:
     return whole[CROP[0] : CROP[0] + CROP[2], CROP[1] : CROP[1] + CROP[3]]
 
 
-def test_bad_pixels_are_mended_wherever_their_list_counts_from(tmp_path: Path, table: TransformTable) -> None:
+def test_bad_pixels_are_corrected_wherever_their_list_counts_from(tmp_path: Path, table: TransformTable) -> None:
     sound = with_lists(tmp_path, stored(), table, {}).values
     values = stored()
     values[[10, 11, 20], [10, 10, 30]] = 7

@@ -205,7 +205,7 @@ def test_what_all_bands_lack_is_asked_once(l3_data: Path, tmp_path: Path, l3: L3
     assert (bands.count("[[band]]"), bands.count("TODO"), bands.count('radiance = "spectra/700nm.csv"')) == (48, 1, 7)
 
 
-def test_names_alone_tell_exposure_times(lab: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+def test_names_alone_report_exposure_times(lab: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
     folder = renamed(lab, tmp_path / "captures", flat, timed=False)
     assert l3("calibrate", "--draft", folder, "--camera", bayer_recipe, "-o", folder / "M.toml", "--quiet")[0] == 0
     drafted, own = (
@@ -235,18 +235,18 @@ def test_spectra_go_to_their_steps_whatever_is_missing(lab: Path, bayer_recipe: 
         path.rename(folder / f"mono_{number:02d}.tif")
     table = read_table(folder / "mono.csv")
     assert table.names is not None
-    kept = [number for number, name in enumerate(table.names) if "long" not in name][2:]
+    left = [number for number, name in enumerate(table.names) if "long" not in name][2:]
     write_curves(
-        folder / "mono.csv", table.wavelength, table.values[kept], [table.names[number] for number in kept], PHOTON_RADIANCE
+        folder / "mono.csv", table.wavelength, table.values[left], [table.names[number] for number in left], PHOTON_RADIANCE
     )
     code, _, err = l3(*draft)
     assert code == 0
-    assert f"spectra given to {len(kept) + 1} monochromatic captures in the order of their names" in err
+    assert f"spectra given to {len(left) + 1} monochromatic captures in the order of their names" in err
     columns = [capture["column"] for capture in tomllib.loads((folder / "M.toml").read_text())["mono"]]
     assert len(columns) - len(set(columns)) == 1  # the step that is taken again
 
 
-def test_what_is_no_raw_frame_is_told_apart(lab: Path, tmp_path: Path, l3: L3) -> None:
+def test_what_is_no_raw_frame_is_distinguished(lab: Path, tmp_path: Path, l3: L3) -> None:
     """Developed pictures, masks, stretched values, frames of another sensor: a line each, and none is taken."""
     folder = tmp_path / "captures"
     shutil.copytree(lab / "white", folder)

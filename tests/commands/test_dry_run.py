@@ -53,14 +53,16 @@ def arguments(sentence: str, folder: Path, out: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("sentence", SENTENCES)
-def test_a_dry_run_says_what_would_be_made(sentence: str, pipeline: Path, tmp_path: Path, l3: L3) -> None:
+def test_a_dry_run_states_what_would_be_made(sentence: str, pipeline: Path, tmp_path: Path, l3: L3) -> None:
     before, changed = list(everything(pipeline)), tmp_path.stat().st_mtime_ns
     code, out, err = l3(*arguments(sentence, pipeline, tmp_path / "new"), "--dry-run")
     assert (code, err) == (0, "")
     assert out.endswith("dry run: nothing has been written\n")
     frames = out.partition("training set, ")[2].partition(" ")[0]
-    for said in SENTENCES[sentence]:
-        assert said.replace("{out}", str(tmp_path / "new")).replace("{in}", str(pipeline)).replace("{frames}", frames) in out
+    for answer in SENTENCES[sentence]:
+        assert (
+            answer.replace("{out}", str(tmp_path / "new")).replace("{in}", str(pipeline)).replace("{frames}", frames) in out
+        )
     assert list(everything(pipeline)) == before
     assert (list(tmp_path.iterdir()), tmp_path.stat().st_mtime_ns) == (
         [],
@@ -87,14 +89,14 @@ def test_a_dry_run_refuses_what_is_there(sentence: str, pipeline: Path, tmp_path
 
 
 def test_a_dry_run_refuses_wrong_inputs(pipeline: Path, tmp_path: Path, refused: Refused) -> None:
-    for call, code, says in (
+    for call, code, what in (
         (("train", pipeline / "table.h5", "-o", tmp_path / "t.h5"), 3, "table.h5"),
         (("render", pipeline / "table.h5", pipeline / "none.tif", "-o", tmp_path / "p.png"), 3, "none.tif"),
         (("simulate", pipeline / "classes.toml", "--camera", "bayer", "-o", tmp_path / "t.h5"), 2, "classes.toml"),
         (("calibrate", pipeline / "camera.toml", "-o", tmp_path / "c.h5"), 2, "camera.toml"),
         (("report", pipeline / "scenes.toml", "-o", tmp_path / "r.html"), 3, "scenes.toml"),
     ):
-        assert says in refused(code, *call, "--dry-run")
+        assert what in refused(code, *call, "--dry-run")
 
 
 def test_a_dry_run_respects_another_run(pipeline: Path, tmp_path: Path, l3: L3) -> None:

@@ -109,9 +109,9 @@ def test_every_backend_gives_the_same_figures(trained: Path, l3: Callable) -> No
 
 def test_further_away_less_is_seen(trained: Path, l3: Callable) -> None:
     files = (trained / "table.h5", trained / "training.h5", "--json")
-    near, far = (json.loads(l3("evaluate", *files, "--viewing", viewing)[1])["mean"]["ours"] for viewing in (15, 120))
-    assert far.pop("scielab") < near.pop("scielab")
-    assert far == near
+    close, far = (json.loads(l3("evaluate", *files, "--viewing", viewing)[1])["mean"]["ours"] for viewing in (15, 120))
+    assert far.pop("scielab") < close.pop("scielab")
+    assert far == close
 
 
 def test_tables_name_everything_that_is_compared(trained: Path, l3: Callable) -> None:
@@ -121,7 +121,7 @@ def test_tables_name_everything_that_is_compared(trained: Path, l3: Callable) ->
         assert word in out, word
 
 
-def test_classes_that_differ_in_a_further_feature_are_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
+def test_classes_that_differ_in_a_further_feature_are_distinguished(capsys: pytest.CaptureFixture[str]) -> None:
     of = {"mean_delta_e": 3.0}
     about = {"level": 6, "from": 0.1, "to": 0.2, "contrast": 0, "chroma": 5, "case": 0, "pixels": 91, "ours": of}
     worst = [about | {"direction": 1, "varies": "along 0°"}, about | {"direction": 2, "varies": "along 45°"}, about]

@@ -38,7 +38,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
-def test_c_is_what_a_table_becomes_unless_it_is_told_otherwise(table: Path, tmp_path: Path, l3: L3) -> None:
+def test_c_is_what_a_table_becomes_unless_it_is_reported_otherwise(table: Path, tmp_path: Path, l3: L3) -> None:
     code, out, err = l3("export", table, "-o", tmp_path / "c")
     assert (code, out) == (0, "")
     assert "l3_table.c" in err
@@ -155,7 +155,7 @@ def test_c_source_builds_by_cmake_for_any_processor(table: Path, tmp_path: Path,
         assert "-march" not in re.sub("(?m)^#.*", "", (tmp_path / "c" / name).read_text())
 
 
-def test_a_white_far_from_training_is_said_as_by_l3_render(table: Path, tmp_path: Path, l3: L3) -> None:
+def test_a_white_far_from_training_is_reported_as_by_l3_render(table: Path, tmp_path: Path, l3: L3) -> None:
     err = l3("export", table, "-o", tmp_path / "c", "--white", "0.45,0.41")[2]
     assert "--white 0.45,0.41 is far from the mean light of the training" in err
 

@@ -113,7 +113,7 @@ def test_the_worked_example_finds_its_recipes_in_an_installed_wheel(tmp_path: Pa
     }
 
 
-def test_the_shell_is_offered_names_beside_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_shell_is_offered_names_next_to_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
     def offered(*words: str) -> list[str]:

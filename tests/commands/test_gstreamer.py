@@ -51,8 +51,8 @@ def run(folder: Path, lines: Sequence[str]) -> list[list[str] | None]:
     call = [PYTHON, "-c", RUN, json.dumps(lines)]
     done = subprocess.run(call, cwd=folder, env=environment(), capture_output=True, text=True, timeout=100, check=True)
     assert "Traceback" not in done.stderr
-    told: list[list[str] | None] = json.loads(done.stdout)
-    return told
+    listed: list[list[str] | None] = json.loads(done.stdout)
+    return listed
 
 
 def rendered(l3: L3, clip: Path, out: Path, *options: object) -> np.ndarray:
@@ -152,9 +152,9 @@ def test_mistakes_are_one_line_on_the_bus(folder: Path) -> None:
         (f"{short} ! l3render table=table.h5", "a buffer of 1000 bytes holds no frame of 20×28 pixels"),
         (f"{colours} ! l3render table=table.h5", "Internal data stream error"),  # caps that are never agreed on
     ]
-    for (line, said), told in zip(cases, run(folder, [f"{line} ! fakesink" for line, _ in cases]), strict=True):
-        assert told is not None, said
-        assert told[0].startswith("rawvideoparse" if "format=rgb " in line else "l3render")
-        assert said in told[1]
-        assert "\n" not in told[1]
-        assert "‹" not in told[1]
+    for (line, words), listed in zip(cases, run(folder, [f"{line} ! fakesink" for line, _ in cases]), strict=True):
+        assert listed is not None, words
+        assert listed[0].startswith("rawvideoparse" if "format=rgb " in line else "l3render")
+        assert words in listed[1]
+        assert "\n" not in listed[1]
+        assert "‹" not in listed[1]

@@ -86,7 +86,7 @@ def test_a_folder_holds_the_recipes_as_they_are(tmp_path: Path, l3: Callable) ->
     assert (tmp_path / "demo/slurm.sh").stat().st_mode & 0o777 == 0o755
 
 
-def test_a_camera_of_curves_needs_no_lab_and_says_where_they_go(tmp_path: Path, l3: Callable) -> None:
+def test_a_camera_of_curves_needs_no_lab_and_states_where_they_go(tmp_path: Path, l3: Callable) -> None:
     code, _, err = l3("init", "from_curves", tmp_path / "a camera")
     assert code == 0
     assert "next: put your curves into from_curves.csv" in err

@@ -155,10 +155,10 @@ def test_a_photo_of_any_name_leads_to_a_recipe(photo: Path, tmp_path: Path, l3: 
 
 
 def test_the_link_to_the_photo_is_made_again_and_takes_the_place_of_no_photo(photo: Path, tmp_path: Path, l3: L3) -> None:
-    mine, kept = tmp_path / "mine", shutil.copy(photo, tmp_path / "kept.dng")
-    for given in (kept, kept, mine / "picture.dng"):  # the last is the link itself
+    mine, left = tmp_path / "mine", shutil.copy(photo, tmp_path / "kept.dng")
+    for given in (left, left, mine / "picture.dng"):  # the last is the link itself
         assert l3("init", "--from", given, mine, "--force", "--quiet")[0] == 0
-        assert (mine / "picture.dng").readlink() == kept
+        assert (mine / "picture.dng").readlink() == left
     (mine / "picture.dng").unlink()
     shutil.copy(photo, mine / "picture.dng")
     code, _, err = l3("init", "--from", mine / "picture.dng", mine, "--force")

@@ -88,7 +88,7 @@ def test_errors_end_as_json_with_their_exit_code(
 ) -> None:
     (tmp_path / "there.png").write_text("mine")
     raw = next((pipeline / "unseen").glob("*_raw.tif"))
-    for call, code, kind, says in (
+    for call, code, kind, what in (
         (("render", pipeline / "table.h5", raw, "-o", tmp_path / "there.png"), 1, "failure", "exists; add --force"),
         (("render", pipeline / "table.h5", raw, "-o", "-"), 2, "call", "--json"),
         (("info", "--jsn"), 2, "call", "no option --jsn"),
@@ -106,7 +106,7 @@ def test_errors_end_as_json_with_their_exit_code(
         assert (got, set(document)) == (code, {"run"})
         assert document["run"]["exit_code"] == code
         assert document["run"]["error"]["kind"] == kind
-        assert says in document["run"]["error"]["message"]
+        assert what in document["run"]["error"]["message"]
         assert err == f"l3: {document['run']['error']['message']}\n"
 
     def interrupt(*_: object) -> None:
@@ -141,7 +141,7 @@ def test_warnings_and_steps_are_kept_also_quietly(pipeline: Path, tmp_path: Path
     assert clip["frames_per_s"] == pytest.approx(3 / clip["seconds"])
 
 
-def test_what_changes_meanwhile_has_no_digest(
+def test_what_changes_during_it_has_no_digest(
     pipeline: Path, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table = tmp_path / "table.h5"

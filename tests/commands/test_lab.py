@@ -82,7 +82,7 @@ def test_exposures_put_the_brightest_channel_at_half_scale(folder: Path, bayer: 
     assert np.median(saturated[0::2, 1::2]) == bayer.white_level
 
 
-def test_a_patch_has_the_value_that_its_measured_radiance_says(folder: Path, bayer: CameraModel) -> None:
+def test_a_patch_has_the_value_that_its_measured_radiance_states(folder: Path, bayer: CameraModel) -> None:
     """The camera equation written out by hand for patch 22 (neutral 5) under A, in the channel g."""
     chart = tomllib.loads((folder / "MEASUREMENTS.toml").read_text())["chart"][0]
     spectra = read_table(folder / chart["radiance"]).counted(24)
@@ -149,7 +149,7 @@ def test_an_existing_lab_is_kept_without_force(
 
 
 @pytest.mark.parametrize(
-    ("recipe", "says"),
+    ("recipe", "words"),
     [
         ("[mono]\nstep = 10", "unknown key `step` in [mono]"),
         ('[chart]\nilluminants = ["D99"]', 'illuminant "D99" is unknown'),
@@ -166,10 +166,10 @@ def test_an_existing_lab_is_kept_without_force(
     ],
 )
 def test_a_recipe_that_cannot_be_is_refused(
-    recipe: str, says: str, bayer_recipe: Path, tmp_path: Path, refused: Callable[..., str]
+    recipe: str, words: str, bayer_recipe: Path, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     (tmp_path / "lab.toml").write_text(recipe)
-    assert says in refused(2, "lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", tmp_path / "lab.toml")
+    assert words in refused(2, "lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", tmp_path / "lab.toml")
 
 
 def test_missing_inputs_are_named(bayer_recipe: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -183,7 +183,7 @@ def test_a_sensor_too_small_for_a_chart_is_refused(bayer_recipe: Path, tmp_path:
     assert "too small" in refused(2, "lab", tiny, "-o", tmp_path / "lab")
 
 
-def test_hot_and_dead_pixels_and_dust_are_where_the_recipe_says(bayer: CameraModel) -> None:
+def test_hot_and_dead_pixels_and_dust_are_where_the_recipe_states(bayer: CameraModel) -> None:
     recipe = DefectRecipe(hot_pixels_per_million=200.0, dead_pixels_per_million=200.0, dust_specks_per_million=60.0)
     defects = defects_of(bayer, recipe)
     assert len(defects.hot) == len(defects.dead) == 10

@@ -53,14 +53,14 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def said(path: Path) -> Any:
+def words(path: Path) -> Any:
     """What a file says of itself, by OpenImageIO."""
     source = oiio.ImageInput.open(str(path))
     assert source is not None
     return source.spec()
 
 
-def test_raw_files_say_how_they_were_taken(desk: Path) -> None:
+def test_raw_files_state_how_they_were_taken(desk: Path) -> None:
     frame = read_raw(desk / "frame.dng", TABLE)
     assert (frame.shot, frame.exposure) == (SHOT, 1 / 125)
 
@@ -69,7 +69,7 @@ def test_raw_files_say_how_they_were_taken(desk: Path) -> None:
 def test_pictures_carry_it_on(l3: Callable, desk: Path, suffix: str) -> None:
     path = desk / f"a.{suffix}"
     assert l3("render", desk / "table.h5", desk / "frame.dng", "-o", path, "--backend", "reference")[0] == 0
-    spec = said(path)
+    spec = words(path)
     texts = ("Make", "Model", "Exif:LensModel", "Exif:DateTimeOriginal", "Software")
     assert [spec.getattribute(name) for name in texts] == ["Maker", "Model 7", "EF 35mm", SHOT.date, f"l3cli {__version__}"]
     numbers = [spec.getattribute(name) for name in ("ExposureTime", "FNumber", "Exif:FocalLength", "Exif:ISOSpeed")]
@@ -109,7 +109,7 @@ def test_frames_of_a_stack_are_known_by_their_values(l3: Callable, desk: Path) -
     np.save(desk / "stack.npy", frames)
     assert l3("render", desk / "table.h5", desk / "stack.npy", "-o", desk / "out", "--backend", "reference")[0] == 0
     for number, frame in enumerate(frames):
-        text = said(desk / f"out/stack_{number:06d}.png").getattribute("ImageDescription")
+        text = words(desk / f"out/stack_{number:06d}.png").getattribute("ImageDescription")
         assert text.endswith(f"raw values SHA-256 {hashlib.sha256(frame.astype('<u2').tobytes()).hexdigest()}")
 
 

@@ -366,19 +366,21 @@ def lines(log: Path) -> list[tuple[str, str, str]]:
     return [match.groups() for line in rest if (match := LINE.fullmatch(line)) or pytest.fail(line)]  # type: ignore[misc]
 
 
-def test_a_log_holds_what_is_said_also_quietly_and_the_error_that_ends_a_run(l3: L3, pipeline: Path, tmp_path: Path) -> None:
+def test_a_log_holds_what_is_reported_also_quietly_and_the_error_that_ends_a_run(
+    l3: L3, pipeline: Path, tmp_path: Path
+) -> None:
     log, out = tmp_path / "l3.log", tmp_path / "table.h5"
     train = ("train", pipeline / "training.h5", "--classes", pipeline / "classes.toml", "-o", out, "--log", log)
-    code, _, said = l3(*train)
+    code, _, answer = l3(*train)
     assert code == 0
-    held = lines(log)
-    assert {command for _, command, _ in held} == {"train"}
-    assert [message for _, _, message in held if message in said.splitlines()] == said.splitlines()
-    assert any(re.fullmatch(r"sums: \d+ done in \S+ s", message) for _, _, message in held)
-    code, _, said = l3(*train)  # the table is there
+    stored = lines(log)
+    assert {command for _, command, _ in stored} == {"train"}
+    assert [message for _, _, message in stored if message in answer.splitlines()] == answer.splitlines()
+    assert any(re.fullmatch(r"sums: \d+ done in \S+ s", message) for _, _, message in stored)
+    code, _, answer = l3(*train)  # the table is there
     assert code == 1
-    assert lines(log)[: len(held)] == held
-    assert lines(log)[-1] == ("error", "train", said.strip().removeprefix("l3: "))
+    assert lines(log)[: len(stored)] == stored
+    assert lines(log)[-1] == ("error", "train", answer.strip().removeprefix("l3: "))
     before = len(lines(log))
     assert l3(*train, "--force", "--quiet") == (0, "", "")
     assert len(lines(log)) > before
@@ -403,7 +405,7 @@ def test_what_is_no_log_is_never_written_to(kind: str, pipeline: Path, tmp_path:
     assert raw.read_bytes() == before
 
 
-def test_a_log_that_cannot_be_written_is_said_before_any_work(
+def test_a_log_that_cannot_be_written_is_reported_before_any_work(
     pipeline: Path, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     call = ("render", pipeline / "table.h5", tmp_path / "a.npy", "-o", tmp_path / "a.png")

@@ -220,21 +220,21 @@ def content_of(array: np.ndarray) -> bytes:
 
 
 def test_a_folder_of_clips_is_rendered_again_and_again(again: Callable, shots: Path, tmp_path: Path) -> None:
-    here, out = tmp_path / "in", tmp_path / "out"
-    shutil.copytree(shots / "fold", here / "fo; touch x `ld`")
-    np.save(here / "--half $(1).npy", frames())
-    (here / "notes.txt").write_text("mine")
-    (here / ".coming.npy").write_bytes(b"half")
-    (here / "empty").mkdir()
+    spot, out = tmp_path / "in", tmp_path / "out"
+    shutil.copytree(shots / "fold", spot / "fo; touch x `ld`")
+    np.save(spot / "--half $(1).npy", frames())
+    (spot / "notes.txt").write_text("mine")
+    (spot / ".coming.npy").write_bytes(b"half")
+    (spot / "empty").mkdir()
     first = [("--half $(1).npy", "rendered"), ("fo; touch x `ld`", "rendered")]
     assert again() == first
     assert names(out) == ["--half $(1)", STATE, "fo; touch x `ld`"]
     assert again() == [(name, "kept") for name, _ in first]
-    shutil.copy(shots / "v.mkv", here)  # a new name
-    np.save(here / "still.npy", frames(1)[0])
+    shutil.copy(shots / "v.mkv", spot)  # a new name
+    np.save(spot / "still.npy", frames(1)[0])
     assert again()[2:] == [("still.npy", "rendered"), ("v.mkv", "rendered")]
     assert {state for _, state in again()} == {"kept"}
-    (here / "v.mkv").unlink()
+    (spot / "v.mkv").unlink()
     shutil.rmtree(out / "v")
     assert {state for _, state in again()} == {"kept"}
     assert len((out / STATE).read_text().splitlines()) == 1 + 3  # it does not grow for ever
@@ -381,18 +381,18 @@ def test_a_renderer_is_made_once_and_anew_after_an_error(
 
 
 def test_what_cannot_be_done_again_is_refused(again: Callable, refused: Refused, table: Path, tmp_path: Path) -> None:
-    here = tmp_path / "in"
-    np.save(here / "a.npy", frames())
-    call = ("render", table, here, *FAST)
-    assert "lie in one another" in refused(2, *call, "-o", here / "out")
-    for gone in (("--watch", here), ("--watch", here, "--every", 3)):
+    spot = tmp_path / "in"
+    np.save(spot / "a.npy", frames())
+    call = ("render", table, spot, *FAST)
+    assert "lie in one another" in refused(2, *call, "-o", spot / "out")
+    for gone in (("--watch", spot), ("--watch", spot, "--every", 3)):
         assert "--watch is no more; call again for what has arrived: l3 render" in refused(2, "render", table, *gone)
     again()
     assert "another table or options" in refused(2, *call, "-o", tmp_path / "out", "--resume", "--frames", "0")
     job = ClipJob(table, tmp_path / "new", RenderOptions())
     os.utime(table, (1, 1))
     with pytest.raises(L3Error, match="has changed since the run began"):
-        job.run([here / "a.npy"])
+        job.run([spot / "a.npy"])
 
 
 def test_ctrl_c_ends_many_clips_with_130_and_their_results(table: Path, tmp_path: Path) -> None:

@@ -415,7 +415,7 @@ def test_a_table_that_does_not_hold_its_camera_knows_its_sensitivity(
     assert "factor of 0.49" in l3("evaluate", tmp_path / "old.h5", frames["sensitivity"], "--json")[2]
 
 
-def test_a_report_says_so_too(pipeline: Path, frames: dict[str, Path], tmp_path: Path, l3: Callable) -> None:
+def test_a_report_states_it_too(pipeline: Path, frames: dict[str, Path], tmp_path: Path, l3: Callable) -> None:
     out = ("-o", tmp_path / "report.html", "--force", "--backend", "reference")
     code, _, err = l3("report", pipeline / "camera.h5", pipeline / "table.h5", frames["colour"], *out)
     assert code == 0

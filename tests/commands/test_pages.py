@@ -249,7 +249,7 @@ def test_an_orientation_that_tiff_does_not_know_is_refused(refused: Callable, de
     assert "a.tif: its orientation is 9, TIFF knows 1…8; mend the tag Orientation" in words
 
 
-def test_pages_say_what_they_are(l3: Callable, desk: Path) -> None:
+def test_pages_state_what_they_are(l3: Callable, desk: Path) -> None:
     call = ("render", desk / "table.h5", desk / "stack.npy", "--space", "rec2020", "--backend", "reference")
     for name in ("a.tif", "b.tif"):
         assert l3(*call, "-o", desk / name)[0] == 0

@@ -70,25 +70,25 @@ def a_pair(camera: CameraModel, raw: np.ndarray, target: np.ndarray) -> Training
 
 def test_patches_of_a_pair_have_the_layout_of_their_site(fiveband: CameraModel) -> None:
     shape = (64, 80)
-    near = neighbourhoods(fiveband.cfa, 9, 5)
+    close = neighbourhoods(fiveband.cfa, 9, 5)
     channel = fiveband.cfa.astype(int)[np.ix_(np.arange(64) % 4, np.arange(80) % 4)]
     target = np.broadcast_to(channel, (3, *shape)) * fiveband.saturation_exposure
     pair = a_pair(fiveband, 300 + 500 * channel, target)
-    maps = site_maps(near.channel, 9)
+    maps = site_maps(close.channel, 9)
     for site in sorted({samples.canonical for samples in maps}):
-        samples = sample_pair(pair, fiveband, near, site, 200, np.random.default_rng(0))
+        samples = sample_pair(pair, fiveband, close, site, 200, np.random.default_rng(0))
         assert len(samples.signal) == 200
         taps = np.rint((samples.signal * (fiveband.white_level - fiveband.black_level) + fiveband.black_level - 300) / 500)
-        assert np.array_equal(taps, np.broadcast_to(near.channel[site], taps.shape))
-        assert np.allclose(samples.target, near.channel[site][40])
+        assert np.array_equal(taps, np.broadcast_to(close.channel[site], taps.shape))
+        assert np.allclose(samples.target, close.channel[site][40])
 
 
 def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> None:
-    near = neighbourhoods(bayer.cfa, 5, 3)
+    close = neighbourhoods(bayer.cfa, 5, 3)
     rng = np.random.default_rng(0)
     mean = 0.5 * (bayer.white_level - bayer.black_level)
     noisy = bayer.black_level + mean + rng.standard_normal((128, 128)) * np.sqrt(bayer.noise_variance(np.array(mean)))
-    samples = sample_pair(a_pair(bayer, np.rint(noisy), np.ones((3, 128, 128))), bayer, near, 0, 4000, rng)
+    samples = sample_pair(a_pair(bayer, np.rint(noisy), np.ones((3, 128, 128))), bayer, close, 0, 4000, rng)
     assert samples.carried is not None
     span = bayer.white_level - bayer.black_level
     assert np.array_equal(samples.possible(np.full(4000, 3.0)), np.ones(4000))
@@ -100,7 +100,7 @@ def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> N
         assert signal.var() + variance.mean() == pytest.approx(expected, rel=0.02)
         assert values.var() == pytest.approx(expected * span**2, rel=0.03)
     clipped = np.where(rng.random((128, 128)) < 0.5, bayer.white_level, 500)
-    samples = sample_pair(a_pair(bayer, clipped, np.ones((3, 128, 128))), bayer, near, 0, 100, rng)
+    samples = sample_pair(a_pair(bayer, clipped, np.ones((3, 128, 128))), bayer, close, 0, 100, rng)
     assert np.array_equal(samples.possible(np.full(100, 0.1)), np.ones(100))
 
 
@@ -177,7 +177,7 @@ def test_a_wrong_pair_is_one_line(
     pair_recipe: str,
 ) -> None:
     first = pair_recipe.split("[[pair]]")[1]
-    for text, code, said in (
+    for text, code, words in (
         (f"[[pair]]{first}offset = [9, 0]\n", 3, "beyond the raw frame"),
         (f"[[pair]]{first}offset = [-1, 0]\n", 2, "offset"),
         (f'[target]\noutputs = "CIE 1964"\n[[pair]]{first}', 3, "no channels called X10"),
@@ -185,4 +185,4 @@ def test_a_wrong_pair_is_one_line(
     ):
         (tmp_path / "scenes.toml").write_text(text)
         line = refused(code, "simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
-        assert said in line
+        assert words in line

@@ -150,7 +150,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Pipelines:
 
 @pytest.mark.parametrize("place", ["clip", "camera"])
 @pytest.mark.parametrize("name", HOSTILE)
-def test_make_runs_nothing_that_a_name_says(place: str, name: str, hostile: Pipelines) -> None:
+def test_make_runs_nothing_that_a_name_states(place: str, name: str, hostile: Pipelines) -> None:
     assert hostile.judge_name("make", place, name) is None
 
 
@@ -166,7 +166,7 @@ def test_make_runs_nothing_that_a_name_says(place: str, name: str, hostile: Pipe
         pytest.param("snakemake", "camera", HOSTILE[2], marks=needs_snakemake),
     ],
 )
-def test_no_pipeline_runs_what_a_name_says(pipeline: str, place: str, name: str, hostile: Pipelines) -> None:
+def test_no_pipeline_runs_what_a_name_states(pipeline: str, place: str, name: str, hostile: Pipelines) -> None:
     assert hostile.judge_name(pipeline, place, name) is None
 
 
@@ -174,10 +174,10 @@ def test_no_pipeline_runs_what_a_name_says(pipeline: str, place: str, name: str,
 def test_a_name_that_make_cannot_hold_is_refused(name: str, workplace: Workplace, tmp_path: Path) -> None:
     assert run(["init", "bayer", str(tmp_path / "folder"), "--quiet"]) == 0
     process = workplace.start(tmp_path / "folder", shlex.join(["make", "-n", f"CAMERA={name}"]))
-    said = process.communicate()[1]
-    assert "CAMERA must be the name of one file" in said
-    assert "rename the file" in said
-    assert (process.returncode, said.count("\n")) == (2, 1)
+    words = process.communicate()[1]
+    assert "CAMERA must be the name of one file" in words
+    assert "rename the file" in words
+    assert (process.returncode, words.count("\n")) == (2, 1)
     assert not (tmp_path / "folder/PWNED").exists()
 
 
@@ -195,12 +195,12 @@ def test_a_stopped_make_goes_on_where_it_was(workplace: Workplace, folder: Path,
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == -signal.SIGINT, out + err
-    kept = {path: path.stat().st_mtime_ns for path in parts.iterdir()}
-    assert len(kept) > 2
+    rest = {path: path.stat().st_mtime_ns for path in parts.iterdir()}
+    assert len(rest) > 2
     assert not (folder / "training.h5").exists()
 
     workplace.do(folder, "make training.h5 L3=:")  # does what is done before and after l3
-    assert {path: path.stat().st_mtime_ns for path in parts.iterdir()} == kept
+    assert {path: path.stat().st_mtime_ns for path in parts.iterdir()} == rest
     assert workplace.do(folder, "make training.h5 JOBS=1")[1] == ["simulate training.h5"]
     assert (folder / "training.h5").read_bytes() == undisturbed
     assert not parts.exists()

@@ -67,7 +67,7 @@ def test_the_noise_model_of_the_page_is_simulated(installed: Path, pipeline: Pat
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "words"),
     [
         ("return np.array(planes)", "return np.array(planes[:2])", "these are of (2, "),
         ("return np.array(planes)", "return np.array(planes) * np.nan", "must be finite and of shape (3, "),
@@ -81,7 +81,7 @@ def test_the_noise_model_of_the_page_is_simulated(installed: Path, pipeline: Pat
     ],
 )
 def test_a_function_that_fails_is_named(
-    old: str, new: str, said: str, installed: Path, pipeline: Path, refused: Callable, tmp_path: Path
+    old: str, new: str, words: str, installed: Path, pipeline: Path, refused: Callable, tmp_path: Path
 ) -> None:
     (installed / "my_l3.py").write_text(PYTHON.replace(old, new))
     sys.dont_write_bytecode, before = True, sys.dont_write_bytecode
@@ -92,7 +92,7 @@ def test_a_function_that_fails_is_named(
         arguments = ("simulate", tmp_path / "a.toml", "--camera", pipeline / "camera.h5", "-o", tmp_path / "a.h5")
     line = refused(1, *arguments)
     sys.dont_write_bytecode = before
-    assert said in line
+    assert words in line
     assert f'l3: entry point "{name}" (l3cli.' in line
     assert "of my-l3 1.0 fails" in line
 
@@ -102,14 +102,14 @@ def test_names_that_are_taken_or_unknown_are_refused(
 ) -> None:
     entries = installed / "my_l3-1.0.dist-info/entry_points.txt"
     text = entries.read_text()
-    for name, said in {
+    for name, words in {
         "basic": "called like a baseline of l3",
         "ideal": 'rename "ideal"',
         "a/b": "other characters",
     }.items():
         entries.write_text(text.replace("boxes =", f"{name} ="))
         code = 2 if name == "ideal" else 1
-        assert said in refused(code, "evaluate", pipeline / "table.h5", pipeline / "unseen.h5")
+        assert words in refused(code, "evaluate", pipeline / "table.h5", pipeline / "unseen.h5")
     recipe, arguments = tmp_path / "a.toml", ("--camera", pipeline / "camera.h5", "-o", tmp_path / "a.h5")
     recipe.write_text((pipeline / "unseen.toml").read_text() + RECIPE.replace("telegraph", "telegraf"))
     assert 'no installed package has a noise model "telegraf"; did you mean' in refused(2, "simulate", recipe, *arguments)

@@ -75,7 +75,7 @@ def test_plain_files_hold_the_same_frame(tmp_path: Path, mosaic: np.ndarray, raw
 
 
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
-def test_pictures_of_mosaics_say_how_the_camera_was_held(tmp_path: Path, mosaic: np.ndarray, orientation: int) -> None:
+def test_pictures_of_mosaics_state_how_the_camera_was_held(tmp_path: Path, mosaic: np.ndarray, orientation: int) -> None:
     path = write_mono(tmp_path / "a.tif", mosaic, Orientation=orientation)
     frame = read_raw(path, RGGB)
     np.testing.assert_array_equal(frame.values, mosaic)
@@ -193,7 +193,7 @@ def test_force_replaces(l3: L3, tmp_path: Path, table: Path, raw: Path) -> None:
     assert read_image(tmp_path / "a.png")[0].shape == (RGGB.rows, RGGB.cols, 3)
 
 
-def test_values_above_the_converter_in_later_frames_are_said_once(
+def test_values_above_the_converter_in_later_frames_are_reported_once(
     l3: L3, tmp_path: Path, table: Path, mosaic: np.ndarray
 ) -> None:
     frames = np.stack([mosaic] * 4)

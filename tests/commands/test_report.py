@@ -66,7 +66,7 @@ def test_a_table_of_bands_is_judged_by_angles(pipeline: Path, tmp_path: Path, l3
     assert "Mean spectral angle (°) over 2 frames: ours " in (tmp_path / "report.html").read_text()
 
 
-def test_a_camera_that_was_accepted_although_it_falls_short_says_so(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
+def test_a_camera_that_was_accepted_although_it_falls_short_states_it(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
     camera = load(CameraModel, pipeline / "camera.h5")
     assert camera.fit is not None
     assert camera.fit.chart is not None
@@ -158,7 +158,7 @@ def page(camera: CameraModel, folder: Path, l3: L3) -> str:
     return (folder / "report.html").read_text()
 
 
-def test_a_page_says_what_to_rely_on(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+def test_a_page_states_what_to_rely_on(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     text = page(photographed(bayer, ("<b>one.dng</b>",), guessed=False, deficit=2.0), tmp_path, l3)
     plain = re.sub(r"\s+", " ", re.sub("<[^>]*>", " ", text))
     curve = 2.0 / bayer.responsivity.max(axis=1).min()

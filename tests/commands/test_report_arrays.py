@@ -156,7 +156,7 @@ def test_frames_of_one_name_that_show_other_scenes_are_not_compared(
     assert {"Camera: small Bayer (<i>bayer unseen.h5)", "Camera: small Bayer (older unseen.h5)"} <= {*sections(text)}
 
 
-def test_frames_of_other_sizes_stand_beside_one_another(
+def test_frames_of_other_sizes_stand_next_to_one_another(
     files: list[Path], quad: CameraModel, page: Callable, tmp_path: Path
 ) -> None:
     first = side_by_side(page(*files[:2], *write(tmp_path, "larger", quad, (2,), (40, 64)))[0])
@@ -165,7 +165,7 @@ def test_frames_of_other_sizes_stand_beside_one_another(
     assert 'class="comparison"' not in first
 
 
-def test_frames_of_an_array_without_a_table_are_said_to_be_left_out(files: list[Path], page: Callable) -> None:
+def test_frames_of_an_array_without_a_table_are_reported_to_be_left_out(files: list[Path], page: Callable) -> None:
     text, err = page(files[0], files[3])
     assert "quad unseen.h5 is of another colour filter array than <i>bayer.h5: nothing is evaluated on it" in err
     assert "Add, for each table, frames of its colour filter array" in text

@@ -81,7 +81,7 @@ def test_the_page_holds_every_section_and_stands_alone(page: Path) -> None:
         assert title in tags.text, title
 
 
-def test_the_picture_comes_first_with_figures_and_verdict_beside_it(page: Path) -> None:
+def test_the_picture_comes_first_with_figures_and_verdict_next_to_it(page: Path) -> None:
     text = page.read_text()
     first = text[text.index("<section") : text.index("</section>")]
     names = re.findall(r"<figcaption>(\w+):", first)
@@ -94,13 +94,13 @@ def test_the_picture_comes_first_with_figures_and_verdict_beside_it(page: Path) 
     assert "The worst and the best frame" in first
 
 
-def test_drawings_and_pictures_say_what_they_find(page: Path) -> None:
+def test_drawings_and_pictures_state_what_they_find(page: Path) -> None:
     tags = Tags(page)
     drawings = [svg["aria-label"] or "" for svg in tags.all("svg") if svg.get("role") == "img"]
     pictures = [image["alt"] or "" for image in tags.all("img")]
     assert len(drawings) > 15
     assert len(pictures) > 15
-    assert all(re.search(r"\d", said) and len(said) > 20 for said in drawings + pictures)
+    assert all(re.search(r"\d", words) and len(words) > 20 for words in drawings + pictures)
     assert all(svg.get("role") == "img" or svg.get("aria-hidden") == "true" or "x" in svg for svg in tags.all("svg"))
     assert all(cell.get("scope") in ("row", "col") for cell in tags.all("th"))
     named = {label["for"] for label in tags.all("label")}
@@ -313,9 +313,9 @@ def test_a_plot_is_saved_as_a_drawing_of_its_own(tab: Browser, whole_page: Path,
             break
         tab.run("new Promise((done) => setTimeout(done, 50))")
     drawing = ElementTree.parse(wanted[0]).getroot()
-    said = "".join(drawing.itertext())
+    words = "".join(drawing.itertext())
     assert drawing.get("width") == "440"
-    assert all(text in said for text in ("wavelength (nm)", "#1b1f24"))
+    assert all(text in words for text in ("wavelength (nm)", "#1b1f24"))
     assert [child.text for child in drawing][-6:][1::2] == ["r", "g", "b"]  # the legend, mark by mark
     assert "var(" not in wanted[0].read_text()
     assert wanted[1].read_text().startswith("series,wavelength (nm)")

@@ -72,7 +72,7 @@ def unpacked(text: str) -> View:
         return array
 
     for layer in head["layers"]:
-        classes, outputs, taps = layer["held"], len(head["outputs"]), layer["side"] ** 2 * len(layer["planes"])
+        classes, outputs, taps = layer["stored"], len(head["outputs"]), layer["side"] ** 2 * len(layer["planes"])
         largest = numbers("<f4", classes * outputs).reshape(classes, outputs, 1)
         labels = numbers("<u2", int(np.prod(head["size"]))).reshape(head["size"])
         root = numbers("i1", classes * outputs * taps).reshape(classes, outputs, taps) / 127
@@ -99,14 +99,14 @@ def test_every_pixel_has_its_classes_and_transforms(report: Report) -> None:
         assert np.array_equal(np.array([int(each["class"].split()[0]) for each in words])[labels], truth)
         wanted = layer.weights[[int(each["class"].split()[0]) for each in view.head["layers"][number]["classes"]]]
         assert np.abs(weights - wanted).max() <= 0.009 * np.abs(wanted).max()
-        for index, said in zip(np.unique(truth).tolist(), words, strict=True):
+        for index, answer in zip(np.unique(truth).tolist(), words, strict=True):
             of_class = (
                 class_words(report.table, index)
                 if isinstance(layer, MosaicLayer)
                 else plane_class_words(report.table, layer, index)
             )
-            assert of_class.items() <= said.items()
-            assert said["training"] == ("none: filled from a neighbour" if layer.samples[index] == 0 else
+            assert of_class.items() <= answer.items()
+            assert answer["training"] == ("none: filled from a neighbour" if layer.samples[index] == 0 else
                                         f"{layer.samples[index]:.0f} patches")  # fmt: skip
     assert view.head["channels"] == ["r", "<b>", "b"]
     assert "<b>" not in report.page.read_text()
@@ -118,7 +118,7 @@ def labels_of(report: Report) -> list[np.ndarray]:
     return [renderer.labels(report.raw, number) for number in range(2)]
 
 
-def test_classes_are_told_in_words(bayer: CameraModel) -> None:
+def test_classes_are_reported_in_words(bayer: CameraModel) -> None:
     table = with_later(colorimetric_table(bayer), 3)
     rule = table.first.rule
     words = class_words(table, rule.join(2, 1, 0, site=3))
@@ -185,21 +185,21 @@ def test_other_classes_follow_those_of_the_crop(report: Report) -> None:
             layer, head = report.table.layers[number], view.head["layers"][number]
             truth = truths[number]
             classes = [int(each["class"].split()[0]) for each in head["classes"]]
-            first = plain.head["layers"][number]["held"]
+            first = plain.head["layers"][number]["stored"]
             assert classes[:first] == np.unique(truth[top : top + labels.shape[0], left : left + labels.shape[1]]).tolist()
             assert len(set(classes)) == len(classes)
-            assert head["held"] == len(weights) <= len(classes)
+            assert head["stored"] == len(weights) <= len(classes)
             pixels = np.bincount(truth.ravel(), minlength=len(layer.weights))
-            held = head["pixels"] + [0] * (len(classes) - len(head["pixels"]))
-            assert held == pixels[classes].tolist()
-            assert (np.diff(held[first:]) <= 0).all()
+            stored = head["pixels"] + [0] * (len(classes) - len(head["pixels"]))
+            assert stored == pixels[classes].tolist()
+            assert (np.diff(stored[first:]) <= 0).all()
             if whole:
                 assert len(classes) == len(layer.weights)
-                assert head["held"] > first
+                assert head["stored"] > first
                 assert np.abs(weights - layer.weights[classes][: len(weights)]).max() <= 0.009 * np.abs(layer.weights).max()
-            for index, said in zip(classes, head["classes"], strict=True):
+            for index, answer in zip(classes, head["classes"], strict=True):
                 row, col = divmod(index // layer.rule.classes_per_site, 2)
-                assert said["site"] == f"({row}, {col}) {report.table.channels[report.table.cfa[row, col]]}"
+                assert answer["site"] == f"({row}, {col}) {report.table.channels[report.table.cfa[row, col]]}"
     assert unpacked(crop_of(*given, small, 0)[1]).head["layers"] == plain.head["layers"]
 
 
@@ -271,8 +271,8 @@ def test_the_drawn_transform_is_that_of_the_class(tab: Browser, report: Report) 
     tab.open(report.page)
     tab.run(READY)
     index = int(ReferenceRenderer(report.table).labels(report.raw)[SIZE[0] // 2, SIZE[1] // 2])
-    said = tab.run("[...document.querySelectorAll('.layer:nth-of-type(1) rect title')].map((each) => each.textContent)")
-    drawn = np.array([float(text.replace("−", "-")) for text in said[25:]]).reshape(3, 25)
+    answer = tab.run("[...document.querySelectorAll('.layer:nth-of-type(1) rect title')].map((each) => each.textContent)")
+    drawn = np.array([float(text.replace("−", "-")) for text in answer[25:]]).reshape(3, 25)
     wanted = report.table.first.weights[index]
     assert np.abs(drawn - wanted).max() <= 0.06 * np.abs(wanted).max()  # two digits of a weight in 127 roots
     roles = tab.run(
@@ -303,10 +303,10 @@ def test_any_class_is_looked_at_without_the_picture(tab: Browser, report: Report
     press(tab, "ArrowDown")
     second = int(np.argsort(-pixels, kind="stable")[1]) + each
     words = class_words(report.table, second)
-    said = tab.run("document.querySelector('.classes .reading').innerText")
-    assert f"{second} of {4 * each}" in said
-    assert words["level"] in said
-    assert f"{shares[1]} of its pixels" in said
+    answer = tab.run("document.querySelector('.classes .reading').innerText")
+    assert f"{second} of {4 * each}" in answer
+    assert words["level"] in answer
+    assert f"{shares[1]} of its pixels" in answer
     taps = report.table.first.weights.shape[1] * report.table.first.weights.shape[2] + 25
     assert tab.run("document.querySelectorAll('.classes .reading rect').length") == taps
     tab.run(f"{layer}.focus()")

@@ -163,7 +163,7 @@ def test_resuming_notices_inputs_that_changed(runs: Runs, kind: str) -> None:
     assert runs("--force", source=source) == (0, "", "")
 
 
-def test_resuming_takes_frames_that_were_mended_since_and_notices_those_that_are_gone(runs: Runs) -> None:
+def test_resuming_takes_frames_that_were_corrected_since_and_notices_those_that_are_gone(runs: Runs) -> None:
     runs.stop(2)
     other_frame(runs.frames / "frame_09.tif")
     (runs.frames / "frame_07.tif").rename(runs.folder / "frame_07.tif")
@@ -213,9 +213,9 @@ def test_a_stream_is_resumed_only_with_the_same_frames(tmp_path: Path, table: Pa
     cut = np.append(frames(), frames()[0])[: 3 * 20 * 28 + 5]
     assert fed(cut)[0] == 3
     assert len(list((tmp_path / "out").glob("*.png"))) == 3
-    code, said = fed(frames()[::-1], "--resume")
-    assert (code, said.count("\n")) == (2, 1)
-    assert "leave --resume out" in said
+    code, words = fed(frames()[::-1], "--resume")
+    assert (code, words.count("\n")) == (2, 1)
+    assert "leave --resume out" in words
     assert fed(frames()[:2], "--resume")[0] == 2
     assert fed(frames(), "--resume") == (0, "")
     assert len(list((tmp_path / "out").iterdir())) == COUNT

@@ -101,7 +101,7 @@ def test_colours_of_videos_are_those_that_were_written(name: str, tmp_path: Path
         assert np.allclose(srgb_curve(picture) * 255, colour, atol=3)
 
 
-def test_two_videos_are_read_beside_each_other(tmp_path: Path, l3: L3) -> None:
+def test_two_videos_are_read_next_to_each_other(tmp_path: Path, l3: L3) -> None:
     for name, sigma in {"a": 0.0, "b": 3.0}.items():
         with new_video(tmp_path / f"{name}.mkv", VideoChoice(Fraction(24), 8)) as video:
             for picture in pictures(sigma=sigma):
@@ -112,7 +112,7 @@ def test_two_videos_are_read_beside_each_other(tmp_path: Path, l3: L3) -> None:
     assert len(json.loads(out)["frames"]) == 4
 
 
-def test_another_exposure_is_said(ideal: Path, tmp_path: Path, l3: L3) -> None:
+def test_another_exposure_is_reported(ideal: Path, tmp_path: Path, l3: L3) -> None:
     folder_of(tmp_path / "dark", [picture // 2 for picture in pictures()])
     code, _, err = l3("evaluate", "--sequence", tmp_path / "dark", "--ideal", ideal, "--json")
     assert code == 0
@@ -120,7 +120,7 @@ def test_another_exposure_is_said(ideal: Path, tmp_path: Path, l3: L3) -> None:
     assert "--exposure" in err
 
 
-def test_what_does_not_belong_together_is_refused(ideal: Path, tmp_path: Path, refused: Refused) -> None:
+def test_what_does_not_belong_jointly_is_refused(ideal: Path, tmp_path: Path, refused: Refused) -> None:
     call = ("evaluate", "--ideal", ideal, "--sequence")
     few = folder_of(tmp_path / "few", pictures(3))
     assert "hold 3 and 4 pictures" in refused(3, *call, few)
@@ -143,7 +143,7 @@ def test_what_does_not_belong_together_is_refused(ideal: Path, tmp_path: Path, r
 
 
 @pytest.mark.parametrize(
-    ("given", "code", "said"),
+    ("given", "code", "words"),
     [
         ("none", 3, "does not exist"),
         ("empty", 3, "holds no pictures"),
@@ -155,7 +155,7 @@ def test_what_does_not_belong_together_is_refused(ideal: Path, tmp_path: Path, r
         ("grey.mkv", 3, "holds gray pixels"),
     ],
 )
-def test_what_is_no_sequence_is_refused(given: str, code: int, said: str, tmp_path: Path, refused: Refused) -> None:
+def test_what_is_no_sequence_is_refused(given: str, code: int, words: str, tmp_path: Path, refused: Refused) -> None:
     from tests.helpers.sequences import write_raw_video
 
     (tmp_path / "empty").mkdir()
@@ -164,7 +164,7 @@ def test_what_is_no_sequence_is_refused(given: str, code: int, said: str, tmp_pa
     (tmp_path / "broken.mkv").write_bytes(b"x" * 100)
     if given == "grey.mkv":
         write_raw_video(tmp_path / given, "gray")
-    assert said in refused(code, "evaluate", "--sequence", tmp_path / given)
+    assert words in refused(code, "evaluate", "--sequence", tmp_path / given)
 
 
 def test_a_call_is_of_one_kind(ideal: Path, refused: Refused) -> None:

@@ -48,7 +48,7 @@ def test_frames_are_scenes_times_lights_times_exposures(
     assert len(list(pictures.glob("*_raw.tif"))) == len(list(pictures.glob("*_ideal.png"))) == len(frames)
 
 
-def test_frames_say_what_they_show_whatever_the_camera_sees(
+def test_frames_state_what_they_show_whatever_the_camera_sees(
     l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "uv.toml").write_text(bayer_camera().replace("[400, 700, 10]", "[350, 830, 10]"))
@@ -69,12 +69,12 @@ def test_frames_say_what_they_show_whatever_the_camera_sees(
             assert code == 0, err
             with open_training_set(file) as reader:
                 frames[camera.stem == "uv", seed] = list(reader)
-        here, there, elsewhere = (frames[key] for key in ((False, 5), (True, 5), (False, 6)))
-        shown = [[vars(frame.shown) for frame in each] for each in (here, there, elsewhere)]
+        place, there, elsewhere = (frames[key] for key in ((False, 5), (True, 5), (False, 6)))
+        shown = [[vars(frame.shown) for frame in each] for each in (place, there, elsewhere)]
         assert all(shown_alike(one, other) for one, other in zip(*shown[:2], strict=True))
         assert not any(shown_alike(one, other) for one, other in zip(shown[0], shown[2], strict=True))
         assert shown[0][0]["light"] != shown[0][-1]["light"]  # that of a file
-        for one, other in zip(here, there, strict=True):  # what is known beyond the visible ends hardly matters to an eye
+        for one, other in zip(place, there, strict=True):  # what is known beyond the visible ends hardly matters to an eye
             np.testing.assert_allclose(one.target, other.target, atol=2e-3 * one.luminance)
 
 
@@ -131,11 +131,11 @@ def test_a_killed_run_goes_on_to_the_same_bytes(
     assert 3 <= len(stored) < 9
     assert not (tmp_path / "cut.h5").exists()
     stored[1].write_bytes(stored[1].read_bytes()[:1000])  # as after a power cut
-    kept = stored[0].stat().st_mtime_ns
+    left = stored[0].stat().st_mtime_ns
     assert (tmp_path / ".cut.h5.l3lock").exists()
     assert "another recipe" in l3(*arguments, tmp_path / "cut.h5", "--resume", "--seed", 4)[2]
     assert not (tmp_path / ".cut.h5.l3lock").exists()
-    assert stored[0].stat().st_mtime_ns == kept
+    assert stored[0].stat().st_mtime_ns == left
     assert l3(*arguments, tmp_path / "cut.h5", "--resume") == (0, "", "")
     assert (tmp_path / "cut.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
     assert not parts.exists()
@@ -146,7 +146,7 @@ LEAVES = '[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
 
 
 @pytest.mark.parametrize(
-    ("text", "code", "said"),
+    ("text", "code", "words"),
     [
         (HEAD + '[[scene]]\nsource = "live leaves"\nsize = [32, 32]\n', 2, "live leaves"),
         (HEAD + LEAVES + "colour = 3\n", 2, "colour"),
@@ -178,15 +178,15 @@ LEAVES = '[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
     ],
 )
 def test_a_wrong_recipe_is_one_line(
-    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, text: str, code: int, said: str
+    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, text: str, code: int, words: str
 ) -> None:
     recipe = tmp_path / "scenes.toml"
     recipe.write_text(text)
-    assert said in refused(code, "simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
+    assert words in refused(code, "simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
 
 
 @pytest.mark.parametrize(
-    ("lines", "said"),
+    ("lines", "words"),
     [
         (["400,1", "450,1", "700,1"], "gap"),
         (["400,1", "410,nan", "420,1"], "every value"),
@@ -197,12 +197,12 @@ def test_a_wrong_recipe_is_one_line(
     ],
 )
 def test_a_wrong_lamp_is_one_line(
-    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, lines: list[str], said: str
+    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, lines: list[str], words: str
 ) -> None:
     (tmp_path / "lamp.csv").write_text("\n".join(["nm,W", *lines]))
     (tmp_path / "scenes.toml").write_text(HEAD.replace("D65", "0.5 lamp.csv + 0.5 D65") + LEAVES)
     line = refused(3, "simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
-    assert said in line
+    assert words in line
     assert "lamp.csv" in line
 
 

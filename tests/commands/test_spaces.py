@@ -45,7 +45,7 @@ def outputs(folder: Path) -> np.ndarray:
     return ReferenceRenderer(TABLE).exact_outputs(frame)
 
 
-def said(path: Path) -> Any:
+def words(path: Path) -> Any:
     """What a file says of itself, by OpenImageIO."""
     source = oiio.ImageInput.open(str(path))
     assert source is not None
@@ -164,27 +164,27 @@ def test_stops_of_a_picture_and_of_what_a_raw_file_states(l3: Callable, desk: Pa
     assert read_image(desk / "+1EV.png")[0].mean() > 1.1 * read_image(desk / "auto.png")[0].mean()
 
 
-def test_outputs_as_they_are_say_their_white(l3: Callable, desk: Path) -> None:
+def test_outputs_as_they_are_state_their_white(l3: Callable, desk: Path) -> None:
     for name in ("o.exr", "o.tif"):
         assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / name, "--bits", 32)[0] == 0
         np.testing.assert_allclose(np.moveaxis(read_image(desk / name)[0], -1, 0), outputs(desk), atol=1e-5)
-    spec = said(desk / "o.exr")
+    spec = words(desk / "o.exr")
     np.testing.assert_allclose(spec["chromaticities"], (1, 0, 0, 1, 0, 0, 1 / 3, 1 / 3), atol=1e-6)
     np.testing.assert_allclose(spec["adoptedNeutral"], chromaticity_of(TABLE.white_point), atol=1e-6)
-    profile = ImageCms.ImageCmsProfile(io.BytesIO(said(desk / "o.tif")["ICCProfile"].tobytes()))
+    profile = ImageCms.ImageCmsProfile(io.BytesIO(words(desk / "o.tif")["ICCProfile"].tobytes()))
     assert profile.profile.profile_description == "CIE XYZ"
 
 
 def test_exr_has_the_chromaticities_of_its_space(l3: Callable, desk: Path) -> None:
     assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "c.exr", "--space", "acescg")[0] == 0
-    spec = said(desk / "c.exr")
+    spec = words(desk / "c.exr")
     np.testing.assert_allclose(
         spec["chromaticities"], (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767), atol=1e-6
     )
 
 
 @pytest.mark.parametrize(
-    ("output", "options", "said"),
+    ("output", "options", "words"),
     [
         ("x.png", ("--space", "acescg"), "name an .exr, or a .tif with --bits 32"),
         ("x.tif", ("--space", "xyz", "--bits", 16), "linear"),
@@ -196,7 +196,7 @@ def test_exr_has_the_chromaticities_of_its_space(l3: Callable, desk: Path) -> No
     ],
 )
 def test_spaces_that_cannot_be_are_refused(
-    refused: Callable, desk: Path, output: str, options: tuple[str, ...], said: str
+    refused: Callable, desk: Path, output: str, options: tuple[str, ...], words: str
 ) -> None:
-    assert said in refused(2, "render", desk / "table.h5", desk / "frame.npy", "-o", desk / output, *options)
+    assert words in refused(2, "render", desk / "table.h5", desk / "frame.npy", "-o", desk / output, *options)
     assert not (desk / output).exists()

@@ -36,9 +36,9 @@ def rendered(desk: Path, cache: Path, frame: str) -> dict[str, Any]:
     known |= {"PYTHONPATH": str(CONFIGS.parent), "XDG_CACHE_HOME": str(cache)}
     call = [sys.executable, "-c", PROGRAM, "render", f"{desk}/table.h5", f"{desk}/{frame}", "-o", f"{desk}/x.png", "--force"]
     ended = subprocess.run(call, env=known, capture_output=True, text=True, check=True)
-    said: dict[str, Any] = json.loads(ended.stdout)
-    assert said["code"] == 0, ended.stderr
-    return said
+    words: dict[str, Any] = json.loads(ended.stdout)
+    assert words["code"] == 0, ended.stderr
+    return words
 
 
 def cached(cache: Path) -> dict[Path, int]:
@@ -50,18 +50,18 @@ def test_one_frame_needs_one_process_few_libraries_and_few_programs(desk: Path, 
     first = rendered(desk, tmp_path, "raw.tif")
     assert not UNNEEDED & set(first["modules"])
     assert not first["isolated"]
-    kept = cached(tmp_path)
+    left = cached(tmp_path)
     assert (
-        sum(path.name == "program.bc" for path in kept) == 2
+        sum(path.name == "program.bc" for path in left) == 2
     )  # classes and transforms of a layer; what encodes their outputs
     made = (desk / "x.png").read_bytes()
     second = rendered(desk, tmp_path, "raw.tif")
     assert set(second["modules"]) <= set(first["modules"])
-    assert cached(tmp_path) == kept
+    assert cached(tmp_path) == left
     assert (desk / "x.png").read_bytes() == made
 
 
-def test_nothing_is_said_when_all_is_done(desk: Path) -> None:
+def test_nothing_is_reported_when_all_is_done(desk: Path) -> None:
     """Libraries tell of their objects that are still there when Python ends, of a picture's file among them."""
     call = [sys.executable, "-m", "l3cli", "render", "table.h5", "raw.tif", "-o", "y.exr", "--force", "--quiet"]
     ended = subprocess.run(

@@ -146,7 +146,7 @@ def test_frames_filtered_in_time_are_those_of_the_command_in_any_order(
     assert (alone != expected[2]).any()
 
 
-def test_floating_point_is_linear_and_says_so(folder: Path) -> None:
+def test_floating_point_is_linear_and_states_it(folder: Path) -> None:
     from l3cli.video_hosts.vapoursynth import render
 
     frame = render(mosaics(), folder / "table.h5", bits=32, exposure=0.7).get_frame(1)
@@ -177,7 +177,7 @@ def test_a_clip_has_the_size_that_it_has(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("clip", "options", "said"),
+    ("clip", "options", "words"),
     [
         ({}, {"exposure": -1.0}, r"exposure -1 is not within 1e-09…1e\+09 times Y"),
         ({}, {"bits": 10}, "10 bits is not a depth of pictures; ask for 8, 16 or 32"),
@@ -194,11 +194,11 @@ def test_a_clip_has_the_size_that_it_has(folder: Path) -> None:
         ({"varsize": True}, {}, "differ in format or size"),
     ],
 )
-def test_mistakes_are_one_line(folder: Path, clip: dict[str, Any], options: dict[str, Any], said: str) -> None:
+def test_mistakes_are_one_line(folder: Path, clip: dict[str, Any], options: dict[str, Any], words: str) -> None:
     from l3cli.video_hosts.vapoursynth import render
 
     form = {**clip, "format": getattr(vs, clip.get("format", "GRAY16"))}
-    with pytest.raises(vs.Error, match=said) as raised:
+    with pytest.raises(vs.Error, match=words) as raised:
         render(vs.core.std.BlankClip(width=28, height=20, **form), **{"table": folder / "table.h5", **options})
     assert str(raised.value).startswith("l3: ")
     assert "\n" not in str(raised.value)

@@ -56,7 +56,7 @@ def frame_times(path: Path) -> list[float]:
 
 
 @pytest.mark.parametrize("arguments", list(OUTPUTS), ids=lambda arguments: " ".join(map(str, arguments)))
-def test_videos_say_what_they_hold(
+def test_videos_state_what_they_hold(
     l3: L3, tmp_path: Path, table: Path, stack: Path, arguments: tuple[int | str, ...]
 ) -> None:
     name, options = str(arguments[0]), arguments[1:]
@@ -351,7 +351,7 @@ def test_the_times_of_a_variable_rate_are_kept(rendered: Callable, tmp_path: Pat
     np.testing.assert_allclose(frame_times(tmp_path / output), np.array(UNEVEN) / 1000, atol=1e-3)
 
 
-def test_times_that_an_output_cannot_hold_are_said(rendered: Callable, tmp_path: Path) -> None:
+def test_times_that_an_output_cannot_hold_are_reported(rendered: Callable, tmp_path: Path) -> None:
     clip = write_raw_video(tmp_path / "v.mkv", times=UNEVEN)
     for output, why in (("a.y4m", "y4m shows 24 a second"), ("pictures", "pictures have no times"), ("a.tif", "no times")):
         state, (warning,) = rendered(clip, output)

@@ -103,7 +103,7 @@ def test_a_grey_of_the_picture_or_a_name_shows_it_neutral(
     assert abs(grey(tmp_path / "a.png")[..., 1].mean() - grey(tmp_path / "b.png")[..., 1].mean()) < 4
 
 
-def test_automatic_white_is_told_and_takes_most_of_a_cast_away(
+def test_automatic_white_is_reported_and_takes_most_of_a_cast_away(
     l3: Callable, table: Path, warm: Path, tmp_path: Path
 ) -> None:
     code, _, err = l3("render", table, warm, "--white", "auto", "-o", tmp_path / "a.png", *FAST)

@@ -122,7 +122,7 @@ def test_a_decoder_that_sleeps_is_ended_by_the_clock(limited: None, monkeypatch:
         sleep(Path("bad.dng"))
 
 
-def test_who_trusts_decodes_here(limited: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_trusts_decodes_in_place(limited: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(TRUST, "1")
     assert echo(Path("f"), "", 0)["process"] == os.getpid()
     with pytest.raises(InputFileError, match=r"^f cannot be decoded \(IndexError"):

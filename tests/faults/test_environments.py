@@ -56,7 +56,7 @@ def test_a_command_does_the_same_wherever_it_runs(desk: Path, place: Place) -> N
     assert judge(desk, place) is None
 
 
-def test_what_cannot_be_said_changes_no_exit_code(desk: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_reported_changes_no_exit_code(desk: Path, tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
         for arguments, code in (
             (("info", "nothing.h5"), 3),
@@ -134,7 +134,7 @@ def test_a_terminal_of_no_size_gets_a_bar(size: str) -> None:
     assert "3/3" in in_terminal([sys.executable, "-c", bar], {"COLUMNS": size, "LINES": size})
 
 
-def test_who_says_yes_trusts_and_who_says_no_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_states_yes_trusts_and_who_states_no_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
     for word in ("", "0", "false", "False", "no", "OFF", " no ", "n", "f", "1", "true", "Yes", "ON", "y", "t"):
         monkeypatch.setenv(TRUST, word)
         assert trusted() == (word.lower() in ("1", "true", "yes", "on", "y", "t"))
@@ -144,7 +144,7 @@ def test_who_says_yes_trusts_and_who_says_no_does_not(monkeypatch: pytest.Monkey
     ("name", "value", "words"),
     [(TRUST, "maybe", "neither yes nor no"), (SECONDS, "soon", "no number"), (MEGAPIXELS, "-1", "not within")],
 )
-def test_what_a_variable_says_is_checked_where_nothing_depends_on_it(
+def test_what_a_variable_states_is_checked_where_nothing_depends_on_it(
     name: str, value: str, words: str, desk: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(name, value)
@@ -216,24 +216,24 @@ def test_an_error_of_a_damaged_cache_names_the_folder(tmp_path: Path) -> None:
         pytest.skip("no cache of PoCL")
     for path in programs:
         os.truncate(path, path.stat().st_size // 2)
-    said = compute(XDG_CACHE_HOME=str(tmp_path)).stderr
-    assert f"DeviceError: {tmp_path}/l3cli/pocl holds damaged kernels; remove that folder" in said
+    answer = compute(XDG_CACHE_HOME=str(tmp_path)).stderr
+    assert f"DeviceError: {tmp_path}/l3cli/pocl holds damaged kernels; remove that folder" in answer
 
 
 @pytest.mark.parametrize("mode", [0o770, 0o703])
 def test_a_cache_that_others_may_write_to_is_not_used(tmp_path: Path, mode: int) -> None:
     tmp_path.chmod(mode)
-    said = computed(POCL_CACHE_DIR=str(tmp_path))
-    assert "compiled kernels cannot be cached" in said
-    assert "other users may write to it" in said
+    answer = computed(POCL_CACHE_DIR=str(tmp_path))
+    assert "compiled kernels cannot be cached" in answer
+    assert "other users may write to it" in answer
     assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize("variables", [{"HOME": "/proc"}, {"HOME": ""}])
 def test_kernels_are_compiled_without_a_cache(variables: dict[str, str]) -> None:
-    said = computed(**variables)
-    assert "compiled kernels cannot be cached" in said
-    assert not Path(said.split()[0]).exists()
+    answer = computed(**variables)
+    assert "compiled kernels cannot be cached" in answer
+    assert not Path(answer.split()[0]).exists()
 
 
 def test_a_full_disk_for_the_cache_is_one_warning(desk: Path, tmp_path: Path) -> None:

@@ -87,7 +87,7 @@ def clear(server: ForkServer) -> None:
 
 def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: Callable) -> bool:
     """Kill a run at a random moment; whether it was still running. What must hold is asserted here."""
-    whole, said, seconds = truth(stage)
+    whole, words, seconds = truth(stage)
     clear(server)
     moment = random.Random(f"{stage.name} {seed}").uniform(0, seconds)
     ended = server.run(*stage.arguments, kill=(moment, number))
@@ -109,7 +109,7 @@ def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: C
     assert again.err.count("\n") <= 1
     assert again.code == 0 or (again.code == 1 and "--force" in again.err and finished == whole)
     if again.code == 0:
-        assert again.out == said
+        assert again.out == words
     assert contents(server.folder) == whole
     return ended.code != 0
 
@@ -118,7 +118,7 @@ def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: C
     *("lab", "calibrate", "simulate", "simulate, pictures", "train", "train, shard", "still", "sequence", "video"),
     *("train, two layers", "evaluate", "report"),
 )
-def test_a_killed_run_leaves_nothing_that_the_next_does_not_mend(stage: Stage, server: ForkServer, truth: Callable) -> None:
+def test_a_killed_run_leaves_nothing_that_the_next_does_not_fix(stage: Stage, server: ForkServer, truth: Callable) -> None:
     kill_once(stage, signal.SIGKILL, 0, server, truth)
 
 
@@ -298,7 +298,7 @@ def test_a_full_stdout_is_one_line(inputs: Path) -> None:
 def kill_worker(stage: Stage, seed: int, server: ForkServer, truth: Callable) -> bool:
     """Kill one of a run's workers at a random moment; whether that ended the run. One process then goes on alone."""
     alone = STAGES[[each.line for each in STAGES].index(stage.line.removesuffix(" --jobs 2"))]
-    whole, said, seconds = truth(alone)
+    whole, words, seconds = truth(alone)
     clear(server)
     child = server.start(*stage.arguments)
     while not (workers := workers_of(child)) and Path(f"/proc/{child}/stat").exists():
@@ -315,7 +315,7 @@ def kill_worker(stage: Stage, seed: int, server: ForkServer, truth: Callable) ->
         assert (ended.code, ended.err.count("\n")) == (1, 1)
         assert "a worker process was ended from outside" in ended.err
         again = server.run(*alone.again)
-        assert (again.code, again.out, again.err) == (0, said, "")
+        assert (again.code, again.out, again.err) == (0, words, "")
     assert contents(server.folder) == whole
     return ended.code != 0
 

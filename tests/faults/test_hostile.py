@@ -127,12 +127,12 @@ def test_a_dng_is_read_to_the_pixels_that_its_tags_describe_or_refused(shop: Wor
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_frames_keep_their_times_or_it_is_said(shop: Workshop, seed: int) -> None:
+def test_frames_keep_their_times_or_it_is_reported(shop: Workshop, seed: int) -> None:
     clip = FrameTimes().draw(Seeded(seed))
     assert FrameTimes().judge(shop, clip) is None, clip
 
 
-KEPT_NUMBERS = [
+SAVED_NUMBERS = [
     Call(OPTIONS[0].replace("{n}", "29.97002997")),
     Call("train training.h5 --classes classes.toml -o {out}/t.h5 --shard 1/1" + 23 * "0"),
     Call("render table.h5 stack.npy -o {out}/p --backend reference --frames 0-9999999999 --skip-bad"),
@@ -140,13 +140,13 @@ KEPT_NUMBERS = [
 ]
 
 
-@pytest.mark.parametrize("call", KEPT_NUMBERS, ids=str)
-def test_numbers_that_once_failed_stay_mended(shop: Workshop, call: Call) -> None:
+@pytest.mark.parametrize("call", SAVED_NUMBERS, ids=str)
+def test_numbers_that_once_failed_stay_corrected(shop: Workshop, call: Call) -> None:
     assert hostile_numbers.judge(shop, call) is None
 
 
 # Failures of the long runs, each mended at its cause: a subject, a command, what is replaced in the whole file.
-KEPT: list[tuple[str, int, bytes, bytes]] = [
+SAVED: list[tuple[str, int, bytes, bytes]] = [
     ("frame.npy", 0, b"(20, 24)", b"(20, 24\n"),  # Python's tokenizer fails on the header
     ("lab.toml", 0, b"step_nm = 30.0", b"step_nm = 1e-30"),  # more wavelengths than there is memory
     ("lab.toml", 0, b"hot_pixels_per_million = 400", b"hot_pixels_per_million = 1e20"),
@@ -170,14 +170,14 @@ KEPT: list[tuple[str, int, bytes, bytes]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "command", "old", "new"), KEPT)
-def test_files_that_once_failed_stay_mended(shop: Workshop, name: str, command: int, old: bytes, new: bytes) -> None:
+@pytest.mark.parametrize(("name", "command", "old", "new"), SAVED)
+def test_files_that_once_failed_stay_corrected(shop: Workshop, name: str, command: int, old: bytes, new: bytes) -> None:
     subject = next(subject for subject in SUBJECTS if subject.name == name)
     assert old in shop.whole[name]
     assert shop.judge_content(subject, shop.whole[name].replace(old, new), command) is None
 
 
-KEPT_VALUES: list[tuple[str, int, str, Any]] = [
+SAVED_VALUES: list[tuple[str, int, str, Any]] = [
     ("training.h5", 1, "frames/00000/white", np.array([-1e30, 100.0, 108.9])),  # moments that run over
     ("training.h5", 1, "frames/00000/luminance", -1.0),
     ("training.h5", 2, "outputs", np.array([b"X", b"Y"])),
@@ -191,7 +191,7 @@ KEPT_VALUES: list[tuple[str, int, str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "command", "dataset", "value"), KEPT_VALUES)
+@pytest.mark.parametrize(("name", "command", "dataset", "value"), SAVED_VALUES)
 def test_values_that_once_passed_stay_refused(shop: Workshop, name: str, command: int, dataset: str, value: Any) -> None:
     subject = next(subject for subject in SUBJECTS if subject.name == name)
     image = io.BytesIO(shop.whole[name])

@@ -43,11 +43,11 @@ def protected(desk: Path, refused: Callable[..., str]) -> Callable[..., str]:
     """Run a command that must be refused because of an output, by one line, and must change nothing."""
 
     def call(line: str) -> str:
-        held = contents(desk)
-        said = refused(2, *line.split())
-        assert "is an input" in said
-        assert contents(desk) == held
-        return said
+        stored = contents(desk)
+        answer = refused(2, *line.split())
+        assert "is an input" in answer
+        assert contents(desk) == stored
+        return answer
 
     return call
 
@@ -62,15 +62,15 @@ def test_stored_frames_are_not_removed_where_they_are_what_is_read(desk: Path, p
 def test_what_is_named_like_ours_is_not_removed_where_it_is_read(
     desk: Path, protected: Callable[..., str], l3: Callable
 ) -> None:
-    spared_name = desk / ".a.0123abcd.l3tmp.npy"
-    np.save(spared_name, frames()[0])
-    held = spared_name.read_bytes()
-    assert l3("render", "table.h5", spared_name, "-o", "a.png", *FAST)[0] == 0
-    assert l3("render", "table.h5", spared_name, "-o", "pictures", *FAST)[0] == 0
+    protected_name = desk / ".a.0123abcd.l3tmp.npy"
+    np.save(protected_name, frames()[0])
+    stored = protected_name.read_bytes()
+    assert l3("render", "table.h5", protected_name, "-o", "a.png", *FAST)[0] == 0
+    assert l3("render", "table.h5", protected_name, "-o", "pictures", *FAST)[0] == 0
     np.save(desk / "a.npy", frames()[0])
     (desk / "a.npy").rename(desk / ".b.png.l3lock")
     protected("render table.h5 .b.png.l3lock -o b.png")
-    assert spared_name.read_bytes() == held
+    assert protected_name.read_bytes() == stored
 
 
 def test_recipes_are_not_copied_over_themselves(
@@ -93,18 +93,18 @@ def test_a_stream_from_a_file_is_not_replaced(desk: Path, output: str) -> None:
     (desk / "out").mkdir()
     for name in ("link.mkv", "out/000003.png"):
         os.link(desk / "clip.raw", desk / name)
-    held = contents(desk)
-    code, said = streamed("render table.h5 - --size 20x28 --force", f"-o {output} < clip.raw")
-    assert (code, said.count("\n")) == (2, 1), said
-    assert f"{'link.mkv' if output[0] == 'l' else 'out/000003.png'} is an input, stdin;" in said
-    assert contents(desk) == held
+    stored = contents(desk)
+    code, answer = streamed("render table.h5 - --size 20x28 --force", f"-o {output} < clip.raw")
+    assert (code, answer.count("\n")) == (2, 1), answer
+    assert f"{'link.mkv' if output[0] == 'l' else 'out/000003.png'} is an input, stdin;" in answer
+    assert contents(desk) == stored
 
 
 def test_a_stream_is_not_written_behind_what_is_read(desk: Path) -> None:
-    held = contents(desk)
-    code, said = streamed("render table.h5 clip.raw --size 20x28", "-o - >> clip.raw")
-    assert (code, said) == (2, "l3: stdout is an input, clip.raw; name another output\n")
-    assert contents(desk) == held
+    stored = contents(desk)
+    code, answer = streamed("render table.h5 clip.raw --size 20x28", "-o - >> clip.raw")
+    assert (code, answer) == (2, "l3: stdout is an input, clip.raw; name another output\n")
+    assert contents(desk) == stored
 
 
 @pytest.mark.parametrize("changed", ["curves.csv", "cube.img"])

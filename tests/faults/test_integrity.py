@@ -114,7 +114,7 @@ def test_a_file_without_its_digest_or_before_its_first_byte_is_refused(
 ) -> None:
     content = artifacts["camera"].read_bytes()
     path = tmp_path / "camera.h5"
-    for bad, says in (
+    for bad, words in (
         (content[container.BLOCK :], "lacks the digest"),
         (bytes(container.BLOCK) + content[container.BLOCK :], "no l3 artifact, or damaged"),
         (content[:-1], "truncated or damaged"),
@@ -123,7 +123,7 @@ def test_a_file_without_its_digest_or_before_its_first_byte_is_refused(
         (b"", "not an HDF5 file"),
     ):
         path.write_bytes(bad)
-        assert says in refused(3, "info", path)
+        assert words in refused(3, "info", path)
 
 
 # ---------------------------------------------------------------------------------------------------------- versions

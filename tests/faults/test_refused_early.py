@@ -208,7 +208,7 @@ def test_no_control_character_reaches_the_terminal(l3: Callable, tmp_path: Path)
 HURT = "r\x1b[31m\x07\x9b\u202e\nmean  0.00"
 
 
-def test_what_names_say_moves_no_cursor_and_makes_no_line(l3: Callable, pipeline: Path, tmp_path: Path) -> None:
+def test_what_names_state_moves_no_cursor_and_makes_no_line(l3: Callable, pipeline: Path, tmp_path: Path) -> None:
     """Names of channels, scenes and lights in artifacts, and whatever stands in the JSON of others."""
     from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
@@ -260,7 +260,7 @@ def test_a_picture_is_read_alike_by_both_readers(tmp_path: Path, monkeypatch: py
     write_mosaic(tmp_path / "a.tif", np.arange(480, dtype=np.uint16).reshape(20, 24))
     away = read_image(tmp_path / "a.tif")
     monkeypatch.setenv(TRUST, "1")
-    here = read_image(tmp_path / "a.tif")
-    np.testing.assert_array_equal(away[0], here[0])
-    assert away[1] == here[1]
+    place = read_image(tmp_path / "a.tif")
+    np.testing.assert_array_equal(away[0], place[0])
+    assert away[1] == place[1]
     assert json.dumps(away[1])

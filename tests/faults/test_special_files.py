@@ -29,10 +29,10 @@ def places(tmp_path: Path) -> Path:
     (folder / "dangling").symlink_to("nowhere")
     (folder / "loop").symlink_to("loop")
     one = socket.socket(socket.AF_UNIX)
-    here = os.getcwd()
+    place = os.getcwd()
     os.chdir(folder)  # names of sockets are short
     one.bind("socket")
-    os.chdir(here)
+    os.chdir(place)
     one.close()
     return folder
 

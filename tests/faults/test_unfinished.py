@@ -111,7 +111,7 @@ def test_another_run_is_kept_off_the_pictures_of_a_killed_one(folder: Path, l3: 
     assert contents().items() >= {name: left[name] for name in left if "l3lock" not in name}.items()
 
 
-def test_pictures_that_are_missing_beside_a_set_are_made_of_it(folder: Path, l3: Callable, refused: Callable) -> None:
+def test_pictures_that_are_missing_next_to_a_set_are_made_of_it(folder: Path, l3: Callable, refused: Callable) -> None:
     assert l3(*SIMULATE.split()) == (0, "", "")
     whole = contents()
     shutil.rmtree("out/pictures")
@@ -136,7 +136,7 @@ def test_a_run_killed_when_all_is_there_leaves_nothing_to_the_next(folder: Path,
 
 
 def test_an_evaluation_killed_among_its_pictures_is_finished(folder: Path, l3: Callable, refused: Callable) -> None:
-    code, said, err = l3(*EVALUATE.split())
+    code, words, err = l3(*EVALUATE.split())
     assert (code, err) == (0, "")
     whole = contents()
     assert len(whole) >= 3 * 4
@@ -147,7 +147,7 @@ def test_an_evaluation_killed_among_its_pictures_is_finished(folder: Path, l3: C
     other = "is not empty; add --force"
     assert other in l3(*EVALUATE.replace("set.h5", "training.h5").split())[2]
     assert other in l3(*EVALUATE.split(), "--viewing", "30")[2]
-    assert l3(*EVALUATE.split()) == (0, said, "")
+    assert l3(*EVALUATE.split()) == (0, words, "")
     assert contents() == whole
 
 

@@ -118,8 +118,10 @@ def serve() -> None:
         if asked["disk"]:
             subprocess.run(["umount", "out"], check=True)
         words = {name: Path(f"{os.getpid()}.{name}") for name in ("out", "err")}
-        said = {name: file.read_text() if file.exists() else "" for name, file in words.items()}  # killed before it had any
-        _send({"code": code, **said, "left": left})
+        reported = {
+            name: file.read_text() if file.exists() else "" for name, file in words.items()
+        }  # killed before it had any
+        _send({"code": code, **reported, "left": left})
 
 
 def _send(answer: Any) -> None:
@@ -133,10 +135,10 @@ def _become(arguments: list[str]) -> None:
 
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for number, name in ((1, "out"), (2, "err")):
-        said = f"{os.getppid()}.{name}"
-        if os.path.exists(said):
-            os.unlink(said)  # workers of a killed run may still have something to say to theirs
-        os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), number)
+        reported = f"{os.getppid()}.{name}"
+        if os.path.exists(reported):
+            os.unlink(reported)  # workers of a killed run may still have something to say to theirs
+        os.dup2(os.open(reported, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), number)
     sys.argv = ["l3", *arguments]
     for each in ENDING:
         signal.signal(each, signals.end)

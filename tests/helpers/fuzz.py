@@ -48,7 +48,7 @@ class Guided:
 class Court:
     """Judges inputs, and keeps those that fail."""
 
-    def __init__(self, shop: Any, seen: list[str], kept: Path, only: str | None) -> None:
+    def __init__(self, shop: Any, seen: list[str], left: Path, only: str | None) -> None:
         from tests.helpers import hostile_numbers
         from tests.helpers.hostile import SUBJECTS
         from tests.helpers.hostile_dng import DngTags
@@ -63,21 +63,21 @@ class Court:
         every: tuple[Any, ...] = (*SUBJECTS, *hostile_numbers.subjects(shop), *further)
         chosen = [subject for subject in every if only is None or subject.name == only]
         self.subjects = [subject for turn in range(3) for subject in chosen if only or subject.often > turn]
-        self._shop, self._seen, self._kept = shop, seen, kept
+        self._shop, self._seen, self._saved = shop, seen, left
 
     def judge(self, number: int, subject: Any, choices: Any) -> str | None:
         """Spoil the subject's file and have it read, or make the call it draws; what did not hold, or None."""
         if hasattr(subject, "draw"):
             call, command = subject.draw(choices), 0
-            content, held = str(call).encode(), lambda: subject.judge(self._shop, call)
+            content, stored = str(call).encode(), lambda: subject.judge(self._shop, call)
         else:
             content = subject.spoil(self._shop.whole[subject.name], choices)
             command = choices.integer(0, len(subject.commands) - 1)
-            held = lambda: self._shop.judge_content(subject, content, command)  # noqa: E731
-        mark = self._kept / f"{number}_{command}_{subject.name.replace('/', '_')}"
+            stored = lambda: self._shop.judge_content(subject, content, command)  # noqa: E731
+        mark = self._saved / f"{number}_{command}_{subject.name.replace('/', '_')}"
         mark.write_bytes(content)  # before it is read, which may be the end of this process
         start = time.process_time()
-        verdict = held() or (self._seen.pop() if self._seen else None)
+        verdict = stored() or (self._seen.pop() if self._seen else None)
         if (took := time.process_time() - start) > SLOW:
             print(f"{mark.name}: slow, {took:.1f} s", flush=True)
         if verdict is None:
@@ -91,20 +91,20 @@ class Court:
         """Have a command write over what it reads; what did not hold, or None."""
         verdict = self._identities.judge(choices) or (self._seen.pop() if self._seen else None)
         if verdict is not None:
-            mark = self._kept / f"{number}_{IDENTITIES}.txt"
+            mark = self._saved / f"{number}_{IDENTITIES}.txt"
             mark.write_text(verdict)
             print(f"{mark.name}: {verdict.strip().splitlines()[-1]}", flush=True)
         return verdict
 
 
 @contextmanager
-def court(kept: Path, only: str | None) -> Iterator[Court]:
+def court(left: Path, only: str | None) -> Iterator[Court]:
     from tests.helpers.hostile import Workshop, confined, watched
 
     with tempfile.TemporaryDirectory(prefix="l3-fuzz-") as name:
         shop = Workshop(Path(name))
-        with confined(), watched(Path(tempfile.gettempdir()), kept.absolute()) as seen:
-            yield Court(shop, seen, kept, only)
+        with confined(), watched(Path(tempfile.gettempdir()), left.absolute()) as seen:
+            yield Court(shop, seen, left, only)
 
 
 def batch(chosen: argparse.Namespace) -> int:

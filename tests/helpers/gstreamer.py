@@ -23,9 +23,9 @@ assert Gst.ElementFactory.find("rawvideoparse")
 def environment() -> dict[str, str]:
     """That of a program of the system that is to find this environment's packages."""
     packages = [path for path in sys.path if path.endswith("-packages")]
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("VIRTUAL_ENV", "GST_"))}
+    left = {name: value for name, value in os.environ.items() if not name.startswith(("VIRTUAL_ENV", "GST_"))}
     plugins = {"GST_PLUGIN_PATH": str(ROOT / "l3cli/video_hosts/plugins")}
-    return {**kept, **plugins, "PATH": "/usr/bin:/bin", "PYTHONPATH": os.pathsep.join([str(ROOT), *packages])}
+    return {**left, **plugins, "PATH": "/usr/bin:/bin", "PYTHONPATH": os.pathsep.join([str(ROOT), *packages])}
 
 
 def require_gstreamer() -> None:

@@ -212,19 +212,19 @@ def verdict(
         for (timer, number, _), handler in zip(timers, old, strict=True):
             signal.setitimer(timer, 0)
             signal.signal(number, signal.SIG_DFL if handler is None else handler)  # None: set by another than Python
-    said = stderr.getvalue()
-    messages = [line for line in said.splitlines() if line.startswith("l3: ")]
-    if "Traceback" in said or "out of memory" in said:
-        return f"exit code {code}: {said}"
+    words = stderr.getvalue()
+    messages = [line for line in words.splitlines() if line.startswith("l3: ")]
+    if "Traceback" in words or "out of memory" in words:
+        return f"exit code {code}: {words}"
     if code not in codes or (code and not messages):
-        return f"exit code {code} without a word: {said}"
+        return f"exit code {code} without a word: {words}"
     if len(messages) > 1 and "--skip-bad" not in arguments:
-        return f"exit code {code} in {len(messages)} lines: {said}"
+        return f"exit code {code} in {len(messages)} lines: {words}"
     shown = stdout.getvalue().splitlines()
     if lines is not None and (len(shown) > lines or max(map(len, shown), default=0) > LONGEST):
         return f"exit code {code} with more than {lines} lines, or one of more than {LONGEST} letters"
-    if any(not (letter.isprintable() or letter == "\n") for letter in said):
-        return f"exit code {code} with control characters: {said!r}"
+    if any(not (letter.isprintable() or letter == "\n") for letter in words):
+        return f"exit code {code} with control characters: {words!r}"
     return None
 
 

@@ -92,8 +92,8 @@ class DngTags:
         try:
             frame = read_raw(out / "a.dng", RGGB)
         except InputFileError as error:
-            said = str(error)
-            return None if trial.may_be_refused and "a.dng" in said and "\n" not in said else f"refused: {said}"
+            words = str(error)
+            return None if trial.may_be_refused and "a.dng" in words and "\n" not in words else f"refused: {words}"
         finally:
             shutil.rmtree(out)
         if trial.odd is not None:

@@ -181,10 +181,10 @@ def _run(line: list[bytes], place: Place, work: Path, tmp: Path, home: Path) -> 
 
 def _judge_text(place: Place, ended: "subprocess.CompletedProcess[bytes]", code: int) -> str | None:
     """What is wrong with what was said."""
-    said = ended.stderr.decode("utf-8", "replace")
-    lines = said.splitlines()
+    words = ended.stderr.decode("utf-8", "replace")
+    lines = words.splitlines()
     messages = [each for each in lines if each.startswith("l3: ")]
-    if "Traceback" in said or len(lines) - len(messages) > 1 or len(messages) != (bool(code) and "2" not in place.closed):
+    if "Traceback" in words or len(lines) - len(messages) > 1 or len(messages) != (bool(code) and "2" not in place.closed):
         return "said too much or too little"
     if any(each.startswith("warning: ") is False for each in lines if each not in messages):
         return "no warning"

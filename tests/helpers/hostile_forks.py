@@ -145,11 +145,11 @@ def judge(folder: Path, case: Case) -> str | None:
         scene = Scene(folder)
         for name in before:
             BEFORE[name](scene)
-        if (said := _ended(lambda: child(scene), PATIENCE / 2)) is not None:
-            raise AssertionError(said)
+        if (words := _ended(lambda: child(scene), PATIENCE / 2)) is not None:
+            raise AssertionError(words)
 
-    said = _ended(parent, PATIENCE)
-    return None if said is None else f"{', '.join(before) or 'nothing'}, fork, {after}: {said}"
+    words = _ended(parent, PATIENCE)
+    return None if words is None else f"{', '.join(before) or 'nothing'}, fork, {after}: {words}"
 
 
 def _ended(function: Callable[[], object], patience: float) -> str | None:
@@ -181,8 +181,8 @@ def _ended(function: Callable[[], object], patience: float) -> str | None:
             code = "it hangs"
         time.sleep(0.01)
     with open(out, errors="replace") as stream:
-        said = stream.read() if code != "it hangs" else ""
-    return None if code == 0 else f"{said}{code}"
+        words = stream.read() if code != "it hangs" else ""
+    return None if code == 0 else f"{words}{code}"
 
 
 def judge_cases(cases: Iterable[Case]) -> Iterator[str]:

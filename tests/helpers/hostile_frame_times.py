@@ -75,13 +75,13 @@ def _verdict(inputs: Path, out: Path, clip: Clip, times: list[int]) -> str | Non
             np.save(source / f"{number}.npy", mosaic)
     else:
         write_raw_video(source, mosaics=mosaics, times=times)
-    said, errors = io.StringIO(), io.StringIO()
+    words, errors = io.StringIO(), io.StringIO()
     call = ("render", inputs / "table.h5", source, "-o", made, "--backend", "reference", "--json")
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(errors):
+    with contextlib.redirect_stdout(words), contextlib.redirect_stderr(errors):
         code = run([*map(str, call)])
     if code:
         return f"exit code {code}: {errors.getvalue()}"
-    state, warned = json.loads(said.getvalue())["clips"][0]["frame_times"], any(line in errors.getvalue() for line in LINES)
+    state, warned = json.loads(words.getvalue())["clips"][0]["frame_times"], any(line in errors.getvalue() for line in LINES)
     even = len(set(clip.steps)) == 1 or (not clip.is_folder and max(clip.steps) - min(clip.steps) <= 1)
     if even:
         return None if state in ("even", None) and not warned else f"{state} of even frames: {errors.getvalue()}"
@@ -95,6 +95,6 @@ def _verdict(inputs: Path, out: Path, clip: Clip, times: list[int]) -> str | Non
     with av.open(str(made)) as video:
         got = [frame.time for frame in video.decode(video=0)]
     wanted = [float(time * tick) for time in times]
-    near = len(got) == len(wanted) and np.allclose(np.array(got) - got[0], wanted, atol=2e-3)
+    close = len(got) == len(wanted) and np.allclose(np.array(got) - got[0], wanted, atol=2e-3)
     rising = all(before < after for before, after in pairwise(got))
-    return None if state == "kept" and near and rising else f"{state}: {got} instead of {wanted}"
+    return None if state == "kept" and close and rising else f"{state}: {got} instead of {wanted}"

@@ -111,13 +111,13 @@ class Identities:
         source = one_of(choices, [path for glob in sentence.reads.split() for path in sorted(Path().glob(glob))])
         disguise = one_of(choices, DISGUISES)
         arguments = self._disguised(sentence, written, source, disguise)
-        held, placed = self._contents(), sorted(self._out.rglob("*"))
-        code, said = _called([*arguments, "--force"] if "--force" not in arguments else arguments)
-        call = f"{' '.join(arguments)} --force, where {written} is {source} by {disguise}: exit code {code}: {said}"
-        changed = [str(path) for path, content in self._contents().items() if held.get(path) != content]
-        if changed or len(held) != len(self._contents()):
+        stored, placed = self._contents(), sorted(self._out.rglob("*"))
+        code, answer = _called([*arguments, "--force"] if "--force" not in arguments else arguments)
+        call = f"{' '.join(arguments)} --force, where {written} is {source} by {disguise}: exit code {code}: {answer}"
+        changed = [str(path) for path, content in self._contents().items() if stored.get(path) != content]
+        if changed or len(stored) != len(self._contents()):
             return f"{call}changed {changed}"
-        if code not in (1, 2, 3) or said.count("\n") != 1:
+        if code not in (1, 2, 3) or answer.count("\n") != 1:
             return call
         return f"{call}left {sorted(self._out.rglob('*'))}" if sorted(self._out.rglob("*")) != placed else None
 
@@ -149,8 +149,8 @@ class Identities:
         """What an undisturbed run of the sentence writes, relative to {out}."""
         if sentence.writes:
             return sentence.writes.split()
-        code, said = _called(sentence.command.format(out=self._out).split())
-        assert code == 0, (sentence.command, said)
+        code, answer = _called(sentence.command.format(out=self._out).split())
+        assert code == 0, (sentence.command, answer)
         written = sorted(str(path.relative_to(self._out)) for path in self._out.rglob("*") if path.is_file())
         shutil.rmtree(self._out)
         return written

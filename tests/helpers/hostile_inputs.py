@@ -205,8 +205,8 @@ def _make_frames(folder: Path) -> None:
         (50717, "I", 1, 4095, True),
         (50714, "I", 1, 64, True),
     ]
-    mended, evened = struct.pack(">5I", 0, 1, 0, 3, 4), gain_map(np.full((2, 3), 1.5), (0, 0, 30, 30))
-    for code, opcode in ((51008, (5, 0, mended)), (51009, (9, 1, evened)), (51022, (3, 0, struct.pack(">7d", *[0.1] * 7)))):
+    fixed, gains = struct.pack(">5I", 0, 1, 0, 3, 4), gain_map(np.full((2, 3), 1.5), (0, 0, 30, 30))
+    for code, opcode in ((51008, (5, 0, fixed)), (51009, (9, 1, gains)), (51022, (3, 0, struct.pack(">7d", *[0.1] * 7)))):
         content = bytes(opcode_list(opcode)[1])
         dng.append((code, 7, len(content), content, True))
     tifffile.imwrite(folder / "frame.dng", np.tile(stack[0], (3, 3)), photometric=32803, extratags=cfa + dng)

@@ -91,15 +91,15 @@ class Pipelines:
             self._notes.write_text("")
             ended = self._run(pipeline, place, named, folder)
             calls = [json.loads(line) for line in self._notes.read_text().splitlines()]
-            said = f"{pipeline} with the {place} {name!r}: exit code {ended.returncode}: {ended.stderr or ended.stdout}"
+            answer = f"{pipeline} with the {place} {name!r}: exit code {ended.returncode}: {ended.stderr or ended.stdout}"
             if list(Path(outer).rglob(RAN)):
-                return f"{said}: it was run"
+                return f"{answer}: it was run"
             if ended.returncode:
                 refused = "rename the " in ended.stderr + ended.stdout and not any(words[0] != "check" for words in calls)
-                return None if refused else said
+                return None if refused else answer
             arrived = f"clips/{named}" if place == "clip" else named
             if place not in ("folder", "curves") and not any(arrived in words for words in calls):
-                return f"{said}: {arrived!r} is in none of {calls}"
+                return f"{answer}: {arrived!r} is in none of {calls}"
         return None
 
     def _run(self, pipeline: str, place: str, name: str, folder: Path) -> subprocess.CompletedProcess:

@@ -217,8 +217,8 @@ class Lab:
         (self.whole / "camera.toml").write_text(CAMERA.replace("[400, 700, 10]", "[400, 700, 5]"))
         (self.whole / "lab.toml").write_text(LAB)
         self.truth = load_camera(self.whole / "camera.toml")
-        said = self.said("lab", self.whole / "camera.toml", "--recipe", self.whole / "lab.toml", "-o", self.whole)
-        assert said[0] == 0, said
+        words = self.words("lab", self.whole / "camera.toml", "--recipe", self.whole / "lab.toml", "-o", self.whole)
+        assert words[0] == 0, words
         rows = np.column_stack([self.truth.wavelength, self.truth.responsivity.T])
         text = "\n".join(",".join(f"{value:.10g}" for value in row) for row in rows)
         (self.whole / "curves.csv").write_text("wavelength_nm,r,g,b\n" + text + "\n")
@@ -231,7 +231,7 @@ class Lab:
             )
         )
 
-    def said(self, *arguments: object) -> tuple[int, str]:
+    def words(self, *arguments: object) -> tuple[int, str]:
         """Exit code and stderr of a command."""
         stderr = io.StringIO()
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(stderr):
@@ -244,9 +244,9 @@ class Lab:
         try:
             folder = Folder(self.whole, path)
             expected = mistake(folder, choices)
-            code, line = self.said("calibrate", folder.measurements, "-o", path / "camera.h5")
+            code, line = self.words("calibrate", folder.measurements, "-o", path / "camera.h5")
             if mistake in (responsivities_swapped, percents):
-                code, line = self.said("lab", path / "camera.toml", "--recipe", self.whole / "lab.toml", "-o", path / "new")
+                code, line = self.words("lab", path / "camera.toml", "--recipe", self.whole / "lab.toml", "-o", path / "new")
             if expected is None:
                 return f"refused: {line}" if code else self._wrong(path, mistake is responsivities_swapped)
             if code == 0:

@@ -114,8 +114,8 @@ def with_lights(table: TransformTable, *lights: str, seed: int = 5) -> Transform
 
 def with_ratios(layer: PlaneLayer, rng: np.random.Generator) -> PlaneLayer:
     """The layer with random weights for the taps of colour ratios."""
-    behind = (rng.normal(size=(*layer.weights.shape[:2], RATIO_TAPS)) / layer.side).astype(np.float32)
-    return dataclasses.replace(layer, weights=np.concatenate([layer.weights, behind], axis=2))
+    after = (rng.normal(size=(*layer.weights.shape[:2], RATIO_TAPS)) / layer.side).astype(np.float32)
+    return dataclasses.replace(layer, weights=np.concatenate([layer.weights, after], axis=2))
 
 
 def with_tree(table: TransformTable, side: int = 3, leaves: int = 40, seed: int = 1, ratios: bool = False) -> TransformTable:

@@ -155,7 +155,7 @@ def test_the_table_names_figures_and_units(folder: Path, bayer_recipe: Path, tmp
     assert "PRNU" in out
 
 
-def test_a_sweep_that_never_saturates_says_so(copied: Path, tmp_path: Path, l3: L3) -> None:
+def test_a_sweep_that_never_saturates_states_it(copied: Path, tmp_path: Path, l3: L3) -> None:
     text = (copied / "MEASUREMENTS.toml").read_text()
     blocks = text.split("\n\n")
     brightest = [index for index, block in enumerate(blocks) if "[[white]]" in block][-1]
@@ -467,15 +467,15 @@ def test_a_capture_has_no_part_in_its_prediction(body: Body) -> None:
 
 
 def test_a_nonlinear_channel_shows(body: Body) -> None:
-    bent = []
+    altered = []
     for t in (0.03, 0.06, 0.1, 0.15):
         taken = capture(0, t, body)
         frame = next(iter(taken.frames)).astype(float)
         blue = frame[1::2, 1::2] - BLACK
         frame[1::2, 1::2] = BLACK + blue * (1.0 - 3e-5 * blue)
-        bent.append(dataclasses.replace(taken, frames=[np.rint(frame).astype(np.uint16)]))
+        altered.append(dataclasses.replace(taken, frames=[np.rint(frame).astype(np.uint16)]))
     other = [capture(1, t, body) for t in (0.05, 0.1, 0.2)]
-    _, fit = fit_series([*bent, *other], darks([0.03, 0.2]), body, BLACK, WHITE)
+    _, fit = fit_series([*altered, *other], darks([0.03, 0.2]), body, BLACK, WHITE)
     assert fit.relative_rmse[2] > 0.01
     assert fit.linearity_error[2] > 5 * fit.linearity_error[1]
 

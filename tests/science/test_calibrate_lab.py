@@ -126,8 +126,8 @@ def test_the_table_is_that_of_emva_1288(lab_folder: Path, fine_bayer_recipe: Pat
 def test_linearity_error_is_the_mean_deviation_from_a_line() -> None:
     lit = np.array([0.1, 0.2, 0.4, 0.6, 0.8])
     assert noise.linearity_error(lit, 100.0 + 4000.0 * lit) == pytest.approx(0.0, abs=1e-12)
-    bent = 4000.0 * lit * (1.0 - 0.1 * lit)
-    assert 0.004 < noise.linearity_error(lit, bent) < 0.02
+    altered = 4000.0 * lit * (1.0 - 0.1 * lit)
+    assert 0.004 < noise.linearity_error(lit, altered) < 0.02
 
 
 def test_the_error_of_alpha_comes_from_the_charts() -> None:

@@ -93,7 +93,7 @@ def test_backends_agree_on_shaded_frames(variant: str, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(("bits", "black_level"), [(8, 0.0), (12, 108.93), (16, 2048.5), (16, 0.0)])
-def test_evening_keeps_clipped_pixels_clipped_and_others_not(bits: int, black_level: float) -> None:
+def test_shading_correction_keeps_clipped_pixels_clipped_and_others_not(bits: int, black_level: float) -> None:
     top = 2**bits - 1
     values = np.arange(1 << bits).astype(np.uint16)
     clipped = clipped_from(black_level, top)
@@ -106,7 +106,7 @@ def test_evening_keeps_clipped_pixels_clipped_and_others_not(bits: int, black_le
         assert np.abs(after[:clipped] - wanted).max() <= 1.01 + top / 2 ** (FRACTION + 1)  # black level and tint are rounded
 
 
-def test_mending_takes_the_nearest_sound_pixels_of_the_channel() -> None:
+def test_correction_takes_the_nearest_sound_pixels_of_the_channel() -> None:
     rng = np.random.default_rng(6)
     for cfa in (BAYER, FIVE_BAND, X_TRANS):
         array = np.array(cfa, np.uint8)
@@ -121,9 +121,9 @@ def test_mending_takes_the_nearest_sound_pixels_of_the_channel() -> None:
         assert (channel.ravel()[plan.source] == channel.ravel()[plan.target][:, None]).all()
         flat = (1000 + 100 * channel.astype(int)).astype(np.uint16)
         broken = np.where(bad, rng.integers(0, 4096, shape), flat).astype(np.uint16)
-        kept = broken.copy()
+        left = broken.copy()
         np.testing.assert_array_equal(plan.corrected(broken), flat)
-        np.testing.assert_array_equal(broken, kept)
+        np.testing.assert_array_equal(broken, left)
     with pytest.raises(InputFileError, match="100% of the pixels"):
         plan_correction(np.ones((8, 8), bool), np.array(BAYER, np.uint8))
     large = np.zeros((200, 200), bool)
@@ -160,9 +160,9 @@ def test_defects_cost_less_than_a_tenth_of_a_decibel(pipeline: Path) -> None:
 
     wrong = flaws(camera, (1.0,) * 3, share=0.001, lines=False)
     clean, broken = error(replace(wrong, kind=0 * wrong.kind)), error(wrong)
-    mended = error(wrong, correction_of(replace(camera, defects=map_of(wrong))))
+    fixed = error(wrong, correction_of(replace(camera, defects=map_of(wrong))))
     assert broken > clean + 0.2
-    assert mended < clean + 0.1
+    assert fixed < clean + 0.1
 
 
 def test_corners_are_within_a_percent_of_the_middle(pipeline: Path) -> None:
@@ -296,11 +296,11 @@ def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
     setup = RenderSetup(
         flawed / "table.h5", sha256(flawed / "table.h5"), "reference", {}, RawOverrides(), rendition, None, file
     )
-    ((_, here),) = Local(ReferenceRenderer(table), setup).render(iter([Exposed(pending, frame, 1.0, None)]))
+    ((_, place),) = Local(ReferenceRenderer(table), setup).render(iter([Exposed(pending, frame, 1.0, None)]))
     for given in (frame, Unread(path, sha256(path))):
         exposed = Exposed(pending, given, 1.0, None)
         ((_, made),) = Remote(pool, setup, True, shading).render(iter([exposed]))  # type: ignore[arg-type]
-        np.testing.assert_array_equal(made.pixels, here.pixels)
+        np.testing.assert_array_equal(made.pixels, place.pixels)
     assert STEP % 16 == 0  # of the kernels' vectors none lies over a node
 
 
@@ -324,10 +324,10 @@ def test_hot_pixels_are_found_and_sound_ones_kept(bayer: CameraModel, bits: int)
     places = rng.choice(flat.values.size, 100, replace=False)
     raised = flat.values.astype(int)
     raised.ravel()[places] += 400 * scale
-    mended = test.without_hot(replace(flat, values=raised.astype(np.uint16)), camera.cfa)
-    found = (mended.values != raised).ravel()
+    fixed = test.without_hot(replace(flat, values=raised.astype(np.uint16)), camera.cfa)
+    found = (fixed.values != raised).ravel()
     assert found.sum() == found[places].sum() > 85  # the others touch, or a neighbour is as bright
-    assert np.abs(mended.values.ravel()[places[found[places]]] - flat.values.mean()).max() < 60 * scale
+    assert np.abs(fixed.values.ravel()[places[found[places]]] - flat.values.mean()).max() < 60 * scale
     assert test.without_hot(replace(flat, values=flat.values[:4, :4]), camera.cfa).values.shape == (4, 4)
 
 
@@ -355,7 +355,7 @@ def test_a_simulated_frame_is_hardly_touched(pipeline: Path) -> None:
         assert changed.mean() < 5e-5
 
 
-def test_render_mends_them_where_it_is_asked_to(tmp_path: Path, l3: L3, refused: Refused) -> None:
+def test_render_corrects_them_where_it_is_asked_to(tmp_path: Path, l3: L3, refused: Refused) -> None:
     camera = random_camera(BAYER, 3, 12, 100.0)
     save(replace(random_table(BAYER, black_level=100.0, patch=3), camera=camera), tmp_path / "table.h5")
     frame = frame_of(camera, np.full((24, 32), 3000.0)).values

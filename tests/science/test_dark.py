@@ -196,17 +196,17 @@ def picture(folder: Path, l3: L3, *options: object) -> tuple[bytes, str]:
     return read_image(folder / "out.exr")[0].tobytes(), err
 
 
-def test_exposure_time_or_dark_frame_or_training_says_what_is_subtracted(leaky: Path, l3: L3) -> None:
-    by_time, said = picture(leaky, l3, "--exposure-time", 3)
-    assert "dark current" not in said
-    by_frame, said = picture(leaky, l3, "--dark", leaky / "dark.npy")
-    assert "dark current" not in said
+def test_exposure_time_or_dark_frame_or_training_states_what_is_subtracted(leaky: Path, l3: L3) -> None:
+    by_time, words = picture(leaky, l3, "--exposure-time", 3)
+    assert "dark current" not in words
+    by_frame, words = picture(leaky, l3, "--dark", leaky / "dark.npy")
+    assert "dark current" not in words
     assert by_time == by_frame
-    assumed, said = picture(leaky, l3)
-    assert said.startswith(
+    assumed, words = picture(leaky, l3)
+    assert words.startswith(
         f"{leaky / 'frame.npy'}: exposure time unknown; dark current of the training's 0.1 s is taken off"
     )
-    assert "(10 DN)" in said
+    assert "(10 DN)" in words
     assert assumed != by_time
     assert picture(leaky, l3, "--exposure-time", 0.1)[0] == assumed
     assert "dark" not in picture(leaky, l3, "--quiet")[1]

@@ -327,7 +327,7 @@ def test_a_light_without_a_name_is_taken_for_the_nearest(fiveband: CameraModel) 
     assert light_of(dataclasses.replace(frame, light=measured), fiveband) is measured
 
 
-def test_a_channel_that_sees_nothing_of_the_light_has_no_say(fiveband: CameraModel) -> None:
+def test_a_channel_that_sees_nothing_of_the_light_has_no_state(fiveband: CameraModel) -> None:
     dark = fiveband.responsivity * np.array([1, 1, 1, 0, 1])[:, None]
     blind = dataclasses.replace(fiveband, responsivity=dark)
     frame = a_frame(blind, np.full(81, 0.4))

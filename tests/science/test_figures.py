@@ -106,7 +106,7 @@ def test_a_grid_finer_than_the_camera_and_beyond_it_holds_no_nan() -> None:
     assert not matrix[40:].any()
 
 
-def test_what_is_no_number_is_null_and_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_number_is_null_and_reported(capsys: pytest.CaptureFixture[str]) -> None:
     document = {"a": [1.0, float("nan")], "b": {"c": float("-inf")}, "d": "nan", "e": None, "f": (True, 2)}
     terminal.show_json(terminal.finite(document, terminal.Terminal()))
     out, err = capsys.readouterr()

@@ -220,9 +220,9 @@ def evaluations(tmp_path_factory: pytest.TempPathFactory) -> Path:
         table, classes = str(folder / f"{name}.table.h5"), str(folder / "classes.toml")
         training = str(folder / f"{name}.scenes.h5")
         assert run(["train", training, "--classes", classes, "-o", table, "--quiet"]) == 0
-        with contextlib.redirect_stdout(io.StringIO()) as said:
+        with contextlib.redirect_stdout(io.StringIO()) as words:
             assert run(["evaluate", table, str(folder / f"{name}.unseen.h5"), "--json", "--quiet"]) == 0
-        (folder / f"{name}.json").write_text(said.getvalue())
+        (folder / f"{name}.json").write_text(words.getvalue())
     return folder
 
 
@@ -267,7 +267,7 @@ def test_crossings_lie_between_points() -> None:
     assert crossings(one, equal, "psnr") == pytest.approx([10.0])
 
 
-def test_the_verdict_says_which_is_better_where_and_by_how_much() -> None:
+def test_the_verdict_states_which_is_better_where_and_by_how_much() -> None:
     one = Curve("one", (1.0, 10.0, 100.0), (4.0, 2.0, 1.0), (0.0, 0.06, 0.5), (1 / 30,) * 3)
     other = Curve("other", (1.0, 10.0, 100.0), (3.0, 3.0, 3.25), (0.0, 0.2, 0.01), (1.0, 0.1, 0.01))
     below = "other is better than one below 3.16 cd/m², by up to 1 ΔE00; one above 3.16 cd/m², by up to 2.2 ΔE00."

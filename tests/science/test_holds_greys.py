@@ -220,9 +220,9 @@ def test_surfaces_mislead_about_white_where_a_camera_sees_infrared() -> None:
     """There the signals of white are those of its light, however surfaces look; elsewhere surfaces speak against a lens."""
     for name, least, most in (("bayer", 0.0, 0.1), ("fiveband", 0.0, 0.1), ("rgbir", 0.3, 3.0)):
         camera = load_camera(CONFIGS / f"cameras/{name}.toml")
-        misled = misleading(make_light("D65", {}, camera.wavelength).spectrum, camera)
-        assert misled.min() >= least
-        assert misled.max() < most
+        skewed = misleading(make_light("D65", {}, camera.wavelength).spectrum, camera)
+        assert skewed.min() >= least
+        assert skewed.max() < most
 
 
 def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:

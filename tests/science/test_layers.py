@@ -65,7 +65,7 @@ def filtered(planes: NDArray) -> NDArray[np.float32]:
     return made
 
 
-BEHIND = np.random.default_rng(4).normal(0, 0.3, (3, RATIO_TAPS))  # of colour ratios (plane of the output, tap)
+AFTER = np.random.default_rng(4).normal(0, 0.3, (3, RATIO_TAPS))  # of colour ratios (plane of the output, tap)
 
 
 def known_sums(layer: LayerPass, rule: StructureRule, noise: float) -> dict[int, LayerSums]:
@@ -76,7 +76,7 @@ def known_sums(layer: LayerPass, rule: StructureRule, noise: float) -> dict[int,
     noisy = (clean + noise * rng.standard_normal(clean.shape)).round().astype(np.int32)
     planes = filtered(clean)
     if layer.recipe.colour_ratios:
-        planes += (np.moveaxis(shaded_chroma(clean, SIDE), 0, -1) * PLANE_STEP @ BEHIND.T).astype(np.float32)
+        planes += (np.moveaxis(shaded_chroma(clean, SIDE), 0, -1) * PLANE_STEP @ AFTER.T).astype(np.float32)
     target = planes @ np.linalg.inv(layer.basis).astype(np.float32)
     site = np.arange(shape[0])[:, None] % 2 * 2 + np.arange(shape[1]) % 2
     label = rule.join(rng.integers(0, rule.levels, shape), rng.integers(0, rule.kinds, shape), site)
@@ -113,8 +113,8 @@ def test_so_is_what_light_and_shade_make_of_chroma(bayer: CameraModel) -> None:
     learned = learn_layer(layer, rule, known_sums(layer, rule, 300.0))
     assert learned.ratio_taps == RATIO_TAPS
     assert in_planes(layer, learned) == pytest.approx(np.broadcast_to(TRUTH, (len(learned.weights), 3, 3, 9)), abs=2e-3)
-    behind = np.einsum("cot,op->cpt", learned.weights[..., learned.window_taps :].astype(np.float64), layer.basis)
-    assert behind == pytest.approx(np.broadcast_to(BEHIND, behind.shape), abs=2e-3)
+    after = np.einsum("cot,op->cpt", learned.weights[..., learned.window_taps :].astype(np.float64), layer.basis)
+    assert after == pytest.approx(np.broadcast_to(AFTER, after.shape), abs=2e-3)
 
 
 def test_rows_of_several_mosaics_add_up_to_those_of_each(bayer: CameraModel, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,10 +122,10 @@ def test_rows_of_several_mosaics_add_up_to_those_of_each(bayer: CameraModel, mon
     layer, frames = a_pass(bayer), [a_frame(bayer, seed, smooth=False) for seed in range(2)]
     rule = a_rule(layer)
     steps = layer.grid_steps(rule)[rule.split(np.arange(rule.classes_per_site)).level]
-    together = sum_layer(layer, rule, frames, 0)
+    jointly = sum_layer(layer, rule, frames, 0)
     monkeypatch.setattr("l3cli.training.layers.rows.GATHERED", 0)
     isolated = sum_layer(layer, rule, frames, 0)
-    for site, one in together.items():
+    for site, one in jointly.items():
         each = isolated[site]
         assert (one.count == each.count).all()
         for sums, parts, step in ((one.moments, each.moments, steps), (one.noise, each.noise, np.float64(STEP))):
@@ -147,7 +147,7 @@ def test_a_layer_weighs_rows_by_its_own_powers_or_those_of_the_first(bayer: Came
     assert np.ptp(ratio) > 0.5 * ratio.mean()
 
 
-def test_noise_counts_as_its_weight_says(bayer: CameraModel) -> None:
+def test_noise_counts_as_its_weight_states(bayer: CameraModel) -> None:
     """The more it counts the less of it is let through, and the farther are the filters from those that made the targets;
     luminance and chroma each by its weight."""
     power = []
@@ -214,7 +214,7 @@ def test_sums_are_the_same_however_frames_are_divided(bayer: CameraModel) -> Non
     assert sum(sums.count.sum() for sums in whole.values()) == 6 * 2 * (48 - 24) * (56 - 24)
 
 
-def test_greys_get_no_further_tint(bayer_recipe: Path, tmp_path: Path, l3: Callable) -> None:
+def test_greys_get_no_further_cast(bayer_recipe: Path, tmp_path: Path, l3: Callable) -> None:
     """Uniform greys of the training light: what tint they have the first layer has given them."""
     training = tmp_path / "training.h5"
     (tmp_path / "scenes.toml").write_text(LEAVES)
@@ -264,8 +264,8 @@ def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: Callable) ->
     assert l3("train", "--merge", sums, "-o", first)[0] == 0
     assert l3(*run, "--shard", "1/1", "--first", first, "--force", "-o", sums)[0] == 0
     assert l3("train", "--merge", sums, "-o", table)[0] == 0
-    once, twice, together = (load(TransformTable, path).first.weights for path in (first, table, whole))
-    np.testing.assert_array_equal(twice, together)
+    once, twice, jointly = (load(TransformTable, path).first.weights for path in (first, table, whole))
+    np.testing.assert_array_equal(twice, jointly)
     assert not np.array_equal(once, twice)
     assert load(TransformTable, table).later == ()
 

@@ -196,7 +196,7 @@ def test_a_picture_of_a_few_pixels_has_none(shape: tuple[int, int]) -> None:
         assert locate.locate(np.zeros((80, 90)), BAYER, REFLECTANCE, GRID) is None
 
 
-def test_values_beside_dust_and_clipping_and_the_noise_of_one_shot() -> None:
+def test_values_next_to_dust_and_clipping_and_the_noise_of_one_shot() -> None:
     rng = np.random.default_rng(2)
     mosaic = photograph(UPRIGHT, rng)
     clean = photograph(UPRIGHT, np.random.default_rng(2)).copy()

@@ -100,7 +100,7 @@ def test_headings_with_units(heading: str, parts: tuple[str, str | None]) -> Non
         "400 1 2\n500 3 4\n",
     ],
 )
-def test_tables_that_say_the_same(text: str, tmp_path: Path) -> None:
+def test_tables_that_state_the_same(text: str, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text(text)
     table = read_table(tmp_path / "t.csv").ordered(("a", "b"))
     np.testing.assert_allclose(table.wavelength, [400.0, 500.0])
@@ -108,7 +108,7 @@ def test_tables_that_say_the_same(text: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "words"),
     [
         ("nm,a,c\n400,1,2\n", '"c" is none of those wanted'),
         ("nm,a,a\n400,1,2\n", '"a" is called|two columns are called "a"'),
@@ -124,9 +124,9 @@ def test_tables_that_say_the_same(text: str, tmp_path: Path) -> None:
         ("nm;a;b\n400;1,5;1.5\n", "commas and points"),
     ],
 )
-def test_tables_that_are_refused(text: str, says: str, tmp_path: Path) -> None:
+def test_tables_that_are_refused(text: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text(text)
-    with pytest.raises(InputFileError, match=says):
+    with pytest.raises(InputFileError, match=words):
         read_table(tmp_path / "t.csv").ordered(("a", "b"))
 
 
@@ -246,7 +246,7 @@ def test_an_odd_step_can_be_accepted(copied: Path, tmp_path: Path, refused: Refu
     assert [line.partition(":")[0] for line in fit.sweep.odd] == [frame]
 
 
-def test_inputs_replaced_meanwhile_are_refused(
+def test_inputs_replaced_during_it_are_refused(
     copied: Path, tmp_path: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Between reading and writing a frame gets other content: the history would name what was not read."""
@@ -271,7 +271,7 @@ def test_inputs_replaced_meanwhile_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("key", "wrong", "says"),
+    ("key", "wrong", "words"),
     [
         ("peak_efficiency", "55", "55 % is 0.55"),
         ("peak_efficiency", "1.01", "it is a share, at most 1"),
@@ -282,10 +282,10 @@ def test_inputs_replaced_meanwhile_are_refused(
         ("f_number", "0.28", "no lens"),
     ],
 )
-def test_figures_of_another_unit_are_refused(key: str, wrong: str, says: str, bayer_recipe: Path, tmp_path: Path) -> None:
+def test_figures_of_another_unit_are_refused(key: str, wrong: str, words: str, bayer_recipe: Path, tmp_path: Path) -> None:
     path = tmp_path / "camera.toml"
     path.write_text(re.sub(rf"{key} = \S+", f"{key} = {wrong}", bayer_recipe.read_text()))
-    with pytest.raises(RecipeError, match=re.escape(says)) as raised:
+    with pytest.raises(RecipeError, match=re.escape(words)) as raised:
         load_camera(path)
     assert key in str(raised.value)
 

@@ -114,8 +114,8 @@ def test_outputs_of_another_observer_are_not_taught(fiveband: CameraModel) -> No
 def test_a_chroma_of_few_surfaces_is_left_to_its_patches(fiveband: CameraModel) -> None:
     surfaces, _ = surfaces_of(fiveband, "D65")
     assert surfaces is not None
-    kept = np.r_[: FEWEST * 5 - 1, len(surfaces.signals) - surfaces.greys : len(surfaces.signals)]
-    few = replace(surfaces, signals=surfaces.signals[kept], outputs=surfaces.outputs[kept])
+    left = np.r_[: FEWEST * 5 - 1, len(surfaces.signals) - surfaces.greys : len(surfaces.signals)]
+    few = replace(surfaces, signals=surfaces.signals[left], outputs=surfaces.outputs[left])
     rule = make_rule(ClassRecipe(patch=5, levels=2, chromas=0), fiveband, np.zeros(32, np.uint16))
     assert few.moments(rule, neighbourhoods(fiveband.cfa, 5, 5).channel[0]) == [None]
 

@@ -298,7 +298,7 @@ def test_arrays_of_one_layer_make_the_outputs_of_the_test_mosaic() -> None:
             np.testing.assert_allclose(made, outputs[:, row, col], atol=most)
 
 
-def test_arrays_of_the_second_set_stand_beside_the_usual_ones() -> None:
+def test_arrays_of_the_second_set_stand_next_to_the_usual_ones() -> None:
     """As another table's would; what both sets share stands once, and a table of one set is written as ever."""
     table = with_low_noise(with_later(random_table([[0, 1], [1, 2]], 12, 64.0), 3), 0.25)
     document, arrays = read_folder(table)
@@ -307,8 +307,8 @@ def test_arrays_of_the_second_set_stand_beside_the_usual_ones() -> None:
     (low,) = document.pop("conditions")["sets"]
     assert low["noise"] == {"shot": 0.25, "read": 0.25, "limit": 0.25**0.75}
     assert (low["layers"], low["word_lengths"]) == (other["layers"], other["word_lengths"])
-    behind = {name: values for name, values in arrays.items() if not name.startswith("conditions/0/")}
-    assert set(behind) == set(usual_arrays)
+    after = {name: values for name, values in arrays.items() if not name.startswith("conditions/0/")}
+    assert set(after) == set(usual_arrays)
     assert document | {"arrays": []} == usual | {"arrays": []}
     for name, values in other_arrays.items():
         np.testing.assert_array_equal(arrays.get(f"conditions/0/{name}", arrays[name]), values)

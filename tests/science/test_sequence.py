@@ -173,7 +173,7 @@ def test_a_motion_that_is_not_known_is_estimated(by: tuple[float, float]) -> Non
     assert seen[inner].mean() > 0.95
 
 
-def test_things_that_move_apart_are_followed_apart() -> None:
+def test_things_that_move_separately_are_followed_separately() -> None:
     wide, thing = textured((128, 160)), textured((128, 160), seed=4)
     frames = [shifted(wide, (0, 0)), shifted(wide, (0, 1))]
     for number, frame in enumerate(frames):

@@ -147,7 +147,7 @@ def test_fixed_pattern_belongs_to_the_camera(bayer: CameraModel) -> None:
     assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.95
 
 
-def test_noise_modes_leave_out_what_they_say(fiveband: CameraModel) -> None:
+def test_noise_modes_leave_out_what_they_state(fiveband: CameraModel) -> None:
     flat = np.full((200, 200), 3000.0)
     raw = {mode: sensor.expose(fiveband, flat, 0.5, np.random.default_rng(1), mode).astype(float) for mode in sensor.NOISES}
     mean = 3000.0 + fiveband.noise.dark_current * 0.5
@@ -478,15 +478,15 @@ def test_a_picture_of_floats_is_linear_already(tmp_path: Path, l3: Callable) -> 
 
 
 def test_what_has_no_spectra_is_refused(codes: np.ndarray, tmp_path: Path, refused: Callable) -> None:
-    def says(text: str, camera: object = CAMERA) -> str:
+    def words(text: str, camera: object = CAMERA) -> str:
         return str(refused(2, "simulate", recipe(tmp_path, text), "--camera", camera, "-o", tmp_path / "set.h5"))
 
     scene = SCENE.format(file="picture.png")
-    assert 'target.outputs = "camera"' in says("exposure_share = [0.9]\n" + scene)
-    assert "no target.illuminant" in says('target.illuminant = "A"\n' + HEAD.format(share=0.9) + scene)
-    assert "r, g, b, o, c" in says(HEAD.format(share=0.9) + scene, "fiveband")
-    assert "no light of its own" in says('illuminants = ["scene"]\n' + HEAD.format(share=0.9) + scene)
-    assert "holds" in says(HEAD.format(share=0.9) + scene.replace("codes", "code"))
+    assert 'target.outputs = "camera"' in words("exposure_share = [0.9]\n" + scene)
+    assert "no target.illuminant" in words('target.illuminant = "A"\n' + HEAD.format(share=0.9) + scene)
+    assert "r, g, b, o, c" in words(HEAD.format(share=0.9) + scene, "fiveband")
+    assert "no light of its own" in words('illuminants = ["scene"]\n' + HEAD.format(share=0.9) + scene)
+    assert "holds" in words(HEAD.format(share=0.9) + scene.replace("codes", "code"))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e7])

@@ -60,12 +60,12 @@ def quiet_camera(camera: CameraModel) -> CameraModel:
 def test_symmetry_of_known_arrays(fiveband: CameraModel) -> None:
     for cfa, canonical in ((fiveband.cfa, 5), (np.array([[0, 1], [1, 2]]), 3), (np.zeros((1, 1), int), 1), (XTRANS, 8)):
         for patch in (5, 9):
-            near = neighbourhoods(cfa, patch, int(cfa.max()) + 1)
-            maps = site_maps(near.channel, patch)
+            close = neighbourhoods(cfa, patch, int(cfa.max()) + 1)
+            maps = site_maps(close.channel, patch)
             if cfa is not XTRANS:
                 assert len({site_map.canonical for site_map in maps}) == canonical
             for site, site_map in enumerate(maps):
-                assert (near.channel[site][site_map.permutation] == near.channel[site_map.canonical]).all()
+                assert (close.channel[site][site_map.permutation] == close.channel[site_map.canonical]).all()
 
 
 def test_orientations_are_the_eight_of_a_square() -> None:
@@ -79,8 +79,8 @@ def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
     camera, rng = bayer, np.random.default_rng(4)
     frame = a_frame(camera, 1, smooth=False)
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="")
-    near = neighbourhoods(camera.cfa, 5, 3)
-    sample = sample_patches(frame, head, camera.saturation_exposure, near.channel[1], 64, orientations(5), rng)
+    close = neighbourhoods(camera.cfa, 5, 3)
+    sample = sample_patches(frame, head, camera.saturation_exposure, close.channel[1], 64, orientations(5), rng)
     # the centre tap is the site's channel whatever the orientation, and the target belongs to the same pixel
     share = frame.electrons / camera.full_scale
     truth = np.einsum("oc,crk->ork", MIX, share)
@@ -90,7 +90,7 @@ def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
         around = share[:, row - 2 : row + 3, col - 2 : col + 3]
         stack = np.take_along_axis(
             np.stack([np.stack([side.ravel()[turn] for turn in orientations(5)]) for side in around]),
-            near.channel[1][None, None],
+            close.channel[1][None, None],
             axis=0,
         )[0]
         assert np.isclose(stack, signal, rtol=1e-6).all(axis=1).any()
@@ -101,12 +101,12 @@ def test_patches_without_colour_show_luminance_as_white_is_seen(bayer: CameraMod
     light = LightSpectrum(wavelength.astype(np.float64), np.ones(wavelength.size, np.float32))
     frame = dataclasses.replace(a_frame(bayer, 1, smooth=False), light=light)
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
-    near = neighbourhoods(bayer.cfa, 5, 3)
+    close = neighbourhoods(bayer.cfa, 5, 3)
 
     def patches(share: float, frame: TrainingFrame = frame, head: TrainingSet = head) -> Patches:
-        return patches_of(frame, head, near, 1, 10, np.random.default_rng(3), True, share, colourless_frame(frame, head))
+        return patches_of(frame, head, close, 1, 10, np.random.default_rng(3), True, share, colourless_frame(frame, head))
 
-    sample, window, white = patches(0.3), near.channel[1], white_signal(light, bayer)
+    sample, window, white = patches(0.3), close.channel[1], white_signal(light, bayer)
     coloured = patches(0.0)
     np.testing.assert_array_equal(patches(0.04).signal, coloured.signal)  # less than one of ten
     assert len(sample.signal) == 10
@@ -204,24 +204,24 @@ def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, 
     table = load(TransformTable, tmp_path / "table.h5")
     assert np.isfinite(table.first.weights).all()
     assert (np.abs(table.first.weights).sum(axis=(1, 2)) > 0).all()  # no class is left empty
-    near = neighbourhoods(camera.cfa, 5, 3)
+    close = neighbourhoods(camera.cfa, 5, 3)
     rng = np.random.default_rng(9)
     for level in (0.01, 0.1, 0.5):
         share = rng.random(3) * 0.5 + 0.5
         share = level * share / share.mean()
         truth = MIX @ share
         for site in range(4):
-            patch = camera.black_level + share[near.channel[site]] * (camera.white_level - camera.black_level)
-            label = label_patches(np.rint(patch).astype(np.uint16)[None], table.first.rule, near, site)[0]
+            patch = camera.black_level + share[close.channel[site]] * (camera.white_level - camera.black_level)
+            label = label_patches(np.rint(patch).astype(np.uint16)[None], table.first.rule, close, site)[0]
             index = site * table.first.rule.classes_per_site + label
-            result = table.first.weights[index] @ share[near.channel[site]] + table.first.intercept[index]
+            result = table.first.weights[index] @ share[close.channel[site]] + table.first.intercept[index]
             assert result == pytest.approx(truth, rel=0.03, abs=0.002 * level)
 
 
 def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     """Sums of parts are equal to the last bit however they are grouped, and equal a plain float64 computation."""
     rule = make_rule(ClassRecipe(patch=3, levels=4), bayer, np.zeros(8, np.uint16))
-    near = neighbourhoods(bayer.cfa, 3, 3)
+    close = neighbourhoods(bayer.cfa, 3, 3)
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
     pass_ = TrainingPass(head, (1000,) * 6, rule, LearningRecipe(patches=6000, draws=2, darkest=0.003), np.ones(3), 1, LAST)
     frames = [a_frame(bayer, seed, smooth=False) for seed in range(6)]
@@ -241,7 +241,7 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
         frames[0],
         head,
         bayer.saturation_exposure,
-        near.channel[1],
+        close.channel[1],
         1000,
         orientations(3),
         np.random.default_rng([1, 2, 0, 1]),
@@ -298,7 +298,7 @@ def test_other_outputs_than_xyz(
     assert (tmp_path / "merged.h5").read_bytes() == (tmp_path / "table.h5").read_bytes()
 
 
-def test_info_says_what_a_table_has_learned(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_info_states_what_a_table_has_learned(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
     training = a_set(tmp_path / "training.h5", quiet_camera(bayer), 40)
     (tmp_path / "classes.toml").write_text(SMALL)
     assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
@@ -377,8 +377,8 @@ def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3:
     (tmp_path / "classes.toml").write_text(SMALL)
     assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
     table = load(TransformTable, tmp_path / "table.h5")
-    near = neighbourhoods(bayer.cfa, 5, 3)
-    member = near.channel[:, :, None] == np.arange(3)
+    close = neighbourhoods(bayer.cfa, 5, 3)
+    member = close.channel[:, :, None] == np.arange(3)
     weights = table.first.weights.reshape(4, -1, 3, 25).astype(np.float64)
     response = np.einsum("skot,stc->skoc", weights, member)
     trained = table.first.samples.reshape(4, -1).min(axis=0) > 0  # classes that every site has seen

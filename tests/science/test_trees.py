@@ -73,10 +73,10 @@ def tree_of(table: TransformTable) -> PlaneLayer:
 def test_a_tree_has_the_same_bytes_in_processes_and_shards(
     leaves: Path, trained: Trained, tmp_path: Path, l3: Callable
 ) -> None:
-    table, said = trained(leaves, CLASSES + LAYER)
+    table, words = trained(leaves, CLASSES + LAYER)
     rule = tree_of(table).rule
     assert 4 <= rule.structures <= 8
-    assert f"{rule.structures} leaves" in said
+    assert f"{rule.structures} leaves" in words
     whole = (tmp_path / "table.h5").read_bytes()
     trained(leaves, CLASSES + LAYER, "--jobs", 2)
     assert (tmp_path / "table.h5").read_bytes() == whole
@@ -96,7 +96,7 @@ def test_a_tree_has_the_same_bytes_in_processes_and_shards(
     require_backends_agree(table)
 
 
-def test_info_and_report_tell_of_the_tree(leaves: Path, trained: Trained, tmp_path: Path, l3: Callable) -> None:
+def test_info_and_report_report_of_the_tree(leaves: Path, trained: Trained, tmp_path: Path, l3: Callable) -> None:
     table, _ = trained(leaves, CLASSES + LAYER)
     rule = tree_of(table).tree
     assert rule is not None
@@ -136,8 +136,8 @@ def test_frames_without_inner_pixels_are_one_line(rule: str, bayer: CameraModel,
     """A later layer learns only from pixels whose neighbourhoods lie within their mosaic."""
     training = a_set(tmp_path / "small.h5", bayer, 1, smooth=False, size=(24, 24))
     (tmp_path / "classes.toml").write_text(CLASSES + LAYER.replace("leaves = 8", rule))
-    said = refused(1, "train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "no.h5", "--quiet")
-    assert "no class of the second layer has training rows of every site; train on more, or larger, frames" in said
+    words = refused(1, "train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "no.h5", "--quiet")
+    assert "no class of the second layer has training rows of every site; train on more, or larger, frames" in words
 
 
 def test_a_tree_is_grown_from_real_pairs(bayer: CameraModel, trained: Trained, tmp_path: Path) -> None:

@@ -120,15 +120,15 @@ def differences(mosaic: Array, cfa: NDArray[np.uint8], weight: Array) -> Array:
     planes = np.array([spread(mosaic, weight, cfa, index, PLAIN_SIGMA) for index in range(count)])
     for _ in range(ROUNDS):
         own = np.take_along_axis(planes, channel[None].astype(np.intp), axis=0)[0]
-        smooth, near = (gaussian_filter(each, SHARP, mode="mirror") for each in (weight * (mosaic - own), weight))
-        mean = smooth / near + gaussian_filter(planes.mean(axis=0), SHARP, mode="mirror")
+        smooth, close = (gaussian_filter(each, SHARP, mode="mirror") for each in (weight * (mosaic - own), weight))
+        mean = smooth / close + gaussian_filter(planes.mean(axis=0), SHARP, mode="mirror")
         planes = np.array([mean + spread(mosaic - mean, weight, cfa, index, SIGMA) for index in range(count)])
     return planes
 
 
 def spread(values: Array, weight: Array, cfa: NDArray[np.uint8], index: int, wide: float) -> Array:
     """Values (row, col) at a channel's samples, interpolated (row, col)."""
-    here = np.where(tiled(cfa, values.shape) == index, weight, 0.0)
+    place = np.where(tiled(cfa, values.shape) == index, weight, 0.0)
     sigma, reach = wide * np.sqrt(cfa.size / (cfa == index).sum()), 2 * max(cfa.shape)
-    above, below = (gaussian_filter(each, sigma, mode="mirror", radius=reach) for each in (values * here, here))
+    above, below = (gaussian_filter(each, sigma, mode="mirror", radius=reach) for each in (values * place, place))
     return np.asarray(above / below)

@@ -138,21 +138,21 @@ def picture_figures(of: Shot, border: int) -> dict[str, float]:
     ours, ideal = (lab(displayed_xyz(linear), daylight())[inside] for linear in shown)
     error, everywhere = delta_e_2000(ours, ideal), np.ones(ideal.shape[:2], bool)
     neutral = np.hypot(ideal[..., 1], ideal[..., 2]) < NEUTRAL
-    at_edges = beside(ideal, everywhere, EDGE)
-    at_neutral = beside(ideal, neutral, EDGE) & neutral
+    at_edges = neighbour(ideal, everywhere, EDGE)
+    at_neutral = neighbour(ideal, neutral, EDGE) & neutral
     whole = quality(of.ours, of.ideal, of.white, border)
     return {
         "ΔE00": whole.mean_delta_e,
         "PSNR": whole.psnr,
         "S-CIELAB": whole.scielab,
         "edges ΔE00": error[at_edges].mean(),
-        **{f"edges of {edge:g} ΔE00": error[beside(ideal, everywhere, edge)].mean() for edge in OTHER_EDGES},
+        **{f"edges of {edge:g} ΔE00": error[neighbour(ideal, everywhere, edge)].mean() for edge in OTHER_EDGES},
         "elsewhere ΔE00": error[~at_edges].mean(),
         "fringe C*ab": np.hypot(*(ours - ideal)[at_neutral, 1:].T).mean(),
     }
 
 
-def beside(ideal: Array, eligible: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
+def neighbour(ideal: Array, eligible: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
     """Pixels (row, col) within REACH of an edge of more than `least` in `ideal` (row, col, L*a*b*) between two pixels that
     are `eligible`."""
     from scipy.ndimage import distance_transform_edt
@@ -163,8 +163,8 @@ def beside(ideal: Array, eligible: NDArray[np.bool_], least: float) -> NDArray[n
         edge &= eligible[one] & eligible[other]
         found[one] |= edge
         found[other] |= edge
-    near: NDArray[np.bool_] = distance_transform_edt(~found) <= REACH
-    return near
+    close: NDArray[np.bool_] = distance_transform_edt(~found) <= REACH
+    return close
 
 
 def test_edges_are_where_the_ideal_picture_jumps() -> None:
@@ -173,11 +173,11 @@ def test_edges_are_where_the_ideal_picture_jumps() -> None:
     ideal[:, 20:, 0] += EDGE - 0.1  # too little
     ideal[:, 30:, 1] = EDGE + 0.1  # of colour alone
     neutral = ideal[..., 1] < NEUTRAL
-    near = np.zeros((12, 40), bool)
-    near[:, 10 - 1 - REACH : 10 + 1 + REACH] = True
-    np.testing.assert_array_equal(beside(ideal, neutral, EDGE), near)
-    near[:, 30 - 1 - REACH : 30 + 1 + REACH] = True
-    np.testing.assert_array_equal(beside(ideal, np.ones_like(neutral), EDGE), near)
+    close = np.zeros((12, 40), bool)
+    close[:, 10 - 1 - REACH : 10 + 1 + REACH] = True
+    np.testing.assert_array_equal(neighbour(ideal, neutral, EDGE), close)
+    close[:, 30 - 1 - REACH : 30 + 1 + REACH] = True
+    np.testing.assert_array_equal(neighbour(ideal, np.ones_like(neutral), EDGE), close)
 
 
 # ---------------------------------------------------------------------------------------------------------- plain areas

@@ -37,8 +37,8 @@ def nothing_is_reported() -> Iterator[None]:
     log = Path(str(LOG))
     before = log.stat().st_size if log.exists() else 0
     yield
-    said = log.read_text()[before:] if log.exists() else ""
-    assert not said, said[:4000]
+    words = log.read_text()[before:] if log.exists() else ""
+    assert not words, words[:4000]
 
 
 def a_frame(table: TransformTable, shape: tuple[int, int] = SHAPE) -> RawFrame:

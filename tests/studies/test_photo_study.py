@@ -68,8 +68,8 @@ def surfaces(l3_data: Path) -> np.ndarray:
 
 
 def prior_without(cameras: list[Camera], left_out: Camera, same_maker: bool = False) -> Prior:
-    kept = [each for each in cameras if each.name != left_out.name and not (same_maker and each.maker == left_out.maker)]
-    return camera_prior(statistics([each.curves for each in kept]))
+    left = [each for each in cameras if each.name != left_out.name and not (same_maker and each.maker == left_out.maker)]
+    return camera_prior(statistics([each.curves for each in left]))
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ NAIVE_FRAMES = 7  # a naive kernel takes its time
 SIMULATED = 5  # frames, of which the fastest counts
 BANDS = np.arange(400.0, 701.0, 10.0)  # nm
 PEER = Case(1280, 720, 9, "five-band", "fast")
-HERE = Path(__file__).parent
+FOLDER_HERE = Path(__file__).parent
 pytestmark = pytest.mark.slow
 
 
@@ -54,7 +54,7 @@ def multiply_adds(case: Case, folder: Path) -> Iterator[Callable[[], float]]:
         pytest.skip("no C compiler (CC or cc)")
     program = folder / f"limit{case.patch}"
     flags = ["-O3", "-march=native", "-fopenmp", f"-DPATCH={case.patch}"]
-    subprocess.run([compiler, *flags, HERE / "limit.c", "-o", program, "-lm"], check=True)
+    subprocess.run([compiler, *flags, FOLDER_HERE / "limit.c", "-o", program, "-lm"], check=True)
     # passive: threads that spin between frames would take the processor from what is timed in turn with them
     environment = {**os.environ, "OMP_WAIT_POLICY": "passive", "OMP_NUM_THREADS": str(len(os.sched_getaffinity(0)))}
     arguments = [str(program), str(case.width), str(case.height)]
@@ -79,7 +79,7 @@ def milliseconds(render: Callable[[], object]) -> float:
     return (time.perf_counter() - start) * 1e3
 
 
-def test_frames_beside_bare_multiply_adds(tmp_path: Path) -> None:
+def test_frames_next_to_bare_multiply_adds(tmp_path: Path) -> None:
     fastest = {}
     for case in (case for case in FULL if case.outputs == 3):
         rng = np.random.default_rng(0)
@@ -120,7 +120,7 @@ class NaiveTransforms:
         context = cl.Context([choose_device("")])
         self._queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
         options = [*BUILD_OPTIONS, f"-DPATCH={rule.patch}", f"-DOUTPUTS={len(table.outputs)}"]
-        self._kernel = cl.Kernel(cl.Program(context, (HERE / "naive.cl").read_text()).build(options), "naive")
+        self._kernel = cl.Kernel(cl.Program(context, (FOLDER_HERE / "naive.cl").read_text()).build(options), "naive")
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
         buffers = [cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(array)) for array in arrays]
         self._outputs = np.empty((len(table.outputs), rows, cols), np.float32)
@@ -149,7 +149,7 @@ def test_the_naive_kernel_computes_the_same(phase: tuple[int, int], outputs: tup
     np.testing.assert_allclose(naive.outputs(), reference.outputs(frame), atol=1e-5)
 
 
-def test_transforms_beside_a_naive_kernel() -> None:
+def test_transforms_next_to_a_naive_kernel() -> None:
     rng = np.random.default_rng(0)
     table, frame = synthetic_table(PEER, rng), synthetic_frame(PEER, rng)
     renderer = OpenCLRenderer(table)
@@ -162,7 +162,7 @@ def test_transforms_beside_a_naive_kernel() -> None:
     assert theirs > ours
 
 
-def test_a_frame_beside_menon() -> None:
+def test_a_frame_next_to_menon() -> None:
     pytest.importorskip("colour_demosaicing")
     case, rng = Case(1280, 720, 9, "bayer", "fast"), np.random.default_rng(0)
     renderer = OpenCLRenderer(synthetic_table(case, rng))

@@ -91,9 +91,9 @@ def test_imports_go_down_and_never_across() -> None:
             room = name.split(".")[1] if name.startswith("l3cli.") else None
             if room is None or room in (parts[0], "__version__"):
                 continue
-            here, there = floor(parts[0]), floor(room)
-            allowed = there < here or (there == here and here < 4)
-            assert allowed, f"{path}: {parts[0]} (floor {here}) imports {name} (floor {there})"
+            place, there = floor(parts[0]), floor(room)
+            allowed = there < place or (there == place and place < 4)
+            assert allowed, f"{path}: {parts[0]} (floor {place}) imports {name} (floor {there})"
 
 
 def test_libraries_enter_by_their_one_door() -> None:

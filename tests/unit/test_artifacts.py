@@ -28,7 +28,7 @@ def test_camera_and_table_come_back_as_they_went(fiveband: CameraModel, bayer: C
         assert again.history == artifact.history
 
 
-def test_partial_sums_take_a_calibrated_camera_beside_any_class_rule(bayer: CameraModel) -> None:
+def test_partial_sums_take_a_calibrated_camera_next_to_any_class_rule(bayer: CameraModel) -> None:
     training = TrainingSet(camera=a_camera(bayer), outputs=("X", "Y", "Z"), target_description="XYZ")
     rule = a_table(bayer).first.rule
     fit = training.camera.fit

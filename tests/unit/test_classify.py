@@ -39,11 +39,11 @@ def test_mosaic_and_patches_are_labelled_alike(
     values = rng.choice([0, 109, 120, 700, 4000, 4095], (rows, cols)).astype(np.uint16)
     values[: rows // 2] = rng.integers(100, 140, (rows // 2, cols))
     labels = label_mosaic(values, rule, fiveband.cfa, 5, (row_phase, col_phase))
-    near = neighbourhoods(fiveband.cfa, rule.patch, 5)
+    close = neighbourhoods(fiveband.cfa, rule.patch, 5)
     site = sites(rows, cols, fiveband.cfa.shape, (row_phase, col_phase))
     patches = windows(values, rule.patch, fiveband.cfa.shape)
     for number in np.unique(site):
-        of_site = label_patches(patches[site == number], rule, near, number) + number * rule.classes_per_site
+        of_site = label_patches(patches[site == number], rule, close, number) + number * rule.classes_per_site
         assert (of_site == labels[site == number]).all()
 
 
@@ -51,17 +51,17 @@ def test_one_contrast_asks_for_no_squares_and_changes_no_other_feature(fiveband:
     rng = np.random.default_rng(2)
     about = fiveband, random_case_of_code(5, rng), rng.dirichlet(np.ones(5), 6)
     values = rng.integers(100, 4096, (24, 31)).astype(np.uint16)
-    near, places = neighbourhoods(fiveband.cfa, 9, 5), []
+    close, places = neighbourhoods(fiveband.cfa, 9, 5), []
     for contrasts in ((1.4,), ()):
         rule = make_rule(ClassRecipe(contrasts=contrasts), *about)
-        statistics = mosaic_statistics(values, rule, near, fiveband.cfa, (0, 0))
+        statistics = mosaic_statistics(values, rule, close, fiveband.cfa, (0, 0))
         assert (statistics.squares is None) == (not contrasts)
         places.append(rule.split(labels(rule, statistics)))
-    told, one = places
-    assert told.contrast.max() == 1
+    listed, one = places
+    assert listed.contrast.max() == 1
     assert one.contrast.max() == 0
-    assert (told.level == one.level).all()
-    assert (told.kind == one.kind).all()
+    assert (listed.level == one.level).all()
+    assert (listed.kind == one.kind).all()
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(1, 1), (1, 23), (3, 2), (23, 3)])
@@ -86,11 +86,11 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
     """The formulas evaluated in wrapping 32-bit arithmetic, as a kernel does, for the extremes of 16-bit values."""
     camera = dataclasses.replace(fiveband, bits=16, white_level=65535.0)
     rule = make_rule(ClassRecipe(patch=patch, contrasts=(1.4, 4.0)), camera, np.zeros(32, np.uint16), np.eye(5))
-    near = neighbourhoods(camera.cfa, patch, 5)
+    close = neighbourhoods(camera.cfa, patch, 5)
     patches = extreme_patches(patch**2)
     for site in range(16):
-        expected = label_patches(patches, rule, near, site)
-        member = near.channel[site][:, None] == np.arange(5)
+        expected = label_patches(patches, rule, close, site)
+        member = close.channel[site][:, None] == np.arange(5)
         values = (patches >> rule.shift).astype(np.uint32)
         level_sum = np.zeros(len(patches), np.uint32)
         score = np.zeros((len(rule.chroma_weights), len(patches)), np.int32)
@@ -98,13 +98,13 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
         for channel in range(5):
             of_channel = values[:, member[:, channel]]
             total, square = of_channel.sum(axis=1, dtype=np.uint32), (of_channel * of_channel).sum(axis=1, dtype=np.uint32)
-            scaled = total * np.uint32(near.mean_reciprocal[site, channel])
+            scaled = total * np.uint32(close.mean_reciprocal[site, channel])
             mean = scaled >> np.uint32(16)
-            deviation = square - mean * (total + total - np.uint32(near.count[site, channel]) * mean)
+            deviation = square - mean * (total + total - np.uint32(close.count[site, channel]) * mean)
             level_sum += scaled >> np.uint32(8)
             signal = np.maximum((scaled >> np.uint32(12)).astype(np.int32) - np.int32(rule.chroma_black_level), 0)
             score += signal * rule.chroma_weights[:, channel, None]
-            product = deviation * np.uint32(near.variance_reciprocal[site, channel])
+            product = deviation * np.uint32(close.variance_reciprocal[site, channel])
             contrast_sum += np.minimum(product, np.uint32((2**32 - 1) // 5))
         level = np.searchsorted(rule.level_edges, level_sum, side="right")
         chroma = np.argmin(score, axis=0)
@@ -112,7 +112,7 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
         assert ((level * rule.contrasts + contrast) * rule.kinds + chroma == expected).all()
 
 
-def test_level_contrast_and_case_mean_what_they_say(fiveband: CameraModel) -> None:
+def test_level_contrast_and_case_mean_what_they_state(fiveband: CameraModel) -> None:
     rng = np.random.default_rng(0)
     case_of_code = np.zeros(32, np.uint16)
     case_of_code[0b00010] = 1

@@ -146,7 +146,7 @@ def test_an_unknown_chart_is_refused_with_the_nearest() -> None:
 
 
 @pytest.mark.parametrize("name", ["SG", "ColorChecker SG", "colorchecker digital sg", "semi gloss"])
-def test_a_chart_without_published_reflectances_says_how_to_give_them(name: str) -> None:
+def test_a_chart_without_published_reflectances_states_how_to_give_them(name: str) -> None:
     """Of ColorChecker SG colour-science has colours under D50 alone; no reflectance is invented for them."""
     colour = spectra.colour_science()
     assert not any("SG" in each for each in colour.SDS_COLOURCHECKERS)
@@ -228,5 +228,5 @@ def test_a_camera_that_sees_as_the_eye_is_found_exactly() -> None:
 def test_noise_is_not_amplified() -> None:
     """Nine smooth channels say little more than four: without a word of noise large weights of either sign cancel."""
     seen = channels(9)
-    free, held = (fit_through(seen, XYZ, np.ones(9), WHITE, noise) for noise in (0.0, 1e-3))
-    assert np.abs(held).sum() < 0.2 * np.abs(free).sum()
+    free, stored = (fit_through(seen, XYZ, np.ones(9), WHITE, noise) for noise in (0.0, 1e-3))
+    assert np.abs(stored).sum() < 0.2 * np.abs(free).sum()

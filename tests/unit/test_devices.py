@@ -37,7 +37,7 @@ def test_device_is_chosen_by_index_and_name() -> None:
             choose_device(wrong)
 
 
-def test_no_device_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_device_states_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opencl_devices, "_platforms", list)
     with pytest.raises(DeviceError, match=r'pip install "pyopencl\[pocl\]"'):
         OpenCLRenderer(random_table(BAYER))
@@ -54,7 +54,7 @@ def test_variant_follows_the_device_unless_chosen() -> None:
         OpenCLRenderer(table, variant="vector")
 
 
-def test_survey_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_survey_states_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert opencl_devices.survey()[0].startswith("0: ")
     monkeypatch.setattr(opencl_devices, "_platforms", list)
     assert opencl_devices.survey() == [f"no OpenCL driver (ICD) is installed; {opencl_devices.INSTALL}"]
@@ -83,9 +83,9 @@ def test_pocl_works_with_an_unwritable_home() -> None:
         "import os; from l3cli.rendering.opencl.devices import choose_device\n"
         "choose_device(''); print(os.environ['POCL_CACHE_DIR'])"
     )
-    kept = {key: value for key, value in os.environ.items() if key not in ("POCL_CACHE_DIR", "XDG_CACHE_HOME")}
+    left = {key: value for key, value in os.environ.items() if key not in ("POCL_CACHE_DIR", "XDG_CACHE_HOME")}
     done = subprocess.run(
-        [sys.executable, "-c", script], env={**kept, "HOME": "/proc"}, capture_output=True, text=True, check=False
+        [sys.executable, "-c", script], env={**left, "HOME": "/proc"}, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     assert "l3-kernels-" in done.stdout
@@ -157,7 +157,7 @@ def test_no_processor_is_taken_for_one_that_can_do_more(
     assert PROCESSORS[name.encode()] <= frozenset(abilities)
 
 
-def test_the_processor_that_kernels_are_compiled_for_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_processor_that_kernels_are_compiled_for_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opencl_devices, "compiled_for", lambda device: "haswell")
     assert "; kernels for haswell, since this PoCL is older than the processor)" in survey()[0]
 
@@ -235,7 +235,7 @@ def test_what_is_made_ready_is_not_built_again(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize(
     ("options", "fault"), [({"device": "nobody's"}, DeviceError), ({"variant": "neither"}, RecipeError)]
 )
-def test_what_cannot_be_made_ready_is_told_as_by_the_renderer(options: dict[str, Any], fault: type[L3Error]) -> None:
+def test_what_cannot_be_made_ready_is_reported_as_by_the_renderer(options: dict[str, Any], fault: type[L3Error]) -> None:
     with pytest.raises(fault) as early:
         make_ready("opencl", **options)
     with pytest.raises(fault) as late:

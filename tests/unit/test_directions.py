@@ -85,13 +85,13 @@ def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: dire
     rule = a_rule(fiveband, keys)
     values = rng.integers(100, 4096, (21, 26)).astype(np.uint16)
     labels = label_mosaic(values, rule, fiveband.cfa, 5, (1, 2))
-    near = neighbourhoods(fiveband.cfa, rule.patch, 5)
+    close = neighbourhoods(fiveband.cfa, rule.patch, 5)
     padded = pad_mosaic(values, rule.radius, fiveband.cfa.shape)
     patches = np.lib.stride_tricks.sliding_window_view(padded, (9, 9)).reshape(*values.shape, -1)
     site = sites(21, 26, fiveband.cfa.shape, (1, 2))
     assert len(np.unique(rule.split(labels).further)) > rule.further / 2
     for number in range(16):
-        of_site = rule.on_site(label_patches(patches[site == number], rule, near, number), number)
+        of_site = rule.on_site(label_patches(patches[site == number], rule, close, number), number)
         np.testing.assert_array_equal(of_site, labels[site == number])
 
 
@@ -108,11 +108,11 @@ def test_a_turned_patch_has_the_turned_direction(bayer: CameraModel, keys: direc
     )
     for cfa in ((1, 1), (2, 2), (3, 3)):
         rule = a_rule(dataclasses.replace(camera, cfa=np.zeros(cfa, np.uint8)), keys, patch)
-        near = neighbourhoods(camera.cfa, patch, 1)
+        close = neighbourhoods(camera.cfa, patch, 1)
         patches = np.random.default_rng(1).integers(300, 4096, (500, patch**2)).astype(np.uint16)
-        before = label_patches(patches, rule, near, 0)
+        before = label_patches(patches, rule, close, 0)
         for turn in orientations(patch):
-            wrong = label_patches(patches[:, turn], rule, near, 0) != turned_classes(rule, turn)[before]
+            wrong = label_patches(patches[:, turn], rule, close, 0) != turned_classes(rule, turn)[before]
             assert wrong.mean() < 0.01  # ties, in which the first axis wins
 
 
@@ -171,7 +171,7 @@ def test_a_large_array_does_without(rows: int, columns: int, fits: bool) -> None
     assert left_out(ClassRecipe(patch=9, **further), camera) == ["direction"] * (not fits)
 
 
-def test_training_tells_what_it_does_without(tmp_path: Path, l3: L3) -> None:
+def test_training_reports_what_it_does_without(tmp_path: Path, l3: L3) -> None:
     camera, scenes, classes = (tmp_path / f"{name}.toml" for name in ("camera", "scenes", "classes"))
     camera.write_text(bayer_camera(pattern=("g r b", "b g r")))
     scenes.write_text('exposure_share = [0.8]\n[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\ncount = 2\n')
@@ -199,7 +199,7 @@ def test_a_table_keeps_its_direction(tmp_path: Path) -> None:
     assert {"flat", "along 11.25° strength 2 coherent", "along 168.75° strength 1 mixed"} <= names
 
 
-def test_a_table_without_further_features_says_nothing_of_them(tmp_path: Path) -> None:
+def test_a_table_without_further_features_states_nothing_of_them(tmp_path: Path) -> None:
     """Not a byte more than before there were any."""
     save(random_table(BAYER), tmp_path / "plain.h5")
     save(random_table(BAYER, direction=FOUR), tmp_path / "direction.h5")

@@ -28,7 +28,7 @@ from l3cli.calibration.draft.summary import altered, drawn, period_of, summarise
         ("9999nm.tif", None, None, None, None),
     ],
 )
-def test_a_name_says(path: str, kind: str | None, nm: float | None, seconds: float | None, light: str | None) -> None:
+def test_a_name_states(path: str, kind: str | None, nm: float | None, seconds: float | None, light: str | None) -> None:
     name = read_name(path)
     assert (name.kind, name.nm, name.light) == (kind, nm, light)
     assert name.seconds == pytest.approx(seconds)

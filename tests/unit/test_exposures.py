@@ -96,7 +96,7 @@ def test_no_longest_exposure_is_a_fault() -> None:
 # ----------------------------------------------------------------------------------------------------------- sensor
 
 
-def test_channels_clip_and_scatter_apart() -> None:
+def test_channels_clip_and_scatter_separately() -> None:
     model = camera(1 / 8, 2.0)
     electrons = np.full((400, 400), 0.8 * model.full_scale, np.float32)  # of the long channels …
     short = model.channel_map(electrons.shape) >= 2
@@ -114,7 +114,7 @@ def test_channels_clip_and_scatter_apart() -> None:
 # ---------------------------------------------------------------------------------------------------------- classes
 
 
-def test_the_level_of_clipped_channels_is_told_by_the_others() -> None:
+def test_the_level_of_clipped_channels_is_reported_by_the_others() -> None:
     model = camera(1 / 16)
     share = np.geomspace(1e-3, 15.9, 50)
     means = clipped_mean(share, model.sensitivity)
@@ -252,7 +252,7 @@ def test_settings_that_frames_contradict_are_refused() -> None:
         settings.check_exposures(curves, body)
 
 
-def test_a_measurement_file_tells_the_settings_back() -> None:
+def test_a_measurement_file_reports_the_settings_back() -> None:
     model = camera(0.25, 4.0)
     keys = settings_of(model.readout, model.channels)
     assert list(keys) == [model.channels[2], model.channels[3]]

@@ -59,7 +59,7 @@ def test_exr_keeps_floats_and_names(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back[..., [names.index("nir"), names.index("leaf")]], pixels[..., :2])
 
 
-def test_pictures_say_that_they_are_srgb(tmp_path: Path) -> None:
+def test_pictures_state_that_they_are_srgb(tmp_path: Path) -> None:
     write_picture(tmp_path / "a.png", np.zeros((2, 2, 3), np.uint8))
     content = (tmp_path / "a.png").read_bytes()
     assert (b"iCCP" in content, b"sRGB" in content, b"gAMA" in content) == (True, False, False)  # one of them, says PNG
@@ -205,7 +205,7 @@ def test_what_spectral_writes_is_read(tmp_path: Path, interleave: str, byteorder
 
 
 @pytest.mark.parametrize("ext", ["", "img", "dat", "raw", "IMG"])
-def test_data_lie_beside_the_header_under_any_of_spectrals_names(tmp_path: Path, ext: str) -> None:
+def test_data_lie_next_to_the_header_under_any_of_spectrals_names(tmp_path: Path, ext: str) -> None:
     stored = save(tmp_path / "scene.hdr", a_cube(), ext=ext)
     assert np.array_equal(envi.read(tmp_path / "scene.hdr").values, stored)
     assert envi.files(tmp_path / "scene.hdr")[1].name == f"scene.{ext}".rstrip(".")

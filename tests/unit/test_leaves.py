@@ -33,11 +33,11 @@ def test_each_pixel_shows_the_first_leaf_that_covers_it(
     batches: list[leaves.Drawn] = []
     draw = leaves._drawn
 
-    def kept(*arguments: Any) -> leaves.Drawn:
+    def left(*arguments: Any) -> leaves.Drawn:
         batches.append(draw(*arguments))
         return batches[-1]
 
-    monkeypatch.setattr(leaves, "_drawn", kept)
+    monkeypatch.setattr(leaves, "_drawn", left)
     cover = leaves.dead_leaves(np.random.default_rng(3), SHAPE, smallest, largest)
     assert len(batches) > 1
     row, col, radius = _plainly(batches, SHAPE)

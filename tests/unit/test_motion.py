@@ -117,7 +117,7 @@ def middle_of(frame: np.ndarray) -> np.ndarray:
     )
 
 
-def test_a_leaf_moves_as_fast_as_it_says_over_a_scene_that_stays() -> None:
+def test_a_leaf_moves_as_fast_as_it_states_over_a_scene_that_stays() -> None:
     of, things = leafy()
     of.start[:] = 0
     seen = frames(np.zeros(CANVAS), of, things)

@@ -51,16 +51,16 @@ def test_a_notebook_is_stripped_listed_and_of_the_public_face_alone(name: str, e
 def test_outputs_are_stripped(execution: ModuleType) -> None:
     cell = nbformat.v4.new_code_cell("1", execution_count=3, outputs=[nbformat.v4.new_output("stream", text="1")])
     cell.metadata["scrolled"] = True
-    kept = execution.stripped(
+    left = execution.stripped(
         nbformat.v4.new_notebook(cells=[cell], metadata={"kernelspec": {"name": "mine", "display_name": "my machine"}})
     )
-    assert kept.cells[0].outputs == []
-    assert kept.cells[0].execution_count is None
-    assert kept.cells[0].metadata == {}
-    assert kept.metadata == execution.METADATA
+    assert left.cells[0].outputs == []
+    assert left.cells[0].execution_count is None
+    assert left.cells[0].metadata == {}
+    assert left.metadata == execution.METADATA
 
 
-def test_a_page_shows_code_beside_what_it_printed_and_drew(execution: ModuleType, tmp_path: Path) -> None:
+def test_a_page_shows_code_next_to_what_it_printed_and_drew(execution: ModuleType, tmp_path: Path) -> None:
     new = nbformat.v4
     outputs = [
         new.new_output("stream", text="one\n"),

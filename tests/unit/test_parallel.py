@@ -43,9 +43,9 @@ def test_a_script_is_run_once(tmp_path: Path, guarded: bool) -> None:
     script.write_text("\n".join(lines))
     ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=50)
     assert (ended.returncode, ended.stderr) == (0, "")
-    said = ended.stdout.splitlines()
-    assert said[-1] == (f"[1.0, 2.0] {script}" if guarded else f"[1, 2] {script}")
-    assert guarded or said[:-1] == ["begun"]
+    words = ended.stdout.splitlines()
+    assert words[-1] == (f"[1.0, 2.0] {script}" if guarded else f"[1, 2] {script}")
+    assert guarded or words[:-1] == ["begun"]
 
 
 def drawing(number: int) -> set[str]:
@@ -78,7 +78,7 @@ def test_the_number_of_cores_does_not_change_how_products_are_rounded() -> None:
     assert subprocess.run([sys.executable, "-c", COUNTED], env=environment, timeout=PATIENCE).returncode == 1
 
 
-def test_what_a_worker_raises_is_raised_here() -> None:
+def test_what_a_worker_raises_is_raised_in_place() -> None:
     with pytest.raises(L3Error, match="not 0"):
         list(ordered_map(refusing, range(3), 2))
 

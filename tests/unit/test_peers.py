@@ -40,8 +40,8 @@ def peers(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], ModuleType]:
 
 @pytest.fixture
 def parts() -> dict[str, dict[str, Any]]:
-    held: dict[str, dict[str, Any]] = json.loads((FOLDER / "figures.json").read_text(encoding="utf-8"))
-    return held
+    stored: dict[str, dict[str, Any]] = json.loads((FOLDER / "figures.json").read_text(encoding="utf-8"))
+    return stored
 
 
 def row(name: str, value: float, ours: bool = False, **more: Any) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def test_the_page_is_that_of_its_figures(peers: Callable[[str], ModuleType], par
     assert (ROOT / "docs/peers.md").read_text(encoding="utf-8") == peers("peers_page").page(parts)
 
 
-def test_the_page_says_where_ours_is_beaten_what_is_missing_and_of_which_run_it_is(
+def test_the_page_states_where_ours_is_beaten_what_is_missing_and_of_which_run_it_is(
     peers: Callable[[str], ModuleType],
 ) -> None:
     page, ours = peers("peers_page"), row("o", 40, ours=True)
@@ -111,8 +111,8 @@ def test_what_is_not_installed_is_named(peers: Callable[[str], ModuleType], monk
     rivals, rawtherapee = peers("rivals"), peers("rawtherapee")
     with pytest.raises(rivals.NotInstalled):
         rivals.installed("no-such-package")
-    kept = rivals.Rival("r", "p", {})
-    assert rivals.gathered([rawtherapee.xtrans, lambda: [kept]]) == ([kept], ["RawTherapee"])
+    left = rivals.Rival("r", "p", {})
+    assert rivals.gathered([rawtherapee.xtrans, lambda: [left]]) == ([left], ["RawTherapee"])
 
 
 def test_libraw_gives_channels_back(peers: Callable[[str], ModuleType]) -> None:
@@ -139,8 +139,12 @@ def test_rawtherapee_is_asked_for_each_method(peers: Callable[[str], ModuleType]
             assert (setting != "") == profile.has_section(denoising)
             if setting:
                 luma, chroma, median = rawtherapee.DENOISED[setting]
-                said = profile[denoising]
-                assert (said["luma"], said["chroma"], said["median"]) == (str(luma), str(chroma), str(median != "").lower())
+                words = profile[denoising]
+                assert (words["luma"], words["chroma"], words["median"]) == (
+                    str(luma),
+                    str(chroma),
+                    str(median != "").lower(),
+                )
 
 
 @pytest.mark.slow
@@ -267,8 +271,8 @@ def gallery(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 @pytest.fixture
 def entries() -> dict[str, dict[str, Any]]:
-    held: dict[str, dict[str, Any]] = json.loads((GALLERY / "figures.json").read_text(encoding="utf-8"))
-    return held
+    stored: dict[str, dict[str, Any]] = json.loads((GALLERY / "figures.json").read_text(encoding="utf-8"))
+    return stored
 
 
 def test_the_gallery_is_that_of_its_figures(gallery: ModuleType, entries: dict[str, dict[str, Any]]) -> None:
@@ -291,7 +295,7 @@ def test_an_array_begun_at_another_pixel_is_shown_once_and_a_wrong_name_makes_no
     assert 'no array "bayre"' in capsys.readouterr().err
 
 
-def test_the_page_says_where_it_loses(gallery: ModuleType, entries: dict[str, dict[str, Any]]) -> None:
+def test_the_page_states_where_it_loses(gallery: ModuleType, entries: dict[str, dict[str, Any]]) -> None:
     entry = next(iter(entries.values()))
     basic = entry["figures"]["basic"]
     ours = {"mean_delta_e": basic["mean_delta_e"] - 1, "psnr": basic["psnr"] - 1}

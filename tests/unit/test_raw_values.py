@@ -30,68 +30,68 @@ def picture(share: float = 1.0, black: float = BLACK, white: float = WHITE, seed
     return np.rint(np.clip(values, 0, white)).astype(np.uint16)
 
 
-def said(
+def words(
     values: np.ndarray, table: TransformTable, black: float = BLACK, white: float = WHITE, exchangeable: bool = False
 ) -> str:
     return " / ".join(mistaken(RawFrame("frame", values, black, white, exchangeable=exchangeable), table))
 
 
-def test_nothing_is_said_of_what_cameras_give(table: TransformTable) -> None:
+def test_nothing_is_reported_of_what_cameras_give(table: TransformTable) -> None:
     for share in (2.0, 1.0, 0.3, 0.02, 0.0):
-        assert said(picture(share), table, exchangeable=True) == ""
+        assert words(picture(share), table, exchangeable=True) == ""
     noise = np.random.default_rng(2).normal(BLACK, 40, SHAPE)
-    assert said(np.rint(np.clip(noise, 0, WHITE)).astype(np.uint16), table, exchangeable=True) == ""
-    assert said(picture(1.0, 0.0), table, 0.0) == ""  # black has been taken off, and is said so
+    assert words(np.rint(np.clip(noise, 0, WHITE)).astype(np.uint16), table, exchangeable=True) == ""
+    assert words(picture(1.0, 0.0), table, 0.0) == ""  # black has been taken off, and is said so
     ten_bits = picture(1.2, 60.0, 1023.0)
-    assert said(ten_bits, table, 60.0, 1023.0) == ""  # of another depth, and said so
-    assert said(ten_bits << 6, table, 60.0 * 64, 1023.0 * 64) == ""
-    assert said(np.full(SHAPE, 255, np.uint16), random_table(BAYER, black_level=0.0), 0.0, 255.0) == ""
+    assert words(ten_bits, table, 60.0, 1023.0) == ""  # of another depth, and said so
+    assert words(ten_bits << 6, table, 60.0 * 64, 1023.0 * 64) == ""
+    assert words(np.full(SHAPE, 255, np.uint16), random_table(BAYER, black_level=0.0), 0.0, 255.0) == ""
 
 
 @pytest.mark.parametrize("share", [1.2, 0.3])
 def test_bytes_that_are_exchanged_and_values_that_are_shifted_up(table: TransformTable, share: float) -> None:
     values = picture(share)
-    assert "the bytes of its values are exchanged" in said(values.byteswap(), table)
+    assert "the bytes of its values are exchanged" in words(values.byteswap(), table)
     for shift in (2, 4):
-        text = said(values << shift, table)
+        text = words(values << shift, table)
         assert ("" if (values.max() << shift) < 1.5 * WHITE else f"all its values are multiples of {2**shift}") in text
-    assert "exchanged" not in said(values << 4, table)
-    assert said(np.minimum(picture(), 3000), table, white=1500.0) == ""  # what is beyond a white level given too low clips
-    assert "another depth" in said(picture(1.2, 240, 16383), table)
+    assert "exchanged" not in words(values << 4, table)
+    assert words(np.minimum(picture(), 3000), table, white=1500.0) == ""  # what is beyond a white level given too low clips
+    assert "another depth" in words(picture(1.2, 240, 16383), table)
 
 
 def test_values_that_the_converter_cannot_give(table: TransformTable) -> None:
     values = picture()
     values[0, :3] = 5000
-    assert "some of its values are above 4095 DN, the most that the table's 12 bits hold" in said(values, table)
-    assert said(values, table, white=4096.0) == ""  # the level is of its file, and so is its depth
+    assert "some of its values are above 4095 DN, the most that the table's 12 bits hold" in words(values, table)
+    assert words(values, table, white=4096.0) == ""  # the level is of its file, and so is its depth
     values[0, 0] = 65535
-    assert "its values reach 65535 DN, its white level is 4095" in said(values, table)
+    assert "its values reach 65535 DN, its white level is 4095" in words(values, table)
 
 
 def test_fewer_bits_than_the_tables(table: TransformTable) -> None:
-    assert "clips there, as 8 bits do, and its white level is 4095" in said(picture(1.5, 4, 255), table)
-    assert "clips there, as 10 bits do" in said(picture(1.5, 60, 1023), table)
-    assert "black has been taken off it, or its values are of another depth" in said(picture(0.5, 4, 255), table)
-    assert "black has been taken off it" in said(picture(1.0, 0.0), table)
+    assert "clips there, as 8 bits do, and its white level is 4095" in words(picture(1.5, 4, 255), table)
+    assert "clips there, as 10 bits do" in words(picture(1.5, 60, 1023), table)
+    assert "black has been taken off it, or its values are of another depth" in words(picture(0.5, 4, 255), table)
+    assert "black has been taken off it" in words(picture(1.0, 0.0), table)
 
 
 def test_a_black_level_that_leaves_fog(table: TransformTable) -> None:
-    text = said(picture(), table, 0.0)
+    text = words(picture(), table, 0.0)
     assert "its darkest values lie at 2" in text
     assert "give it as 240" in text
-    assert said(picture(), table, 200.0) == ""
+    assert words(picture(), table, 200.0) == ""
     bright = np.maximum(picture(), 900)
-    assert said(bright, table, 0.0) == ""
+    assert words(bright, table, 0.0) == ""
 
 
 @pytest.mark.parametrize("share", [1.0, 0.1])
 def test_rows_and_columns_that_are_exchanged(table: TransformTable, share: float) -> None:
     values = picture(share)
     torn = values.reshape(SHAPE[::-1])
-    assert "‹size› 96x160: rows first" in said(torn, table, exchangeable=True)
-    assert said(torn, table) == ""  # its file says how many there are
-    assert said(values, table, exchangeable=True) == ""
+    assert "‹size› 96x160: rows first" in words(torn, table, exchangeable=True)
+    assert words(torn, table) == ""  # its file says how many there are
+    assert words(values, table, exchangeable=True) == ""
 
 
 def test_sizes_that_fit_a_file_exchanged() -> None:

@@ -82,7 +82,7 @@ PHOTO = 'name = "x"\n[photo]\nframes = ["a", 1]\nlayout = [4]\n[[white]]\n[[whit
         (LabRecipe, "falloff = nan\n[mono]\nradiance = -1\n[dark]\ntrials = true", "falloff mono.radiance dark.trials"),
     ],
 )
-def test_every_wrong_key_is_told_once(recipe: type[Recipe], text: str, keys: str) -> None:
+def test_every_wrong_key_is_reported_once(recipe: type[Recipe], text: str, keys: str) -> None:
     usable, faults = typed(parse_toml(text, "x"), recipe)
     assert usable is not None
     assert sorted(each.keys[0] for each in faults) == sorted(fault("", key).keys[0] for key in keys.split())

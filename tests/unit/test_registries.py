@@ -17,14 +17,14 @@ def test_every_suffix_of_raw_files_has_one_format() -> None:
 
 
 @pytest.mark.parametrize("line", raw.FORMATS, ids=lambda line: line.suffixes[0])
-def test_modules_of_raw_formats_do_what_their_lines_say(line: raw.RawFormat) -> None:
+def test_modules_of_raw_formats_do_what_their_lines_state(line: raw.RawFormat) -> None:
     assert hasattr(line._reader, "read") == line.holds_frame
     assert hasattr(line._reader, "rate") == line.has_rate
     assert hasattr(line._reader, "stack") or not line.stackable
 
 
 @pytest.mark.parametrize("line", scenes.FORMATS, ids=lambda line: line.module)
-def test_modules_of_scene_formats_do_what_their_lines_say(line: scenes.SceneFormat) -> None:
+def test_modules_of_scene_formats_do_what_their_lines_state(line: scenes.SceneFormat) -> None:
     assert callable(line._reader.read)
     assert callable(line._reader.size)
     assert hasattr(line._reader, "files") == line.has_files

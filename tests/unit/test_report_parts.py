@@ -25,17 +25,17 @@ from l3cli.system.text import tidy
 from tests.helpers.pages import csv_rows
 
 
-def test_a_verdict_says_by_which_figures_and_how_often() -> None:
-    def said(frames: int, **wins: int) -> str:
+def test_a_verdict_states_by_which_figures_and_how_often() -> None:
+    def words(frames: int, **wins: int) -> str:
         figures = {"ours": dict.fromkeys(wins, 1.0)}
         return verdict({"frames": [figures] * frames, "better": {"basic": wins}})
 
-    assert said(1, mean_delta_e=1, ssim=1) == "Ours is nearer to the ideal than basic by every figure."
-    assert said(3, mean_delta_e=3, ssim=3) == "Ours is nearer to the ideal than basic by every figure, in every frame."
+    assert words(1, mean_delta_e=1, ssim=1) == "Ours is nearer to the ideal than basic by every figure."
+    assert words(3, mean_delta_e=3, ssim=3) == "Ours is nearer to the ideal than basic by every figure, in every frame."
     some = "Ours is nearer to the ideal than basic by mean ΔE00 in 3 of 4 frames"
-    assert said(4, mean_delta_e=3, ssim=3) == f"{some}."
-    assert said(4, mean_delta_e=3, ssim=2) == f"{some}, not by SSIM (1)."
-    assert said(1, mean_delta_e=0, ssim=1) == "Ours is not nearer to the ideal than basic by mean ΔE00."
+    assert words(4, mean_delta_e=3, ssim=3) == f"{some}."
+    assert words(4, mean_delta_e=3, ssim=2) == f"{some}, not by SSIM (1)."
+    assert words(1, mean_delta_e=0, ssim=1) == "Ours is not nearer to the ideal than basic by mean ΔE00."
 
 
 def test_a_spreadsheet_computes_nothing_that_is_a_name() -> None:
@@ -172,7 +172,7 @@ def test_errors_are_those_of_the_patches(bayer: CameraModel) -> None:
 
 
 @pytest.mark.parametrize(("lights", "drawn"), [(("D65", "A"), 2), (("my lamp", "A"), 1)])
-def test_charts_of_a_calibration_show_measured_beside_predicted(
+def test_charts_of_a_calibration_show_measured_next_to_predicted(
     bayer: CameraModel, lights: tuple[str, ...], drawn: int
 ) -> None:
     surfaces = spectra.colorchecker(bayer.wavelength)[1]

@@ -89,7 +89,7 @@ def test_a_scene_keeps_its_light(l3: Callable[..., tuple[int, str, str]], bayer_
     assert frame.white[1] == pytest.approx(100.0)
 
 
-def test_what_a_scene_does_not_cover_is_said_once(l3: Callable[..., tuple[int, str, str]], tmp_path: Path) -> None:
+def test_what_a_scene_does_not_cover_is_reported_once(l3: Callable[..., tuple[int, str, str]], tmp_path: Path) -> None:
     save_scene(tmp_path / "scene.mat", photons((32, 32)))
     recipe = tmp_path / "scenes.toml"
     recipe.write_text('exposure_share = [0.5, 0.9]\n[[scene]]\nsource = "iset"\nfile = "scene.mat"\n')
@@ -100,7 +100,7 @@ def test_what_a_scene_does_not_cover_is_said_once(l3: Callable[..., tuple[int, s
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "words"),
     [
         (lambda path: path.write_text("no scene"), "not a MATLAB file"),
         (lambda path: path.write_bytes(b""), "not a MATLAB file"),
@@ -112,13 +112,13 @@ def test_what_a_scene_does_not_cover_is_said_once(l3: Callable[..., tuple[int, s
     ],
 )
 def test_a_wrong_scene_file_is_one_line(
-    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, make: Callable[[Path], object], said: str
+    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, make: Callable[[Path], object], words: str
 ) -> None:
     make(tmp_path / "scene.mat")
     recipe = tmp_path / "scenes.toml"
     recipe.write_text('exposure_share = [0.9]\n[[scene]]\nsource = "iset"\nfile = "scene.mat"\n')
     line = refused(3, "simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
-    assert said in line
+    assert words in line
     assert "scene.mat" in line
 
 
@@ -222,13 +222,13 @@ def test_cameras_of_any_wavelengths_are_shown_the_same_scenes(camera: tuple[floa
     """What is drawn does not depend on the camera: what it sees beside DRAWN is added, and changes not a bit of the rest."""
     usual, other = reflectances.DRAWN, procedural.grid(np.array(camera, float))
     for name, draw in DRAWINGS.items():
-        here, there = (Scene(name, nm, draw(np.random.default_rng(4), nm), None) for nm in (usual, other))
-        assert np.array_equal(there.reflectance[..., reflectances.drawn_bands(other)], here.reflectance), name
-        assert there.fingerprint == pytest.approx(here.fingerprint, abs=1e-6)
+        place, there = (Scene(name, nm, draw(np.random.default_rng(4), nm), None) for nm in (usual, other))
+        assert np.array_equal(there.reflectance[..., reflectances.drawn_bands(other)], place.reflectance), name
+        assert there.fingerprint == pytest.approx(place.fingerprint, abs=1e-6)
         assert np.isfinite(there.reflectance).all()
         assert there.reflectance.max() <= procedural.BRIGHTEST, name
-        known, nearly = ({"scene": of, "light": ""} for of in (here.fingerprint, here.fingerprint * (1 + 1e-6)))
-        changed = here.reflectance.copy()
+        known, nearly = ({"scene": of, "light": ""} for of in (place.fingerprint, place.fingerprint * (1 + 1e-6)))
+        changed = place.reflectance.copy()
         changed[2, 3] += 0.2  # one pixel
         assert shown_alike(known, nearly)
         assert not shown_alike(known, {"scene": Scene(name, usual, changed, None).fingerprint, "light": ""})

@@ -61,7 +61,7 @@ def test_a_scene_without_its_light_needs_one_from_the_recipe(
     assert "illuminant" in refused(3, "simulate", tmp_path / "scenes.toml", *arguments)
 
 
-def test_photons_beside_wave_are_a_scene_too(tmp_path: Path) -> None:
+def test_photons_next_to_wave_are_a_scene_too(tmp_path: Path) -> None:
     from scipy.io import savemat
 
     light = {"data": {"photons": np.full(31, 2.0)}, "spectrum": {"wave": WAVELENGTH}}
@@ -308,7 +308,7 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_a_wrong_cube_is_one_line(refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, case: str) -> None:
-    make, code, said = BAD[case]
+    make, code, words = BAD[case]
     (tmp_path / "scenes.toml").write_text("exposure_share = [0.9]\n" + make(tmp_path))
     line = refused(code, "simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
-    assert said in line
+    assert words in line

@@ -196,9 +196,9 @@ def test_a_narrow_responsivity_between_the_cameras_samples_counts(tmp_path: Path
 def test_a_narrow_filter_between_the_cameras_samples_counts(bayer: CameraModel) -> None:
     lens = recipe.SceneRecipe(lens=recipe.Lens(transmittance="filter.csv"))
     for centre in CENTRES:
-        behind = recipe.set_up(bayer, lens, {"filter.csv": (HALVES, narrow(centre)[None])})
+        after = recipe.set_up(bayer, lens, {"filter.csv": (HALVES, narrow(centre)[None])})
         expected = [np.interp(centre, bayer.wavelength, curve) * WIDTH for curve in bayer.responsivity]
-        assert np.allclose(behind.responsivity.sum(axis=1) * 10.0, expected, rtol=0.05)  # it is seen by 20 nm of a tail
+        assert np.allclose(after.responsivity.sum(axis=1) * 10.0, expected, rtol=0.05)  # it is seen by 20 nm of a tail
 
 
 def test_narrow_functions_and_reflectances_between_a_lights_samples_count(bayer: CameraModel) -> None:

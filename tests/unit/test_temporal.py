@@ -170,8 +170,8 @@ def test_a_faint_edge_leaves_little_behind() -> None:
             light = np.full((48, 128), 260.0)
             light[:, 3 * number + 20 :] += 10.4
             made = filtered.filtered(exposed(rng, light, camera.gain, 12))
-        behind = made.values[:, 3 * 13 + 20 - 12 : 3 * 13 + 20]
-        left.append((behind.mean() - BLACK) / camera.gain - 260)
+        after = made.values[:, 3 * 13 + 20 - 12 : 3 * 13 + 20]
+        left.append((after.mean() - BLACK) / camera.gain - 260)
     assert np.mean(left) / 10.4 < 0.2
 
 

@@ -84,7 +84,7 @@ def test_errors_cross_threads() -> None:
         put_many(WriteBehind(fails, 2))
 
 
-def test_work_done_meanwhile_ends_with_the_block_and_leaves_its_errors_to_others() -> None:
+def test_work_done_during_it_ends_with_the_block_and_leaves_its_errors_to_others() -> None:
     begun, done = threading.Event(), threading.Event()
 
     def work() -> None:

@@ -374,7 +374,7 @@ def test_an_option_is_one_field(copy: Path, tmp_path: Path) -> None:
     assert "in Python: ‹grain›: 10 is not within 0…9 DN; the nearest is 9" in output
 
 
-def test_all_work_together(copy: Path, tmp_path: Path) -> None:
+def test_all_work_jointly(copy: Path, tmp_path: Path) -> None:
     """Simulated, trained and rendered; labels of the new feature by OpenCL are those of numpy."""
     (tmp_path / "scenes.toml").write_text(SCENES)
     (tmp_path / "classes.toml").write_text(CLASSES)
@@ -392,8 +392,8 @@ def test_all_work_together(copy: Path, tmp_path: Path) -> None:
         "report table.h5 -o page.html --quiet",
     )
     output = run(copy, tmp_path, "-c", COMMANDS, *commands)
-    for said in ("3 frames", "× 5 values of direction × 3 values of peak ×", "peak 2"):
-        assert said in output
+    for answer in ("3 frames", "× 5 values of direction × 3 values of peak ×", "peak 2"):
+        assert answer in output
     added = np.frombuffer((tmp_path / "picture.ff").read_bytes()[16:], ">u2").reshape(96, 96, 4)
     np.testing.assert_array_equal(added[..., :3], read_image(tmp_path / "picture.png")[0])
     run(copy, tmp_path, "-c", COMPARED)

@@ -197,13 +197,13 @@ def test_three_layers_have_the_same_bytes_in_shards(
     before: tuple = ()
     shards, tables = [], []
     for made in ("first pass", "first layer", "second layer"):
-        parts, table, said = in_shards(l3, run, 2, tmp_path, *before)
-        assert f"this is the {made}: go on with --shard I/N --first {table}" in said
+        parts, table, words = in_shards(l3, run, 2, tmp_path, *before)
+        assert f"this is the {made}: go on with --shard I/N --first {table}" in words
         before = ("--first", table)
         shards.append(parts)
         tables.append(table)
-    parts, table, said = in_shards(l3, run, 2, tmp_path, *before)
-    assert "go on with" not in said
+    parts, table, words = in_shards(l3, run, 2, tmp_path, *before)
+    assert "go on with" not in words
     assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
     assert in_shards(l3, run, 6, tmp_path, *before)[1].read_bytes() == table.read_bytes()
     code, out, _ = l3("info", parts[0])
@@ -229,13 +229,13 @@ def test_a_second_layer_follows_a_single_pass(bayer: CameraModel, tmp_path: Path
     (tmp_path / "classes.toml").write_text(TWO_LAYERS.replace("first_draws = 1", "first_draws = 0"))
     run = (training, "--classes", tmp_path / "classes.toml")
     assert l3("train", *run, "-o", tmp_path / "whole.h5")[0] == 0
-    _, one_layer, said = in_shards(l3, run, 2, tmp_path)
-    assert "this is the first layer: go on with" in said
+    _, one_layer, words = in_shards(l3, run, 2, tmp_path)
+    assert "this is the first layer: go on with" in words
     _, table, _ = in_shards(l3, run, 2, tmp_path, "--first", one_layer)
     assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
 
 
-def test_a_training_set_that_is_replaced_meanwhile_is_noticed(bayer: CameraModel, tmp_path: Path) -> None:
+def test_a_training_set_that_is_replaced_during_it_is_noticed(bayer: CameraModel, tmp_path: Path) -> None:
     training, other = a_set(tmp_path / "training.h5", bayer, 2), a_set(tmp_path / "other.h5", bayer, 3)
     run = open_run((training,), TrainOptions())
     with workers(1) as pool:

@@ -56,7 +56,7 @@ def test_a_turned_picture_shows_what_the_unturned_one_does_where_the_turn_is_kno
     np.testing.assert_array_equal(other.denominators, one.denominators)
 
 
-def test_orientations_are_told_apart() -> None:
+def test_orientations_are_distinguished() -> None:
     """As long as something differs between them: no two of the eight rearrange the tests alike."""
     assert len({str(tree.turned_tests(turn)) for turn in range(ORIENTATIONS)}) == ORIENTATIONS
     for turn in range(ORIENTATIONS):
@@ -116,7 +116,7 @@ def test_evidence_fits_32_bits(names: list[str], signs: list[int], shift: int, s
     assert (seen.denominators >= 1).all()
 
 
-def test_evidence_of_plain_edges_is_what_its_names_say() -> None:
+def test_evidence_of_plain_edges_is_what_its_names_state() -> None:
     row, col = np.mgrid[:SIDE, :SIDE] - SIDE // 2
     names = [test.name for test in tree.EVERY]
 

@@ -225,7 +225,7 @@ def test_a_table_without_its_camera_is_adapted_from_what_it_makes_of_a_grey(
     assert chroma(GreyRenderer(old).outputs_of(0.3 * neutral[None] / neutral.max())[0], white.balance) < 0.5
 
 
-def test_a_neutral_that_no_light_gives_is_told(table: TransformTable, bayer: CameraModel) -> None:
+def test_a_neutral_that_no_light_gives_is_reported(table: TransformTable, bayer: CameraModel) -> None:
     assert Whites(table).of_neutral(grey_of(bayer, "F11")).plausible
     assert not Whites(table).of_neutral(np.array([1.0, 0.3, 1.0])).plausible
     with pytest.raises(InputFileError, match="without light"):
@@ -261,7 +261,7 @@ def test_white_is_followed_from_the_first_frame_on() -> None:
 
 
 @pytest.mark.parametrize("light", ["2500K", "3200K", "D65", "9000K"])
-def test_the_white_of_a_frame_is_estimated_near_its_light(light: str, table: TransformTable, bayer: CameraModel) -> None:
+def test_the_white_of_a_frame_is_estimated_close_to_its_light(light: str, table: TransformTable, bayer: CameraModel) -> None:
     """Grey-edge and white patch err by several degrees at times; with white paint in the frame by less than 35 mired."""
     auto = AutoWhite(Whites(table))
     frame = scene(bayer, light)
@@ -352,7 +352,9 @@ def test_neutrals_are_those_of_the_channels() -> None:
 # ------------------------------------------------------------------------------------------------------- warnings
 
 
-def test_an_array_that_begins_elsewhere_is_told_with_the_phase_that_fits(table: TransformTable, bayer: CameraModel) -> None:
+def test_an_array_that_begins_elsewhere_is_reported_with_the_phase_that_fits(
+    table: TransformTable, bayer: CameraModel
+) -> None:
     frame = scene(bayer, "D65")
     assert other_phase(frame, table) == ""
     wrong = dataclasses.replace(frame, phase=(0, 1))
@@ -366,7 +368,7 @@ def test_an_array_that_begins_elsewhere_is_told_with_the_phase_that_fits(table: 
     assert other_phase(dataclasses.replace(wrong, values=noise), table) == ""
 
 
-def test_another_camera_is_told_by_its_name(table: TransformTable) -> None:
+def test_another_camera_is_reported_by_its_name(table: TransformTable) -> None:
     frame = RawFrame("a.dng", np.zeros((4, 4), np.uint16), 0.0, 100.0)
     canon = dataclasses.replace(frame, taken_by=("Canon", "Canon EOS Kiss X4", "Canon EOS 550D"))
     assert other_camera(frame, table) == ""
