@@ -13,7 +13,7 @@ import numpy as np
 from l3cli.artifacts.camera import Noise, Optics
 from l3cli.artifacts.camera_recipe import camera_files, load_camera, parse_cfa, settings_from
 from l3cli.artifacts.schema import Stage
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError
 from l3cli.frames.measurement import (
     PATCH_NAMES,
     PATCHES,
@@ -36,7 +36,6 @@ from l3cli.io.measurement_recipe import (
     CorrectionRecipe,
     DatasheetRecipe,
     MeasurementRecipe,
-    MonoRecipe,
     frame_names,
     key_faults,
     spectrum_names,
@@ -45,7 +44,7 @@ from l3cli.io.photos import Levels, load_photos, recipe_of_photos
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import parse_recipe, parse_toml, read_text
 from l3cli.spectra.file import read_table
-from l3cli.spectra.table import RELATIVE, CurveTable
+from l3cli.spectra.table import RELATIVE
 from l3cli.system.files import sha256, stamp
 
 
@@ -113,7 +112,7 @@ def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCaptur
     tables = {name: read_table(path.parent / name) for name in {step.spectrum for step in recipe.mono}}
     mono = []
     for step in recipe.mono:
-        light = _light(tables[step.spectrum], step, path)
+        light = tables[step.spectrum].column(step.column)
         radiance = light.photons(step.unit)
         if radiance.max() <= 0:
             raise InputFileError(f"{path.parent / step.spectrum}: column {step.column} is dark; measure the light again")
@@ -121,13 +120,6 @@ def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCaptur
         absolute = not {step.unit, *light.units} & set(RELATIVE)
         mono.append(MonoCapture(**common, wavelength=light.wavelength, radiance=radiance[0], absolute=absolute))
     return tuple(mono)
-
-
-def _light(table: CurveTable, step: MonoRecipe, path: Path) -> CurveTable:
-    """Return the column that a step names."""
-    if isinstance(step.column, int) and not 1 <= step.column <= len(table.values):
-        raise RecipeError(f"{path}: column {step.column} of {step.spectrum} is none of its 1…{len(table.values)}")
-    return table.column(step.column)
 
 
 def _chart(chart: ChartRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:

@@ -153,7 +153,7 @@ def read_dark(sequence: FrameSequence) -> DarkFrame:
     if sequence.what == STDIN_NAME:
         raise RecipeError("dark frames are files, not a stream; save them first")
     # A video says only by its end how many frames it has.
-    return average_dark(_until_none(pending.read() for pending in sequence.frames))
+    return average_dark(_until_none(frame.read() for frame in sequence.frames))
 
 
 def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
@@ -185,9 +185,9 @@ class Frames:
     wanted: Iterable[int]
 
     def __iter__(self) -> Iterator[FrameReference]:
-        return map(self.pending, self.wanted)
+        return map(self.reference, self.wanted)
 
-    def pending(self, number: int) -> FrameReference:
+    def reference(self, number: int) -> FrameReference:
         """Return the frame of a number."""
         series = self.series
         source = series.files.get(number) if series.files else None

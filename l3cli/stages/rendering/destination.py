@@ -176,7 +176,7 @@ def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
     if destination.kind == "pattern":
         return [file for number, file in numbered_files(destination.path).items() if number in wanted]
     numbers = {last_number(file) for file in _pictures(destination)}
-    frames = [sequence.frames.pending(number) for number in numbers if number is not None and number in wanted]
+    frames = [sequence.frames.reference(number) for number in numbers if number is not None and number in wanted]
     return [destination.file(pending.number, pending.stem) for pending in frames]
 
 
