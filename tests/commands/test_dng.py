@@ -359,6 +359,7 @@ def test_the_page_states_of_every_tag_what_is_done_and_the_tables_above_test_it(
     assert named["read"] == {*READ}
     assert named["refused"] == {*REFUSED}
     assert named["warned"] == {*NOTED}
+    harmless = re.sub(r"(\w+)1–3", r"\g<1>1, \g<1>2, \g<1>3", harmless)
     named["harmless"] = set(re.findall(r"\w+", harmless))
     known = {name for code, name in tifffile.TIFF.TAGS.items() if 50706 <= code <= 52555}
     assert known - set().union(*named.values()) == OF_OTHERS
