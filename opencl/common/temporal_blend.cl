@@ -1,10 +1,10 @@
 // Evidence of motion, weights of cells, and the blend (l3cli/rendering/temporal/reference.py).
 
-// Cells have SLACK columns on either side, and a row above and below them, of nought.
-INLINE int cell_row_length(int columns) { return columns + 2 * SLACK; }
+// Cells have PADDING columns on either side, and a row above and below them, of nought.
+INLINE int cell_row_length(int columns) { return columns + 2 * PADDING; }
 
 INLINE int cell_place(int row, int column, int cell_columns) {
-    return (row + 1) * cell_row_length(cell_columns) + SLACK + column;
+    return (row + 1) * cell_row_length(cell_columns) + PADDING + column;
 }
 
 // How many cells on a middle of a cell was before: `vector` is in pixels.

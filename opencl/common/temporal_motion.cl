@@ -1,8 +1,8 @@
 // Where each block was in the history (l3cli/rendering/temporal/motion.py): planes of means, and the search in them.
 
-// Planes have MARGIN rows and columns about them that repeat their edge, and rows of SLACK columns more, so that windows, and
+// Planes have MARGIN rows and columns about them that repeat their edge, and rows of PADDING columns more, so that windows, and
 // vectors that begin in one, may go beyond.
-INLINE int row_length(int columns) { return columns + 2 * MARGIN + SLACK; }
+INLINE int row_length(int columns) { return columns + 2 * MARGIN + PADDING; }
 
 INLINE void fill_margin(__global ushort *row, int columns, bool left, bool right) {
     for (int x = 0; left && x < MARGIN; x++) row[x] = row[MARGIN];

@@ -98,7 +98,7 @@ INLINE void write_classes(__global uint *to, uints label, int count) {
     else WRITE_FIRST(uint, uints, to, label, count);
 }
 
-#if !defined(TRANSFORM_ONLY) && !defined(TOGETHER)  // a program beside one that has this kernel already, or joins it with transforms
+#if !defined(TRANSFORM_ONLY) && !defined(JOINED)  // a program beside one that has this kernel already, or joins it with transforms
 COMPILED_ONCE classes_of_tile(int x0, int y0, CLASSES_PARAMETERS,
                               __global uint *restrict labels,  // (row, col)
                               int phase_row, int phase_column, int rows, int columns) {

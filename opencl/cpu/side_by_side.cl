@@ -8,9 +8,9 @@
 
 #ifdef SIDE_BY_SIDE
 
-#define BESIDE (LANES / 4)         // outputs side by side in a vector
-#define SUMS (4 / BESIDE)          // vectors that hold four outputs
-#define ONCE (TAP_LANES / BESIDE)  // taps
+#define AT_ONCE_OUTPUTS (LANES / 4)         // outputs side by side in a vector
+#define SUMS (4 / AT_ONCE_OUTPUTS)          // vectors that hold four outputs
+#define ONCE (TAP_LANES / AT_ONCE_OUTPUTS)  // taps
 #define VECTORS ((TAPS + ONCE - 1) / ONCE)
 #define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // first the intercepts, in the first lane of each four
 #define PLANES_MADE OUTPUTS

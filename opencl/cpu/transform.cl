@@ -69,7 +69,7 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
 }
 #endif
 
-#if !defined(TOGETHER) && !defined(CLASSES_ONLY)
+#if !defined(JOINED) && !defined(CLASSES_ONLY)
 #define TRANSFORM_PARAMETERS \
     __global const SOURCE *restrict source,      /* (source, row, col) DN of the mosaic, or planes */ \
     __global const int *restrict row_source,     /* (padded row) */ \

@@ -360,7 +360,7 @@ class Variant:
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(
-        (*SHARED, "cpu/ingest.cl", "cpu/statistics.cl", "cpu/classes.cl", "cpu/rows.cl", *TRANSFORM, "cpu/together.cl"),
+        (*SHARED, "cpu/ingest.cl", "cpu/statistics.cl", "cpu/classes.cl", "cpu/rows.cl", *TRANSFORM, "cpu/joined.cl"),
         ("cpu/ingest.cl", "cpu/rows.cl", *TRANSFORM, "cpu/plane_rows.cl"),
         lambda table, lanes: Cut(256, 48, (1, 1), lanes),
         pack_in_vectors,

@@ -19,7 +19,7 @@ BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
 TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # without the kernel of the classes, which another program has
 # Of the variant that joins them, programs of one kernel each: what a frame does not run need not be compiled.
 CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}
-TOGETHER: layout.Macros = {"TOGETHER": 1}  # classes and transforms of the first layer
+JOINED: layout.Macros = {"JOINED": 1}  # classes and transforms of the first layer
 JOINS = ("processor",)  # variants that join them
 Key = tuple[Any, ...]
 
@@ -110,7 +110,7 @@ class Programs:
 
     def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None, sets: int = 1) -> None:
         self._compiler, self._table, self._variant, self._sets = compiler, table, variant, sets
-        self._programs: dict[Key, Any] = {}  # by layer, -1: an encoder, or "together"; and ending
+        self._programs: dict[Key, Any] = {}  # by layer, -1: an encoder, or "joined"; and ending
         self._kernels: dict[Key, Any] = {}  # by program and name
         self._last = len(table.later)
         usual = ENCODERS[variant]
@@ -127,17 +127,17 @@ class Programs:
         """Return whether classes and transforms of the first layer may be one kernel."""
         return self._variant in JOINS
 
-    def transforms(self, ending: layout.Macros, together: bool = False) -> Any:
+    def transforms(self, ending: layout.Macros, joined: bool = False) -> Any:
         """The kernel of the last layer's transforms, which if it is the only one may find its classes, too."""
-        return self._transforms(self._last, ending, together)
+        return self._transforms(self._last, ending, joined)
 
-    def planes(self, layer: int, together: bool = False) -> Any:
+    def planes(self, layer: int, joined: bool = False) -> Any:
         """The kernel that makes what layer `layer` + 1 reads, which for the first may find its classes, too."""
-        return self._transforms(layer, layout.TO_PLANES, together)
+        return self._transforms(layer, layout.TO_PLANES, joined)
 
-    def _transforms(self, layer: int, ending: layout.Macros, together: bool) -> Any:
-        if together:
-            return self._kernel(self._built(layer, {**ending, **TOGETHER}), "classes_and_transform")
+    def _transforms(self, layer: int, ending: layout.Macros, joined: bool) -> Any:
+        if joined:
+            return self._kernel(self._built(layer, {**ending, **JOINED}), "classes_and_transform")
         return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
 
     def classes(self, layer: int) -> Any:

@@ -57,7 +57,7 @@ class OpenCLRenderer:
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
             self._held: Held | None = None
             self._in_place = shares_memory(self.device)
-            self._together = self._programs.joins  # whether classes and transforms of the first layer are one kernel
+            self._joined = self._programs.joins  # whether classes and transforms of the first layer are one kernel
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
             self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
 
@@ -105,7 +105,7 @@ class OpenCLRenderer:
         takes beyond that. Call it twice: the first run warms up.
         """
         self._held = None
-        together, self._together = self._together, False
+        joined, self._joined = self._joined, False
         try:
             _, work = self._start_outputs(frame) if display is None else self._start_picture(frame, display)
             times = self._wait(work).milliseconds()
@@ -115,7 +115,7 @@ class OpenCLRenderer:
                 times["encode"] = max(0.0, times["transforms"] - bare)
                 times["transforms"] = bare
         finally:
-            self._together = together
+            self._joined = joined
         return times
 
     def _start_outputs(self, frame: RawFrame) -> tuple[NDArray[np.float32], Work]:
@@ -144,14 +144,14 @@ class OpenCLRenderer:
         self._held = None
         with refusals(self.device):
             shaded = self._shading.macros(frame.shading)
-            together = self._together and not self._later
-            kernel = None if ending is None else self._programs.transforms({**ending, **shaded}, together)
+            joined = self._joined and not self._later
+            kernel = None if ending is None else self._programs.transforms({**ending, **shaded}, joined)
             encoding = None
             for band in self._bands(values.shape):
                 track = self._tracks[0]
                 self._tracks.rotate()
                 self._bring(values, levelled, track, band, work)
-                if not self._together or (kernel is None and not layer):
+                if not self._joined or (kernel is None and not layer):
                     self._classify(track, band, levelled, work)
                 if encoding is None:  # not before the device is busy
                     encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
@@ -231,7 +231,7 @@ class OpenCLRenderer:
         """Queue the planes that later layer `number` reads of a band, and the classes that they give."""
         step, (rows, columns), made = self._later[number], band.shape(number), band.shape(number + 1)
         track.planes[number] = self._scratch(track.planes[number], 4 * layout.PLANES * rows * columns)
-        kernel = self._programs.planes(number, self._together and not number)
+        kernel = self._programs.planes(number, self._joined and not number)
         reads, ends = self._reads(number, track, band, frame)
         buffers = (*reads, step.weights, step.nothing, track.planes[number], np.float32(0), *ends)
         work.add("planes", self._run(kernel, track, (rows, columns), *buffers))
@@ -242,7 +242,7 @@ class OpenCLRenderer:
     def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
         """Return the buffers that the transforms of a layer read, 0 being the first: source, the places of its padded
         rows and columns, classes or the buffers from which they are decided; and their numbers."""
-        if self._together and not number:
+        if self._joined and not number:
             return self._decides(track, band), self._site(band, frame)
         if not number:
             return (track.raw, *band.mosaic_source, track.labels), (np.int32(0),)

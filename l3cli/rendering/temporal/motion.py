@@ -20,7 +20,7 @@ FARTHEST = 2  # units of the coarsest plane that a block is searched for in each
 CLIPPED = (1 << 12) - 1  # u, of a difference of means: the sums of a window's columns then fit a kernel's 16 bits
 SETTLED = 5  # eighths of the noise of a difference: a block that differs by no more on average is not searched
 RELUCTANCE = 2  # deviations of the noise by which another vector must fit better than where the search began
-BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))  # blocks whose vectors of the coarser plane are tried, too
+NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # blocks whose vectors of the coarser plane are tried, too
 
 
 def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
@@ -123,5 +123,5 @@ def _around(reach: int) -> Iterator[tuple[int, int]]:
 def _neighbours(vectors: Vectors) -> Iterator[Vectors]:
     """Those of the blocks beside each block; at the edge its own."""
     padded = np.pad(vectors, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    for down, across in BESIDE:
+    for down, across in NEIGHBOURS:
         yield padded[1 + down : padded.shape[0] - 1 + down, 1 + across : padded.shape[1] - 1 + across]

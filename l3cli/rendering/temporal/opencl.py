@@ -18,7 +18,7 @@ from l3cli.rendering.temporal import motion, reference
 from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Grid, Kind, NoiseTerms, noise_of, share_left
 
 STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods of a work-item
-MARGIN, SLACK = 4, 8  # rows and columns about a plane, and columns behind it
+MARGIN, PADDING = 4, 8  # rows and columns about a plane, and columns after it
 TILE_ROWS = 4  # that windows are read by
 STAGES = ("download",)  # that are waited for
 KERNELS = ("planes", "search", "evidence", "weigh", "blend")
@@ -88,7 +88,7 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
         "LINEAR_FRACTION": LINEAR_FRACTION,
         "UNEVEN_FRACTION": UNEVEN_FRACTION,
         "MARGIN": MARGIN,
-        "SLACK": SLACK,
+        "PADDING": PADDING,
         "TILE_ROWS": TILE_ROWS,
         "MOST_BEYOND": f"{reference.MOST_BEYOND}L",
         "MOST_DIFFERENCE": motion.CLIPPED,
@@ -109,7 +109,7 @@ class _Buffers:
         self.now, self.before = (device.buffer(2 * _units(grid)) for _ in range(2))
         self.vectors = [device.buffer(8 * blocks) for _ in range(2)]
         # Of cells, with what lies beside them.
-        self.host_left = np.empty((grid.cells[0] + 2, grid.cells[1] + 2 * SLACK), np.uint16)
+        self.host_left = np.empty((grid.cells[0] + 2, grid.cells[1] + 2 * PADDING), np.uint16)
         self.left = [device.cleared(self.host_left.nbytes) for _ in range(2)]
         self.weights = device.cleared(self.host_left.nbytes)
         self.found = [device.cleared(4 * self.host_left.size) for _ in ("power", "sum", "variance")]
@@ -156,7 +156,7 @@ class OpenCLFilter:
             rows, cols = frame.values.shape
             left = int(buffers.host_left.sum(dtype=np.int64)) / (int(np.prod(grid.cells)) * reference.ONE)
             share = share_left(self._camera, frame, left)
-            of_cells = NoiseLeft(buffers.host_left[1:-1, SLACK:-SLACK].copy(), reference.ONE, grid.cell)
+            of_cells = NoiseLeft(buffers.host_left[1:-1, PADDING:-PADDING].copy(), reference.ONE, grid.cell)
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def kept(self) -> NDArray[np.uint16]:
@@ -211,7 +211,7 @@ def _units(grid: Grid) -> int:
     beyond them."""
     rows, cols = (side // period for side, period in zip(grid.shape, grid.period, strict=True))
     planes = ((rows >> level, cols >> level) for level in range(grid.planes))
-    return sum((down + 2 * MARGIN + TILE_ROWS) * (across + 2 * MARGIN + SLACK) for down, across in planes)
+    return sum((down + 2 * MARGIN + TILE_ROWS) * (across + 2 * MARGIN + PADDING) for down, across in planes)
 
 
 def opencl_filters(

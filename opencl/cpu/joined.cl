@@ -2,8 +2,8 @@
 // still in the nearest cache when they are applied, and raw values are read once. Classes are written only where a next layer reads
 // them.
 
-#ifdef TOGETHER
-#define TOGETHER_PARAMETERS \
+#ifdef JOINED
+#define JOINED_PARAMETERS \
     CLASSES_PARAMETERS, \
     __global uint *restrict labels,        /* (row, col) */ \
     __global const tap *restrict weights,  /* as transform.cl has them, and what follows */ \
@@ -11,7 +11,7 @@
     __global CODE *restrict picture GAIN_PARAMETER, \
     float black_level, int phase_row, int phase_column, int rows, int columns
 
-COMPILED_ONCE classes_and_transform_of_tile(int x0, int y0, TOGETHER_PARAMETERS) {
+COMPILED_ONCE classes_and_transform_of_tile(int x0, int y0, JOINED_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int first_phase = (x0 + phase_column) % CFA_COLUMNS;
     HAVE_SEEN(seen)
@@ -47,7 +47,7 @@ COMPILED_ONCE classes_and_transform_of_tile(int x0, int y0, TOGETHER_PARAMETERS)
     }
 }
 
-KERNEL_OF_ONE classes_and_transform(TOGETHER_PARAMETERS) {
+KERNEL_OF_ONE classes_and_transform(JOINED_PARAMETERS) {
     classes_and_transform_of_tile(GROUP_COLUMN, GROUP_ROW, CLASSES_READ, labels, weights, matrix, picture GAIN_READ, black_level,
                                   phase_row, phase_column, rows, columns);
 }
