@@ -72,3 +72,13 @@ def test_a_pipe_named_as_a_file_gets_the_hint_of_the_stream(refused: Callable, t
     (tmp_path / "a.raw").symlink_to(places / "pipe")
     line = refused(3, "render", tmp_path / "table.h5", tmp_path / "a.raw", "-o", tmp_path / "a.png", *FAST)
     assert "or - for headerless frames on stdin" in line
+
+
+def test_a_loop_of_links_is_no_frame_and_no_folder_of_clips(refused: Callable, tmp_path: Path, places: Path) -> None:
+    save(RGGB, tmp_path / "table.h5")
+    (tmp_path / "loop.tif").symlink_to("loop.tif")
+    line = refused(3, "render", tmp_path / "table.h5", tmp_path / "loop.tif", "-o", tmp_path / "a.png", *FAST)
+    assert "loop.tif cannot be read: Too many levels of symbolic links" in line
+    (tmp_path / "loop").symlink_to("loop")
+    line = refused(1, "render", tmp_path / "table.h5", places / "folder", "-o", tmp_path / "loop", *FAST)
+    assert "loop cannot be written" in line

@@ -1,6 +1,7 @@
 """Which clips a call names: its inputs, what lies in a folder of clips, and what their outputs are called."""
 
 import contextlib
+import os
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -26,10 +27,10 @@ def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output
     clips: list[Path] = []
     for each in inputs:
         inside = _clips_in(each, lambda: load(TransformTable, table), options) if each.is_dir() else []
-        here, there = each.resolve(), output.resolve()
+        here, there = (Path(os.path.realpath(path)) for path in (each, output))  # of a loop of links, too
         if inside and (here in (there, *there.parents) or there in here.parents):
             raise RecipeError(f"{output} and {each} lie in one another; name an output elsewhere")
-        clips += [path for path in inside if path.resolve() != table.resolve()] or [each]
+        clips += [path for path in inside if os.path.realpath(path) != os.path.realpath(table)] or [each]
     return tuple(clips)
 
 
