@@ -2,8 +2,10 @@
 
 import atexit
 import contextlib
+import fcntl
 import gc
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -122,18 +124,39 @@ def fine_bayer_recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def made_once(name: str, make: Callable[[Path], None], factory: pytest.TempPathFactory) -> Path:
+    """A folder that the first of the processes of a run makes, and every other copies."""
+    of_run = factory.getbasetemp().parent if "PYTEST_XDIST_WORKER" in os.environ else factory.getbasetemp()
+    made, copy = of_run / f"made-{name}", factory.mktemp(name) / name
+    with open(of_run / f"{name}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not made.exists():
+            copy.mkdir()
+            make(copy)
+            shutil.copytree(copy, of_run / f"making-{name}")
+            (of_run / f"making-{name}").rename(made)
+        else:
+            shutil.copytree(made, copy)
+    return copy
+
+
 @pytest.fixture(scope="session")
 def lab_folder(fine_bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the virtual lab measures of the small Bayer camera, a camera whose well saturates before its converter."""
-    path = tmp_path_factory.mktemp("lab")
-    assert run(["lab", str(fine_bayer_recipe), "-o", str(path), "--quiet"]) == 0
-    return path
+
+    def make(folder: Path) -> None:
+        assert run(["lab", str(fine_bayer_recipe), "-o", str(folder), "--quiet"]) == 0
+
+    return made_once("lab", make, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
 def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which every command has run, from camera.toml and lab/ to table.h5 and picture.png."""
-    folder = tmp_path_factory.mktemp("pipeline")
+    return made_once("pipeline", make_pipeline, tmp_path_factory)
+
+
+def make_pipeline(folder: Path) -> None:
     for name, text in {"camera": bayer_camera(), "scenes": SCENES, "unseen": UNSEEN, "classes": CLASSES}.items():
         (folder / f"{name}.toml").write_text(text)
 
@@ -148,4 +171,3 @@ def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Path:
     l3("simulate", folder / "unseen.toml", *unseen)
     raw = next((folder / "unseen").glob("*_raw.tif"))
     l3("render", folder / "table.h5", raw, "-o", folder / "picture.png")
-    return folder

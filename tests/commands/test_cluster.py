@@ -268,8 +268,9 @@ def test_a_worker_of_another_version_is_refused(cluster: Cluster, monkeypatch: p
         list(pool(squared, range(1)))
 
 
-def test_without_workers_a_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """None at the beginning; and all lost while they are at work."""
+def test_a_run_ends_without_workers_and_without_its_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No worker at the beginning; all lost while they are at work; the scheduler gone."""
+    monkeypatch.setattr(elsewhere, "ANSWER", 2.0)
     with a_cluster(tmp_path, 0) as cluster:
         there = _there(cluster)
         with monkeypatch.context() as hasty:
@@ -277,16 +278,12 @@ def test_without_workers_a_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             with pytest.raises(L3Error, match="no worker for 1 s"), workers(1, there):
                 pass
         cluster.add(1)
-        with workers(1, there) as pool:
-            monkeypatch.setattr(elsewhere, "PATIENCE", 1.0)
+        with workers(1, there) as pool, monkeypatch.context() as hasty:
+            hasty.setattr(elsewhere, "PATIENCE", 1.0)
             with pytest.raises(L3Error, match="no worker for 1 s"):
                 _go_on(pool(_process, range(10_000)), cluster.workers[0].kill)
-
-
-def test_a_scheduler_that_goes_ends_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(elsewhere, "ANSWER", 2.0)
-    with a_cluster(tmp_path, 1) as cluster:
-        with workers(1, _there(cluster)) as pool, pytest.raises(L3Error, match="the scheduler has gone"):
+        cluster.add(1)
+        with workers(1, there) as pool, pytest.raises(L3Error, match="the scheduler has gone"):
             _go_on(pool(_process, range(10_000)), cluster.scheduler.kill)
         with pytest.raises(L3Error, match="no scheduler answers"), workers(1, _there(cluster)):
             pass

@@ -13,11 +13,7 @@ from l3cli.evaluation.demosaic import interpolate
 from l3cli.evaluation.quality import psnr
 from l3cli.io.images import read_image
 from l3cli.recipes.builtin import known_benchmarks, known_recipes
-from l3cli.recipes.toml import Recipe, load_recipe
-from l3cli.simulation.lab_recipe import LabRecipe
-from l3cli.simulation.recipe import SceneRecipe
 from l3cli.stages.starting import CLASSES, COMMON
-from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import SMALL
 
@@ -108,18 +104,6 @@ def test_a_phase_comes_with_its_base(tmp_path: Path, l3: Callable) -> None:
     assert "2×2,  3 channels  A Bayer array, BGGR" in err
     assert {path.name for path in (tmp_path / "demo").iterdir()} == {*COMMON, "camera.toml", "bayer.toml"}
     assert load_camera(tmp_path / "demo/camera.toml").name == "Bayer BGGR"
-
-
-def test_every_recipe_that_is_shipped_can_be_read() -> None:
-    kinds: dict[str, type[Recipe]] = {"scenes": SceneRecipe, "classes": TrainingRecipe, "lab": LabRecipe}
-    for folder, kind in kinds.items():
-        paths = sorted((CONFIGS / folder).glob("*.toml"))
-        assert paths
-        for path in paths:
-            load_recipe(path, kind)
-    for folder in ("training", "test"):
-        load_recipe(CONFIGS / f"benchmarks/bayer/{folder}.toml", SceneRecipe)
-    load_recipe(CONFIGS / "benchmarks/bayer/classes.toml", TrainingRecipe)
 
 
 # ------------------------------------------------------------------------------------------------------- arrays

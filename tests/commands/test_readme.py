@@ -13,10 +13,9 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, load_camera
 from l3cli.artifacts.store import load
 from l3cli.cli import COMMANDS, l3
-from l3cli.io.curves import PriorRecipe
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.recipes import builtin
-from l3cli.recipes.toml import TELLING, Recipe, load_recipe
+from l3cli.recipes.toml import TELLING, Recipe
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.training.recipe import TrainingRecipe
@@ -27,9 +26,6 @@ from tests.helpers.readme import shown as code_of
 ROOT = CONFIGS.parent
 RECIPES: dict[str, type[Recipe]] = {
     "cameras": CameraRecipe, "lab": LabRecipe, "scenes": SceneRecipe, "classes": TrainingRecipe,
-}  # fmt: skip
-OF_BENCHMARK: dict[str, type[Recipe]] = {
-    "camera": CameraRecipe, "training": SceneRecipe, "test": SceneRecipe, "classes": TrainingRecipe,
 }  # fmt: skip
 LINES = [line.removeprefix("$ ") for line in code_of(ALL) if re.match(r"(\$ )?(l3 |.*\| l3 )", line)]
 
@@ -184,12 +180,6 @@ def test_files_and_make_targets_named_exist() -> None:
 
 
 # -------------------------------------------------------------------------------------------------------- recipes
-
-
-@pytest.mark.parametrize("path", sorted(CONFIGS.rglob("*.toml")), ids=lambda path: str(path.relative_to(CONFIGS)))
-def test_every_recipe_is_of_its_kind(path: Path) -> None:
-    kind = OF_BENCHMARK[path.stem] if "benchmarks" in path.parts else (RECIPES | {"priors": PriorRecipe})[path.parent.name]
-    load_camera(path) if kind is CameraRecipe else load_recipe(path, kind)
 
 
 def test_keys_that_identify_a_kind_of_recipe_belong_to_it_alone() -> None:

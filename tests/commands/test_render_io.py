@@ -21,7 +21,6 @@ from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, scene_white, srgb_from_xyz_matrix
 from l3cli.rendering import renderer
 from l3cli.rendering.display import make_display
-from l3cli.rendering.opencl import devices
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.system.files import sha256
 from tests.helpers.calls import L3, Refused
@@ -187,12 +186,6 @@ def test_existing_outputs_are_refused_before_any_work(refused: Refused, tmp_path
     assert (tmp_path / "a.png").read_bytes() == b"mine"
 
 
-def test_force_replaces(l3: L3, tmp_path: Path, table: Path, raw: Path) -> None:
-    (tmp_path / "a.png").write_bytes(b"mine")
-    assert l3("render", table, raw, "-o", tmp_path / "a.png", "--force")[0] == 0
-    assert read_image(tmp_path / "a.png")[0].shape == (RGGB.rows, RGGB.cols, 3)
-
-
 def test_values_above_the_converter_in_later_frames_are_reported_once(
     l3: L3, tmp_path: Path, table: Path, mosaic: np.ndarray
 ) -> None:
@@ -210,22 +203,14 @@ def test_values_above_the_converter_in_later_frames_are_reported_once(
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        (("-o", "a.gif"), "a.gif"),
         (("-o", "a.jpg", "--bits", 16), "8 bits"),
         (("-o", "a.exr", "--exposure", 2), "--exposure"),
-        (("-o", "a.png", "--exposure", "bright"), "no number; give one within"),
-        (("-o", "a.png", "--exposure", -1), "the nearest is 1e-09"),
-        (("-o", "a.png", "--exposure", "nan"), "no number"),
         (("-o", "a.png", "--exposure", "+1"), "give 1 (times Y), or +1EV (brighter than auto)"),
         (("-o", "a.png", "--exposure", "-1"), "auto, or stops from it such as -1EV"),
         (("-o", "a.png", "--exposure", "30EV"), "-20…20 EV"),
         (("-o", "a.exr", "--exposure", "+1EV"), "--exposure"),
-        (("-o", "a.png", "--white", "moonlight"), "moonlight"),
         (("-o", "a.png", "--white", "0.5;0.2"), "0.5;0.2"),
-        (("-o", "a.png", "--phase", "1"), "ROW,COL"),
         (("-o", "a.png", "--size", "3x-4"), "ROWSxCOLS"),
-        (("-o", "a.png", "--backend", "cuda"), "cuda"),
-        ((), "--output"),
     ],
 )
 def test_wrong_calls_are_refused(
@@ -302,15 +287,6 @@ def test_broken_inputs_are_refused_in_one_line(
         assert word in line
     assert "--white-level" in refused(3, "render", table, raw, "-o", output, "--black-level", 20000)
     assert "l3 train" in refused(3, "render", raw, raw, "-o", output)
-
-
-def test_no_device_is_exit_code_4(
-    refused: Refused, tmp_path: Path, table: Path, raw: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("L3_DEVICE", "no such device")
-    assert "L3_DEVICE" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
-    monkeypatch.setattr(devices, "_platforms", list)
-    assert "pip install" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
 
 
 def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path: Path, table: Path, raw: Path) -> None:

@@ -40,15 +40,9 @@ SMALLER = {"levels": "6", "patches": "2000", "draws": "6", "patch": "{patch}", "
 PLANES_ROUNDED = 4 * 0.00018
 EXPOSURES = np.geomspace(0.001, 3.0, 160)  # of that at which a perfect white fills its brightest channel
 AREA, MARGIN, ACROSS = 48, 16, 16  # of a ramp's areas: side, rim beyond which no output reaches (pixels), areas a row
-EVERY = [
-    ("fiveband", "single", "D65", 5),
-    ("fiveband", "fast", "A", 5),
-    ("fiveband", "single", "A", 9),
-    ("bayer", "single", "A", 5),
-    ("bayer", "fast", "D65", 5),
-    ("bayer", "default", "D65", 5),
-    ("rgbir", "fast", "D65", 5),
-]
+EVERY = [("fiveband", "single", "D65", 5), ("fiveband", "single", "A", 9), ("bayer", "default", "D65", 5)]
+EVERY += [("rgbir", "fast", "D65", 5)]
+MORE = [("fiveband", "fast", "A", 5), ("bayer", "single", "A", 5), ("bayer", "fast", "D65", 5)]  # by make soak
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +87,11 @@ def training_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path, str
     return simulated
 
 
-@pytest.fixture(scope="module", params=EVERY, ids=lambda each: "-".join(map(str, each)))
+@pytest.fixture(
+    scope="module",
+    params=[*EVERY, *(pytest.param(each, marks=pytest.mark.soak) for each in MORE)],
+    ids=lambda each: "-".join(map(str, each)),
+)
 def learned(
     request: pytest.FixtureRequest, training_of: Callable[[Path, str], str], tmp_path_factory: pytest.TempPathFactory
 ) -> Learned:
