@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import Noise, Optics
 from l3cli.artifacts.camera_recipe import camera_files, load_camera, parse_cfa, settings_from
@@ -93,7 +94,7 @@ def measurements_of(recipe: MeasurementRecipe, path: Path) -> Measurements:
         darks=tuple(Capture(**_common(capture, body, path)) for capture in recipe.dark),
         whites=tuple(Capture(**_common(capture, body, path)) for capture in recipe.white),
         bands=tuple(BandCapture(**_chart(band, "band", body, path)) for band in recipe.band),
-        curve=_curve(recipe, path),
+        curve=curve_of(recipe, path),
         photos=load_photos(recipe.photos, body, _levels(recipe), path),
         cameras=_cameras(recipe, path),
         datasheet=None if recipe.datasheet is None else _figures(recipe.datasheet),
@@ -112,26 +113,26 @@ def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCaptur
     tables = {name: read_table(path.parent / name) for name in {step.spectrum for step in recipe.mono}}
     mono = []
     for step in recipe.mono:
-        light = tables[step.spectrum].column(step.column)
-        radiance = light.photons(step.unit)
-        if radiance.max() <= 0:
-            raise InputFileError(f"{path.parent / step.spectrum}: column {step.column} is dark; measure the light again")
+        light, radiance = step_radiance(tables[step.spectrum], step)
         common = _common(step, body, path)
         absolute = not {step.unit, *light.units} & set(RELATIVE)
-        mono.append(MonoCapture(**common, wavelength=light.wavelength, radiance=radiance[0], absolute=absolute))
+        mono.append(MonoCapture(**common, wavelength=light.wavelength, radiance=radiance, absolute=absolute))
     return tuple(mono)
+
+
+def step_radiance(table: CurveTable, step: MonoRecipe) -> tuple[CurveTable, NDArray[np.float64]]:
+    """Return the column of a table that a step names, and its radiance (wavelength); InputFileError if there is none or it is
+    dark."""
+    light = table.column(step.column)
+    radiance = light.photons(step.unit)
+    if radiance.max() <= 0:
+        raise InputFileError(f"{table.path}: column {step.column} is dark; measure the light again")
+    return light, radiance[0]
 
 
 def _chart(chart: ChartRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:
     """Return a chart capture as keywords."""
-    measured = read_table(path.parent / chart.radiance).ordered(PATCH_NAMES, patch_name)
-    if table == "chart" and {chart.unit, *measured.units} & set(RELATIVE):
-        raise InputFileError(
-            f"{path.parent / chart.radiance}: radiances of a [[chart]] give the scale and cannot be relative; measure them"
-        )
-    radiance = measured.photons(chart.unit, absolute=table == "chart")
-    if radiance.max(axis=1).min() <= 0:
-        raise InputFileError(f"{path.parent / chart.radiance}: a patch without light; measure the chart again")
+    measured, radiance = chart_radiance(path.parent / chart.radiance, chart, table)
     return {
         **_common(chart, body, path),
         "illuminant": chart.illuminant,
@@ -139,6 +140,18 @@ def _chart(chart: ChartRecipe, table: str, body: Body, path: Path) -> dict[str, 
         "wavelength": measured.wavelength,
         "radiance": radiance,
     }
+
+
+def chart_radiance(file: Path, chart: ChartRecipe, table: str) -> tuple[CurveTable, NDArray[np.float64]]:
+    """Return the patches of a [[chart]] or [[band]] in their order, and their radiances (patch, wavelength);
+    InputFileError if they are none."""
+    measured = read_table(file).ordered(PATCH_NAMES, patch_name)
+    if table == "chart" and {chart.unit, *measured.units} & set(RELATIVE):
+        raise InputFileError(f"{file}: radiances of a [[chart]] give the scale and cannot be relative; measure them")
+    radiance = measured.photons(chart.unit, absolute=table == "chart")
+    if radiance.max(axis=1).min() <= 0:
+        raise InputFileError(f"{file}: a patch without light; measure the chart again")
+    return measured, radiance
 
 
 def patch_name(heading: str) -> str:
@@ -149,7 +162,8 @@ def patch_name(heading: str) -> str:
     return re.sub(r"\s*\(.*\)$", "", heading).strip().lower()
 
 
-def _curve(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves | None:
+def curve_of(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves | None:
+    """Return the [sweep] or the [curves] of a measurement file; InputFileError if their files hold none."""
     if recipe.sweep is not None:
         sweep = recipe.sweep
         response = sweep.response

@@ -123,8 +123,8 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
     distance = optics.object_distance
     if lens.magnification is not None:
         distance = focal * (1.0 + 1.0 / lens.magnification) if lens.magnification > 0 else 0.0
-    if not (focal > 0 and f_number > 0 and (lens.magnification or 0) >= 0 and (distance == 0 or distance > focal)):
-        raise RecipeError("lens: focal length and f-number must be above zero, the object farther than the focal length")
+    if 0 < distance <= focal:
+        raise RecipeError("lens: the object must be farther than the focal length")
     if isinstance(lens.transmittance, str):
         grid, values = curves[lens.transmittance]
         passed = spectra.average(values[0], grid, camera.wavelength)
@@ -132,8 +132,6 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
         passed = np.full(camera.wavelength.size, 1.0 if lens.transmittance is None else lens.transmittance)
     if not (passed.min() >= 0 and 0 < passed.max() <= 1):
         raise RecipeError("lens.transmittance must lie in 0…1 and let some light through")
-    if lens.defocus_um < 0:
-        raise RecipeError("lens.defocus_um must not be negative")
     fitted = replace(camera, responsivity=camera.responsivity * passed, optics=Optics(focal, f_number, distance))
     return with_analog_gain(fitted, recipe.sensor.analog_gain)
 
@@ -158,6 +156,7 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
         if recipe.illuminants != [SCENE_LIGHT] and not can_be_relit(source):
             message = f'{name} holds radiance without its light; give light, or illuminants = ["{SCENE_LIGHT}"]'
             yield fault(message, (*key, "light"), "illuminants")
+    yield from _lens_faults(recipe.lens)
     if recipe.sensor.noise_model is not None:
         yield from _noise_faults(recipe.sensor, recipe.sensor.noise_model)
     outputs = recipe.target.outputs
@@ -177,6 +176,18 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
     if recipe.pair and outputs == CAMERA:
         message = "the target of a pair is a picture; target.outputs cannot be the camera's bands"
         yield fault(message, "target.outputs", "pair")
+
+
+def _lens_faults(lens: Lens) -> Iterator[Fault]:
+    if lens.defocus_um < 0:
+        yield fault("lens.defocus_um must not be negative", "lens.defocus_um")
+    for name, value in (("focal_length_mm", lens.focal_length_mm), ("f_number", lens.f_number)):
+        if value is not None and value <= 0:
+            yield fault(f"lens.{name} is {value:g}, and must be above zero", f"lens.{name}")
+    if (lens.magnification or 0) < 0:
+        yield fault(f"lens.magnification is {lens.magnification:g}; 0 is infinity", "lens.magnification")
+    if isinstance(lens.transmittance, float) and not 0 < lens.transmittance <= 1:
+        yield fault("lens.transmittance must lie in 0…1 and let some light through", "lens.transmittance")
 
 
 def _noise_faults(setting: SensorSetting, model: str) -> Iterator[Fault]:

@@ -45,6 +45,11 @@ def counted(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
+def size_text(count: int) -> str:
+    """Return a number of bytes, in words."""
+    return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
+
+
 def unit(text: str) -> str:
     """Return a unit as ASCII artifacts write it, as print does."""
     return text.replace("e-", "e⁻").replace("m^2", "m²").replace("^2", "²")

@@ -23,12 +23,11 @@ from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.light import automatic_exposure, make_light
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.stages.checking.check import judge
-from l3cli.stages.checking.classes import meaning
 from l3cli.stages.checking.kinds import KINDS, kind_of, names
-from l3cli.stages.checking.source import Source
 from l3cli.stages.simulation.preparation import fitting, prepare
 from l3cli.system.console import Silent
 from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
+from l3cli.training.text import class_figures
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
@@ -444,7 +443,7 @@ def test_the_classes_of_a_site_are_those_of_the_rule() -> None:
         {"classes": {"direction": {"orientations": 8}, "chromas": 1, "contrasts": [2, 4]}}, TrainingRecipe
     )
     rule = make_rule(recipe.classes, camera, np.arange(8).astype(np.uint16))
-    document, _ = meaning(recipe, Source(Path("a.toml"), {}, camera))
+    document = class_figures(recipe, camera)
     assert document["layers"][0]["classes_per_site"] == rule.classes_per_site
     assert [*KINDS] == ["camera", "lab", "scenes", "classes", "measurements"]
 

@@ -13,7 +13,8 @@ import pytest
 
 from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as program
-from l3cli.stages.checking.schema import OUTPUT, RESULTS, schema
+from l3cli.recipes.schema import RESULTS
+from l3cli.stages.checking.kinds import OUTPUT, schema
 from l3cli.system.ledger import close_ledger, note_output, open_ledger, outputs_of
 from tests.helpers.calls import L3
 

@@ -3,10 +3,9 @@
 import itertools
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 from l3cli.artifacts.camera import CameraModel
@@ -15,15 +14,33 @@ from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
 from l3cli.recipes.builtin import known_benchmarks
 from l3cli.recipes.faults import LISTED, Fault, about_others, typed
 from l3cli.recipes.toml import KeyPath, key_lines, line_of, parse_toml, read_text
-from l3cli.stages.checking import cameras as camera_recipes
-from l3cli.stages.checking import classes, labs, measurements, scenes
+from l3cli.simulation.summary import camera_lines, lab_lines, scene_lines
+from l3cli.stages.checking import measurements, recipes
 from l3cli.stages.checking.kinds import CAMERA, KINDS, Kind, kind_of, names
+from l3cli.stages.checking.recipes import Meaning
 from l3cli.stages.checking.source import Source, files_named, key_in
 from l3cli.system.ledger import note_inputs
+from l3cli.training.text import class_lines
 
-JUDGES: dict[str, ModuleType] = {
-    CAMERA: camera_recipes, "lab": labs, "scenes": scenes, "classes": classes, "measurements": measurements,
-}  # fmt: skip
+
+class Judge(NamedTuple):
+    """How recipes of a kind are judged."""
+
+    faults: Callable[[Any, Source], Iterator[Fault]]
+    meaning: Callable[[Any, Source], Meaning]
+    lines: Callable[[dict[str, Any], int | None], list[str]]  # the meaning as text, at most so many characters wide
+
+
+JUDGES = {
+    CAMERA: Judge(recipes.camera_recipe_faults, recipes.camera_meaning, camera_lines),
+    "lab": Judge(recipes.lab_recipe_faults, recipes.lab_meaning, lab_lines),
+    "scenes": Judge(recipes.scene_recipe_faults, recipes.scene_meaning, scene_lines),
+    "classes": Judge(recipes.class_recipe_faults, recipes.class_meaning, class_lines),
+    "measurements": Judge(measurements.faults, measurements.meaning, measurements.lines),
+}
+INDENT = "  "
+ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")  # of a message: what differs between equal faults
+FEW, NAMED = 3, 8  # equal faults that each have a line; lines that are named of more
 SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")
 
 
@@ -149,3 +166,34 @@ def _findings(faults: Iterable[Fault], text: str) -> tuple[Finding, ...]:
 def _written(key: KeyPath) -> str:
     """Return a key as messages write it, entries counted from 1."""
     return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
+
+
+# --------------------------------------------------------------------------------------------------------- text
+
+
+def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
+    """Return a line a fault, as editors know it; or what the recipe means, tables no wider than `width` characters."""
+    if judgement.findings:
+        lines = [f"{judgement.path}:{line}: {message}" for line, message in folded(judgement.findings)]
+        more = f"{f'{judgement.more} ' * (judgement.more > 1)}more"
+        return [*lines, f"{judgement.path}: and {more}"] if judgement.more else lines
+    assert judgement.kind is not None
+    inside = None if width is None else width - len(INDENT)
+    lines = JUDGES[judgement.kind].lines(judgement.meaning, inside) if judgement.meaning else []
+    return [f"{judgement.path}: {KINDS[judgement.kind].title}", *(f"{INDENT}{line}".rstrip() for line in lines)]
+
+
+def folded(findings: Iterable[Finding]) -> list[tuple[int, str]]:
+    """Return line and message of each finding; of more than FEW that differ only in the entry of a list, or in the file
+    that is missing, the first with the lines of the others."""
+    alike: dict[str, list[Finding]] = {}
+    for finding in findings:
+        alike.setdefault(ENTRY.sub("", finding.message), []).append(finding)
+    lines: list[tuple[int, str]] = []
+    for first, *others in alike.values():
+        if len(others) < FEW:
+            lines += [(finding.line, finding.message) for finding in (first, *others)]
+        else:
+            where = ", ".join(str(finding.line) for finding in others[:NAMED]) + " …" * (len(others) > NAMED)
+            lines.append((first.line, f"{first.message} (and {len(others)} times more, in lines {where})"))
+    return sorted(lines, key=lambda each: each[0])

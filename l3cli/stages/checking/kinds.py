@@ -1,4 +1,4 @@
-"""The kinds of recipes, and which of them a file is."""
+"""The kinds of recipes, which of them a file is, and their schemas."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 import msgspec
 
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe
+from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
 from l3cli.recipes.builtin import known_recipes
+from l3cli.recipes.schema import output_schema, schema_of
 from l3cli.recipes.toml import TELLING, Recipe
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
@@ -43,6 +45,8 @@ KINDS = {
         Kind("measurements", (MeasurementRecipe, CorrectionRecipe), None),
     )
 }
+FEATURES = {"ClassRecipe": tuple(feature.Options for feature in (level, contrast, saturation, chroma))}
+OUTPUT = "output"
 
 
 def kind_of(content: Mapping[str, Any]) -> Kind | None:
@@ -76,3 +80,8 @@ def names() -> dict[str, list[tuple[Kind, Path]]]:
         for name, path in (known_recipes(kind.folder) if kind.folder else {}).items():
             known.setdefault(name, []).append((kind, path))
     return known
+
+
+def schema(kind: str) -> dict[str, Any]:
+    """Return the JSON schema of a kind of recipe, or of the JSON that commands print (OUTPUT)."""
+    return output_schema() if kind == OUTPUT else schema_of(KINDS[kind].recipes, KINDS[kind].title, FEATURES)

@@ -2,13 +2,10 @@
 
 import os
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.errors import InputFileError
-from l3cli.frames.measurement import PATCH_NAMES
-from l3cli.io.curves import prior_files, read_finished, read_sweep
+from l3cli.io.curves import prior_files
 from l3cli.io.measurement_recipe import (
     CaptureRecipe,
     ChartRecipe,
@@ -20,14 +17,15 @@ from l3cli.io.measurement_recipe import (
     is_table,
     key_faults,
 )
-from l3cli.io.measurements import load_measurements, patch_name
+from l3cli.io.measurements import chart_radiance, curve_of, load_measurements, step_radiance
 from l3cli.physics import charts
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import KeyPath
+from l3cli.simulation.summary import array_lines, seconds_text
 from l3cli.spectra.file import read_table
-from l3cli.spectra.table import RELATIVE
-from l3cli.stages.checking.scenes import GRID, named_light
+from l3cli.stages.checking.recipes import GRID, Meaning, named_light
 from l3cli.stages.checking.source import Source
+from l3cli.system.text import counted
 
 
 def faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> Iterator[Fault]:
@@ -38,7 +36,10 @@ def faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> Iter
     if isinstance(recipe, CorrectionRecipe):
         yield from source.attempt(("base",), load_camera, source.file(recipe.base))
         return
-    yield from _curve_faults(recipe, source)
+    key = ("sweep", "table") if recipe.sweep is not None else ("curves", "file")
+    yield from source.attempt(key, curve_of, recipe, source.path)
+    if recipe.prior is not None:
+        yield from source.attempt(("prior",), prior_files, source.file(recipe.prior))
     for number, photo in enumerate(recipe.photos):
         yield from _photo_faults(photo, ("photo", number) if isinstance(recipe.photo, list) else ("photo",), source)
 
@@ -62,9 +63,14 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: Source) -> Ite
     """Yield the faults of the frames and the spectra of a capture."""
     yield from _missing(capture.frames, (*key, "frames"), source)
     if isinstance(capture, MonoRecipe):
-        yield from source.attempt((*key, "spectrum"), _check_light, source.file(capture.spectrum), capture)
+        yield from source.attempt((*key, "spectrum"), _light, capture, source)
     if isinstance(capture, ChartRecipe):
-        yield from source.attempt((*key, "radiance"), _check_chart, source.file(capture.radiance), capture, key[0])
+        yield from source.attempt((*key, "radiance"), chart_radiance, source.file(capture.radiance), capture, key[0])
+
+
+def _light(step: MonoRecipe, source: Source) -> None:
+    """Raise InputFileError or RecipeError unless a table holds the light of a step."""
+    step_radiance(read_table(source.file(step.spectrum)), step)
 
 
 def _missing(names: Sequence[str], key: KeyPath, source: Source) -> Iterator[Fault]:
@@ -74,32 +80,7 @@ def _missing(names: Sequence[str], key: KeyPath, source: Source) -> Iterator[Fau
             yield fault(f"{source.file(name)} does not exist; it is named as a frame", (*key, number))
 
 
-def _check_light(path: Path, step: MonoRecipe) -> None:
-    if read_table(path).column(step.column).photons(step.unit).max() <= 0:
-        raise InputFileError(f"{path}: column {step.column} is dark; measure the light again")
-
-
-def _check_chart(path: Path, chart: ChartRecipe, table: str) -> None:
-    measured = read_table(path).ordered(PATCH_NAMES, patch_name)
-    if table == "chart" and {chart.unit, *measured.units} & set(RELATIVE):
-        raise InputFileError(f"{path}: radiances of a [[chart]] give the scale and cannot be relative; measure them")
-    if measured.photons(chart.unit, absolute=table == "chart").max(axis=1).min() <= 0:
-        raise InputFileError(f"{path}: a patch without light; measure the chart again")
-
-
-def _curve_faults(recipe: MeasurementRecipe, source: Source) -> Iterator[Fault]:
-    channels, sweep, curves = recipe.cfa.channels, recipe.sweep, recipe.curves
-    if sweep is not None:
-        paths = source.file(sweep.table), source.file(sweep.response.file)
-        yield from source.attempt(("sweep", "table"), read_sweep, *paths, channels, sweep.response.column)
-    if curves is not None:
-        asked = channels, curves.per_energy, curves.columns
-        yield from source.attempt(("curves", "file"), read_finished, source.file(curves.file), *asked)
-    if recipe.prior is not None:
-        yield from source.attempt(("prior",), prior_files, source.file(recipe.prior))
-
-
-def meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> tuple[dict[str, Any], list[Fault]]:
+def meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> Meaning:
     """Return the sections with their captures, frames and exposures."""
     body = load_measurements(source.path).body
     sections = _captures(recipe)
@@ -138,3 +119,21 @@ def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
         }
         for section, captures in sections.items()
     }
+
+
+def lines(measured: dict[str, Any], width: int | None) -> list[str]:
+    """Return the sections as lines."""
+    lines = [f"{measured['name']}: channels {', '.join(measured['channels'])}", "", *array_lines(measured["array"]), ""]
+    for name, section in measured["sections"].items():
+        told = (
+            [counted(section["captures"], "capture"), counted(section["frames"], "frame")] if "captures" in section else []
+        )
+        if "exposure_s" in section:
+            told.append(" … ".join(dict.fromkeys(map(seconds_text, section["exposure_s"]))))
+        if "wavelength_nm" in section:
+            told.append("{:g}…{:g} nm".format(*section["wavelength_nm"]))
+        told += [", ".join(section["illuminants"])] if "illuminants" in section else []
+        told += [section["file"]] if "file" in section else []
+        told += [f"well of {section['well_capacity_e']:g} e-"] if "well_capacity_e" in section else []
+        lines.append(f"[{name}] {', '.join(told)}")
+    return lines

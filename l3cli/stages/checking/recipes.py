@@ -1,4 +1,4 @@
-"""Scene recipes: what they and the files that they name refuse, and how many frames they make."""
+"""Camera, lab, class and scene recipes: what they and the files that they name refuse, and what they mean."""
 
 import functools
 import os
@@ -8,37 +8,86 @@ from typing import Any
 
 import numpy as np
 
+from l3cli.artifacts.camera_curves import responsivity
+from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_faults, columns_left_out, load_camera
+from l3cli.artifacts.class_rule import MAX_PATCH
+from l3cli.classes import contrast, level
 from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes.registry import is_folder
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import KeyPath
+from l3cli.simulation.lab_recipe import LabRecipe, lab_faults
 from l3cli.simulation.light import MEASURED, SCENE_LIGHT, mixture
 from l3cli.simulation.recipe import SceneRecipe, scene_faults, shots
 from l3cli.simulation.sources import FileSource, name_of, wanted_scenes
 from l3cli.simulation.sources import Source as SceneSource
+from l3cli.simulation.summary import camera_figures, lab_figures
 from l3cli.stages.checking.source import Source
 from l3cli.stages.simulation.preparation import prepare, read_curve
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import refusals, size_of
 from l3cli.stages.simulation.units import frame_bytes
+from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults
+from l3cli.training.text import class_figures
 
 GRID = np.arange(400.0, 701.0, 10.0)  # nm, on which a light's name is tried
+Meaning = tuple[dict[str, Any], list[Fault]]
 
 
-def faults(recipe: SceneRecipe, source: Source) -> Iterator[Fault]:
+def camera_recipe_faults(recipe: CameraRecipe | PhaseRecipe, source: Source) -> Iterator[Fault]:
+    """Yield all that is wrong with the numbers of a recipe, or with its file of curves."""
+    if source.path.suffix != ".toml":
+        yield fault("commands know a camera recipe by its suffix; call the file NAME.toml", "name")
+    if isinstance(recipe, PhaseRecipe):
+        return
+    wrong = list(camera_faults(recipe))
+    yield from wrong
+    declared = recipe.responsivity
+    if declared.file is not None:
+        work = (responsivity, declared, recipe.cfa.channels, source.path.parent)
+        if not any(each.keys[0][0] in ("responsivity", "cfa") for each in wrong):
+            yield from source.attempt(("responsivity", "file"), *work)
+
+
+def camera_meaning(recipe: CameraRecipe | PhaseRecipe, source: Source) -> Meaning:
+    """Return the camera in figures, and a note on columns of its file of curves."""
+    return camera_figures(load_camera(source.path)) | {"note": columns_left_out(source.path)}, []
+
+
+def lab_recipe_faults(recipe: LabRecipe, source: Source) -> Iterator[Fault]:
+    """Yield all that is wrong with a recipe, for its camera if one is given."""
+    yield from lab_faults(recipe, source.camera)
+    yield from source.attempt(("white", "illuminant"), named_light, recipe.white.illuminant)
+    for number, name in enumerate(recipe.chart.illuminants):
+        yield from source.attempt(("chart", "illuminants", number), named_light, name)
+
+
+def lab_meaning(recipe: LabRecipe, source: Source) -> Meaning:
+    """Return captures and frames of each kind."""
+    return ({} if source.camera is None else lab_figures(recipe, source.camera)), []
+
+
+def class_recipe_faults(recipe: TrainingRecipe, source: Source) -> Iterator[Fault]:
+    """Yield all that is wrong with a recipe, for its camera if one is given."""
+    yield from learning_faults(recipe.learning)
+    yield from layer_faults(recipe.layer)
+    classes = recipe.classes
+    if classes.patch % 2 == 0 or not 1 <= classes.patch <= MAX_PATCH:
+        yield fault(f"classes.patch is {classes.patch}, not an odd number up to {MAX_PATCH}", "classes.patch")
+    yield from source.attempt(None, contrast.check_edges, classes)
+    yield from source.attempt(None, level.edge_shares, classes)
+
+
+def class_meaning(recipe: TrainingRecipe, source: Source) -> Meaning:
+    """Return the classes of each layer, and the bytes of the table for a camera."""
+    return class_figures(recipe, source.camera), []
+
+
+def scene_recipe_faults(recipe: SceneRecipe, source: Source) -> Iterator[Fault]:
     """Yield all that is wrong with a recipe, for its camera if one is given, and with the files that it names."""
     yield from scene_faults(recipe, source.camera)
     lens, target = recipe.lens, recipe.target
-    if lens.defocus_um < 0:
-        yield fault("lens.defocus_um must not be negative", "lens.defocus_um")
-    for name, value in (("focal_length_mm", lens.focal_length_mm), ("f_number", lens.f_number)):
-        if value is not None and value <= 0:
-            yield fault(f"lens.{name} is {value:g}, and must be above zero", f"lens.{name}")
-    if (lens.magnification or 0) < 0:
-        yield fault(f"lens.magnification is {lens.magnification:g}; 0 is infinity", "lens.magnification")
-    if isinstance(lens.transmittance, float) and not 0 < lens.transmittance <= 1:
-        yield fault("lens.transmittance must lie in 0…1 and let some light through", "lens.transmittance")
     for text, key in _lights(recipe):
         yield from _light_faults(text, key, source)
     if isinstance(lens.transmittance, str):
@@ -87,7 +136,7 @@ def _files(scene: SceneSource, recipe: Path) -> list[Path]:
     return find_scenes(scene.file, recipe.parent, is_folder(name_of(scene))) if isinstance(scene, FileSource) else []
 
 
-def meaning(recipe: SceneRecipe, source: Source) -> tuple[dict[str, Any], list[Fault]]:
+def scene_meaning(recipe: SceneRecipe, source: Source) -> Meaning:
     """Return the frames, and their size where a camera is given; the files that do not fit on its sensor."""
     run = None
     if source.camera is None:

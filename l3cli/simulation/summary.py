@@ -1,0 +1,133 @@
+"""Cameras, lab and scene recipes in figures, and these as lines of text."""
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_curves import full_width
+from l3cli.errors import InputFileError, listed
+from l3cli.simulation.lab import plan
+from l3cli.simulation.lab_recipe import LabRecipe
+from l3cli.simulation.light import make_light, white_rates
+from l3cli.system.text import columns, figure, size_text
+
+LIGHTS = ("D65", "A")
+LUMINANCE = 100.0  # cd/m² of the white whose exposure is told: a room
+
+
+def camera_figures(camera: CameraModel) -> dict[str, Any]:
+    """Return the curves of each channel, its share of what the brightest collects of a white, and the exposures that fill a
+    pixel, ready for JSON. InputFileError if it collects nothing."""
+    lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHTS}
+    rates = {name: white_rates(camera, light) * camera.channel_gains for name, light in lights.items()}  # of 1 cd/m²
+    if dark := [name for name, rate in rates.items() if not rate.max() > 0]:
+        raise InputFileError(f"camera {camera.name} collects nothing of {' and '.join(dark)}; check responsivity")
+    _ = camera.saturation_exposure  # the same of the light of its own wavelengths alone
+    sites = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
+    curves: dict[str, Any] = {}
+    for number, name in enumerate(camera.channels):
+        curve = camera.responsivity[number]
+        curves[name] = {
+            "sites": int(sites[number]),
+            "peak_nm": float(camera.wavelength[curve.argmax()]),
+            "peak_e_per_photon": float(curve.max()),
+            "fwhm_nm": full_width(camera.wavelength, curve),
+            **{f"white_{light}": float(rate[number] / rate.max()) for light, rate in rates.items()},
+        }
+    filled = {light: float(camera.full_scale / rate.max()) for light, rate in rates.items()}
+    return {
+        "name": camera.name,
+        "array": [[camera.channels[site] for site in row] for row in camera.cfa],
+        "channels": curves,
+        "wavelength_nm": [float(camera.wavelength[0]), float(camera.wavelength[-1])],
+        "rows": camera.rows,
+        "cols": camera.cols,
+        "pixel_pitch_um": round(camera.pixel_pitch * 1e6, 9),
+        "bits": camera.bits,
+        "black_level_dn": camera.black_level,
+        "white_level_dn": camera.white_level,
+        "full_scale_e": camera.full_scale,
+        "f_number": camera.optics.f_number,
+        "saturation_exposure_cd_s_per_m2": filled,
+        "luminance_cd_m2": LUMINANCE,
+        "exposure_s": {light: exposure / LUMINANCE for light, exposure in filled.items()},
+    }
+
+
+def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:
+    """Return the figures of a camera as lines, tables no wider than `width` characters."""
+    lights = list(camera["exposure_s"])
+    rows = []
+    for name, curve in camera["channels"].items():
+        wide = "–" if curve["fwhm_nm"] is None else f"{curve['fwhm_nm']:.0f}"
+        whites = [f"{curve[f'white_{light}']:.3f}" for light in lights]
+        peak = [f"{curve['peak_nm']:g}", f"{100 * curve['peak_e_per_photon']:.1f}", wide]
+        rows.append([name, str(curve["sites"]), *peak, *whites])
+    headings = ["channel\n", "sites\n", "peak\nnm", "efficiency\n%", "FWHM\nnm", *(f"white\n{light}" for light in lights)]
+    filled = [f"{camera['saturation_exposure_cd_s_per_m2'][light]:.4g} cd s/m² of {light}" for light in lights]
+    times = [f"{seconds_text(camera['exposure_s'][light])} of {light}" for light in lights]
+    first, last = camera["wavelength_nm"]
+    levels = f"{camera['bits']} bits, {camera['black_level_dn']:g}…{camera['white_level_dn']:g} DN of "
+    levels += f"{camera['full_scale_e']:.5g} e-"
+    return [
+        f"{camera['name']}: {camera['rows']}×{camera['cols']} pixels of {camera['pixel_pitch_um']:g} µm, {levels}",
+        "",
+        *array_lines(camera["array"]),
+        "",
+        *columns(headings, rows, width),
+        "",
+        f"efficiency: e-/photon, {first:g}…{last:g} nm; white: what a channel collects of it, over the brightest channel",
+        f"a white fills a pixel at {', '.join(filled)}: "
+        f"at {camera['luminance_cd_m2']:g} cd/m² and f/{camera['f_number']:g} in {', '.join(times)}",
+        *filter(None, [camera["note"]]),
+    ]
+
+
+def array_lines(rows: list[list[str]]) -> list[str]:
+    """Return the rows of a colour filter array in columns."""
+    wide = max(len(name) for row in rows for name in row)
+    return [" ".join(name.ljust(wide) for name in row).rstrip() for row in rows]
+
+
+def seconds_text(value: float) -> str:
+    """Return an exposure in s or ms."""
+    return f"{figure(value, '.4g')} s" if value >= 1 else f"{value * 1e3:.3g} ms"
+
+
+def lab_figures(recipe: LabRecipe, camera: CameraModel) -> dict[str, Any]:
+    """Return captures and frames of each kind, ready for JSON."""
+    captures = plan(camera, recipe, 0)
+    frames = sum(capture.trials for capture in captures)
+    return {
+        "camera": camera.name,
+        "captures": dict(Counter(capture.kind for capture in captures)),
+        "frames": frames,
+        "bytes": frames * camera.rows * camera.cols * 2,
+    }
+
+
+def lab_lines(lab: dict[str, Any], width: int | None) -> list[str]:
+    """Return the figures of a lab recipe as lines."""
+    captures = ", ".join(f"{count} {kind}" for kind, count in lab["captures"].items())
+    return [f"for {lab['camera']}: captures {captures}; {lab['frames']} frames, {size_text(lab['bytes'])}"]
+
+
+def scene_lines(scenes: dict[str, Any], width: int | None) -> list[str]:
+    """Return the figures of a scene recipe as lines."""
+    exposures = [f"{len(values)} exposures ({unit})" for unit, values in scenes["exposures"].items()]
+    factors = [
+        f"{scenes['scenes']} scenes" + (f" ({scenes['clips']} of them clips)" if scenes["clips"] else ""),
+        f"{len(scenes['illuminants'])} illuminants ({listed(scenes['illuminants'])})",
+    ]
+    factors += [f"{len(scenes['luminances_cd_m2'])} luminances", *exposures]
+    pairs = f" and {scenes['pairs']} pairs" if scenes["pairs"] else ""
+    lines = [f"{scenes['frames']} frames: {' × '.join(factors)}{pairs}" if scenes["scenes"] else f"{scenes['pairs']} pairs"]
+    if "bytes" in scenes:
+        rows, cols = scenes["largest"]
+        lines.append(
+            f"for {scenes['camera']}: {size_text(scenes['bytes'])} without compression; the largest frame {rows}×{cols}, "
+            f"{size_text(scenes['largest_bytes'])}"
+        )
+    return lines
