@@ -37,6 +37,7 @@ from l3cli.io.measurement_recipe import (
     CorrectionRecipe,
     DatasheetRecipe,
     MeasurementRecipe,
+    MonoRecipe,
     frame_names,
     key_faults,
     spectrum_names,
@@ -45,7 +46,7 @@ from l3cli.io.photos import Levels, load_photos, recipe_of_photos
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import parse_recipe, parse_toml, read_text
 from l3cli.spectra.file import read_table
-from l3cli.spectra.table import RELATIVE
+from l3cli.spectra.table import RELATIVE, CurveTable
 from l3cli.system.files import sha256, stamp
 
 
@@ -121,8 +122,8 @@ def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCaptur
 
 
 def step_radiance(table: CurveTable, step: MonoRecipe) -> tuple[CurveTable, NDArray[np.float64]]:
-    """Return the column of a table that a step names, and its radiance (wavelength); InputFileError if there is none or it is
-    dark."""
+    """Return the column of a table that a step names, and its radiance (wavelength); InputFileError if there is none, or it
+    is dark."""
     light = table.column(step.column)
     radiance = light.photons(step.unit)
     if radiance.max() <= 0:
