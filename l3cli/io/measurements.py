@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import Noise, Optics
 from l3cli.artifacts.camera_recipe import camera_files, load_camera, parse_cfa, settings_from
 from l3cli.artifacts.schema import Stage
-from l3cli.errors import InputFileError
+from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.measurement import (
     PATCH_NAMES,
     PATCHES,
@@ -114,16 +114,18 @@ def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCaptur
     tables = {name: read_table(path.parent / name) for name in {step.spectrum for step in recipe.mono}}
     mono = []
     for step in recipe.mono:
-        light, radiance = step_radiance(tables[step.spectrum], step)
+        light, radiance = step_radiance(tables[step.spectrum], step, path)
         common = _common(step, body, path)
         absolute = not {step.unit, *light.units} & set(RELATIVE)
         mono.append(MonoCapture(**common, wavelength=light.wavelength, radiance=radiance, absolute=absolute))
     return tuple(mono)
 
 
-def step_radiance(table: CurveTable, step: MonoRecipe) -> tuple[CurveTable, NDArray[np.float64]]:
-    """Return the column of a table that a step names, and its radiance (wavelength); InputFileError if there is none, or it
-    is dark."""
+def step_radiance(table: CurveTable, step: MonoRecipe, path: Path) -> tuple[CurveTable, NDArray[np.float64]]:
+    """Return the column of a table that a step of the recipe `path` names, and its radiance (wavelength); RecipeError if there
+    is none of its number, InputFileError if there is none of its name or it is dark."""
+    if isinstance(step.column, int) and not 1 <= step.column <= len(table.values):
+        raise RecipeError(f"{path}: column {step.column} of {step.spectrum} is none of its 1…{len(table.values)}")
     light = table.column(step.column)
     radiance = light.photons(step.unit)
     if radiance.max() <= 0:

@@ -70,7 +70,7 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: Source) -> Ite
 
 def _light(step: MonoRecipe, source: Source) -> None:
     """Raise InputFileError or RecipeError unless a table holds the light of a step."""
-    step_radiance(read_table(source.file(step.spectrum)), step)
+    step_radiance(read_table(source.file(step.spectrum)), step, source.path)
 
 
 def _missing(names: Sequence[str], key: KeyPath, source: Source) -> Iterator[Fault]:
