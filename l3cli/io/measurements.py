@@ -122,8 +122,8 @@ def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCaptur
 
 
 def step_radiance(table: CurveTable, step: MonoRecipe, path: Path) -> tuple[CurveTable, NDArray[np.float64]]:
-    """Return the column of a table that a step of the recipe `path` names, and its radiance (wavelength); RecipeError if there
-    is none of its number, InputFileError if there is none of its name or it is dark."""
+    """Return the column of a table that a step of the recipe `path` names, and its radiance (wavelength); RecipeError if
+    there is none of its number, InputFileError if there is none of its name or it is dark."""
     if isinstance(step.column, int) and not 1 <= step.column <= len(table.values):
         raise RecipeError(f"{path}: column {step.column} of {step.spectrum} is none of its 1…{len(table.values)}")
     light = table.column(step.column)
