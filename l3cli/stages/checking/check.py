@@ -24,7 +24,7 @@ from l3cli.training.text import class_lines
 
 
 class Judge(NamedTuple):
-    """How recipes of a kind are judged."""
+    """Judgement of the recipes of a kind."""
 
     faults: Callable[[Any, Source], Iterator[Fault]]
     meaning: Callable[[Any, Source], Meaning]
