@@ -135,10 +135,10 @@ def _become(arguments: list[str]) -> None:
 
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for number, name in ((1, "out"), (2, "err")):
-        reported = f"{os.getppid()}.{name}"
-        if os.path.exists(reported):
-            os.unlink(reported)  # workers of a killed run may still have something to say to theirs
-        os.dup2(os.open(reported, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), number)
+        stream = f"{os.getppid()}.{name}"
+        if os.path.exists(stream):
+            os.unlink(stream)  # workers of a killed run may still have something to say to theirs
+        os.dup2(os.open(stream, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), number)
     sys.argv = ["l3", *arguments]
     for each in ENDING:
         signal.signal(each, signals.end)
