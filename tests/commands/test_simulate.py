@@ -166,7 +166,7 @@ LEAVES = '[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
         (HEAD + '[target]\noutputs = "RGB"\n' + LEAVES, 2, "RGB"),
         (HEAD + '[target]\nilluminant = "D66"\n' + LEAVES, 2, "D66"),
         (HEAD + "[lens]\ntransmittance = 1.5\n" + LEAVES, 2, "transmittance"),
-        (HEAD + "[lens]\nf_number = 0.0\n" + LEAVES, 2, "f-number"),
+        (HEAD + "[lens]\nf_number = 0.0\n" + LEAVES, 2, "lens.f_number is 0"),
         (HEAD + "[sensor]\nanalog_gain = 0.0\n" + LEAVES, 2, "analog_gain"),
         (HEAD + '[sensor]\nnoise = "some"\n' + LEAVES, 2, "some"),
         ("exposure_saturated = [1.0]\n" + LEAVES, 2, "below 1"),

@@ -48,14 +48,14 @@ DOORS = {
     "gi": ("video_hosts/gstreamer.py", "video_hosts/plugins/"),
 }
 BUDGET = {  # at most; a change that lowers a number lowers it here, towards the goal behind it
-    "lines of l3cli": 48_900,  # 41 000
-    "lines of l3cli/stages": 7_600,  # 5 500
-    "lines of l3cli/cli": 1_620,  # 1 700
-    "lines of tests": 37_900,  # 32 000
-    "modules": 443,  # 290
+    "lines of l3cli": 48_700,  # 41 000
+    "lines of l3cli/stages": 6_900,  # 5 500
+    "lines of l3cli/cli": 1_610,  # 1 700
+    "lines of tests": 37_800,  # 32 000
+    "modules": 370,  # 290
     "modules in the root": 3,
     "lines of the longest module": 500,
-    "modules of less than 60 lines with one importer": 22,  # 0
+    "modules of less than 60 lines with one importer": 9,  # 0
 }
 
 
