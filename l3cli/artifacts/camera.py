@@ -143,8 +143,8 @@ class Optics:
     object_distance: float = data("float64", unit="m", doc="distance of the scene; 0: infinity")
 
     def __post_init__(self) -> None:
-        near = self.object_distance != 0 and self.object_distance <= self.focal_length
-        if not (self.focal_length > 0 and self.f_number > 0) or near:
+        close = self.object_distance != 0 and self.object_distance <= self.focal_length
+        if not (self.focal_length > 0 and self.f_number > 0) or close:
             raise ValueError("focal length and f-number must be above zero, the object farther than the focal length")
 
     @property

@@ -87,7 +87,7 @@ class TransformTable(Artifact):
                 raise ValueError(f"weights holds {len(layer.weights)} classes, the rule makes {sites} × {classes}")
         self.first.rule.check_fits(len(self.channels), self.bits)
         for later in self.later:
-            self._check_later(later)
+            self._check_refinement(later)
         if any(later.ratio_taps for later in self.later[:-1]):
             raise ValueError("a layer that another follows has colour ratios; only the last one may")
         if self.spectra and (len(self.outputs) == 1 or self.outputs[:3] == ("X", "Y", "Z")):
@@ -99,7 +99,7 @@ class TransformTable(Artifact):
         if there != list(itertools.product(lights, noises)):
             raise ValueError("conditions are not all lights, one after the other, with the same noises each")
 
-    def _check_later(self, layer: PlaneLayer) -> None:
+    def _check_refinement(self, layer: PlaneLayer) -> None:
         """Raise ValueError if a layer does not fit the first one, whose levels, saturation cases and outputs it takes."""
         rule, below = layer.rule, self.first.rule
         if len(rule.turns) != self.cfa.size:

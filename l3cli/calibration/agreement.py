@@ -127,9 +127,9 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
         floor = LEAST * values.max()
         at = seen.index(order[place])
         if at == 0 or at == len(seen) - 1:
-            near, next_but_one = (values[1], values[2]) if at == 0 else (values[-2], values[-3])
-            beyond = near * near / max(next_but_one, floor)
-            low, high = min(near, beyond) / END, max(near, beyond) * END
+            next_one, next_but_one = (values[1], values[2]) if at == 0 else (values[-2], values[-3])
+            beyond = next_one * next_one / max(next_but_one, floor)
+            low, high = min(next_one, beyond) / END, max(next_one, beyond) * END
         else:
             low, high = min(values[at - 1], values[at + 1]) / STEP, max(values[at - 1], values[at + 1]) * STEP
         if max(values[at], low) < floor:

@@ -33,9 +33,9 @@ class Options(Recipe):
     )
 
 
-def channel_shares(signal: NDArray[np.float32], near: Neighbourhoods, site: int) -> NDArray[np.float64]:
+def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site: int) -> NDArray[np.float64]:
     """Return the means of the channels over each patch (patch, tap), as shares of their sum: (patch, channel)."""
-    member = (near.channel[site][:, None] == np.arange(near.count.shape[1])) / near.count[site]
+    member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
     means = signal.astype(np.float64) @ member
     return means / np.maximum(means.sum(axis=1, keepdims=True), 1e-9)
 

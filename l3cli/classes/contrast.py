@@ -63,11 +63,11 @@ def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integ
     """Contrast (…) at `level` (…)."""
     if statistics.squares is None:
         return np.zeros(level.shape, np.int64)
-    near, site, sums = statistics.near, statistics.site, statistics.sums
+    neighbours, site, sums = statistics.neighbours, statistics.site, statistics.sums
     mean = statistics.scaled >> 16
-    deviation = statistics.squares - mean * (2 * sums - near.count[site] * mean)
+    deviation = statistics.squares - mean * (2 * sums - neighbours.count[site] * mean)
     cap = (2**32 - 1) // sums.shape[-1]
-    variance = np.minimum(deviation * near.variance_reciprocal[site], cap).sum(axis=-1)
+    variance = np.minimum(deviation * neighbours.variance_reciprocal[site], cap).sum(axis=-1)
     return (variance[None] > rule.contrast_edges[:, level]).sum(axis=0)
 
 

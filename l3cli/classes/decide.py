@@ -33,27 +33,31 @@ def label_mosaic(
 
 
 def label_patches(
-    patches: NDArray[np.unsignedinteger], rule: ClassRule, near: Neighbourhoods, site: int, order: TapOrder | None = None
+    patches: NDArray[np.unsignedinteger],
+    rule: ClassRule,
+    neighbours: Neighbourhoods,
+    site: int,
+    order: TapOrder | None = None,
 ) -> Integers:
     """Return the class within `site` of each patch (patch, tap) of DN; `order`: that of the site, where it is known."""
-    order = order or tap_order(rule, near, site)
-    return label_sums(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, near, site)
+    order = order or tap_order(rule, neighbours, site)
+    return label_sums(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, neighbours, site)
 
 
-def label_sums(seen: PatchSums, rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
+def label_sums(seen: PatchSums, rule: ClassRule, neighbours: Neighbourhoods, site: int) -> Integers:
     """Return the class within `site` of each patch from what is seen of it."""
-    return labels(rule, _statistics(seen, near, site))
+    return labels(rule, _statistics(seen, neighbours, site))
 
 
 def observe_patches(
-    patches: NDArray[np.unsignedinteger], rule: ClassRule, near: Neighbourhoods, site: int
+    patches: NDArray[np.unsignedinteger], rule: ClassRule, neighbours: Neighbourhoods, site: int
 ) -> dict[str, NDArray[np.float64]]:
     """Return, by feature, the statistics (patch, …) that each further feature of `rule` takes from the pilot's patches
     (patch, tap) of DN."""
     if not rule.axes:
         return {}
-    order = tap_order(rule, near, site)
-    statistics = _statistics(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), near, site)
+    order = tap_order(rule, neighbours, site)
+    statistics = _statistics(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), neighbours, site)
     levels = level.levels(rule, statistics)
     return {
         axis.name: feature.observe(axis, rule, sums, levels)
@@ -61,7 +65,7 @@ def observe_patches(
     }
 
 
-def _statistics(seen: PatchSums, near: Neighbourhoods, site: int) -> Statistics:
+def _statistics(seen: PatchSums, neighbours: Neighbourhoods, site: int) -> Statistics:
     sums, windows = (each.astype(np.int64).T for each in (seen.sums, seen.windows))
     squares = None if seen.squares is None else seen.squares.astype(np.int64).T
-    return Statistics(near, np.array([site]), sums, squares, seen.code, windows)
+    return Statistics(neighbours, np.array([site]), sums, squares, seen.code, windows)

@@ -77,10 +77,10 @@ def inner_span(span: int) -> int:
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
     """Return the boxes of the four differences. Where none lies in the middle, both of its neighbours are taken."""
     span = patch - period
-    near, far = (span - inner) // 2, (span + inner) // 2
+    inner_edge, outer_edge = (span - inner) // 2, (span + inner) // 2
     middle = sorted({span // 2, (span + 1) // 2})
     pairs = [(0, at, span, at, 0) for at in middle] + [(2, span, at, 0, at) for at in middle]
-    pairs += [(1, far, far, near, near), (3, far, near, near, far)]
+    pairs += [(1, outer_edge, outer_edge, inner_edge, inner_edge), (3, outer_edge, inner_edge, inner_edge, outer_edge)]
     return tuple(
         Window(difference, top, left, period, period, sign)
         for difference, *boxes in pairs
@@ -139,7 +139,7 @@ def values(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Inte
     return np.where(strength > 0, 1 + group * orientations + orientation, 0)
 
 
-def quieter(axis: Axis, share: float) -> Axis:
+def with_less_noise(axis: Axis, share: float) -> Axis:
     """Strength edges that are as many times the noise that is left."""
     constants = axis.constants.copy()
     constants[HEAD:] = np.rint(constants[HEAD:] * math.sqrt(share))

@@ -81,7 +81,7 @@ class FurtherFeature(Feature, Protocol):
     def values(self, axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
         """Return its value (…) from window sums (…, sum) at `level` (…)."""
 
-    def quieter(self, axis: Axis, share: float) -> Axis:
+    def with_less_noise(self, axis: Axis, share: float) -> Axis:
         """Return the same for frames with this share of the camera's noise variance."""
 
     def turned(self, axis: Axis, transposed: bool, turns: int) -> Integers:

@@ -79,9 +79,9 @@ def _of(index: int, count: int, ends: tuple[str, str]) -> str:
     return f"{index} of 0…{count - 1}{words}"
 
 
-def further_names(table: TransformTable, together: int) -> list[str]:
+def further_names(table: TransformTable, further_class: int) -> list[str]:
     """Return the value of each further feature in text, in order."""
-    values = table.first.rule.split_further(together)
+    values = table.first.rule.split_further(further_class)
     return [
         feature.name(table, value) for (feature, _), value in zip(further_features(table.first.rule), values, strict=True)
     ]

@@ -55,11 +55,11 @@ def _tests(rule: TreeRule) -> NDArray[np.uint32]:
     groups: list[list[tuple[int, int, int]]] = [[] for _ in range(words + len(first))]
     leaf, asked = rule.leaf.tolist(), _asked(rule, 8).tolist()
     for node in np.flatnonzero(rule.branch).tolist():
-        part, behind = bisect.bisect_right(first, leaf[node]) - 1, leaf[rule.branch[node] + 1]
+        part, next_leaf = bisect.bisect_right(first, leaf[node]) - 1, leaf[rule.branch[node] + 1]
         if end[node] <= [*first, rule.structures][part + 1]:  # within a part: leaves are ruled out
-            chosen = {words + part: range(leaf[node] - first[part], behind - first[part])}
+            chosen = {words + part: range(leaf[node] - first[part], next_leaf - first[part])}
         else:  # above them: parts
-            parts = range(part, bisect.bisect_left(first, behind))
+            parts = range(part, bisect.bisect_left(first, next_leaf))
             chosen = {
                 word: range(max(parts.start - 32 * word, 0), min(parts.stop - 32 * word, 32))
                 for word in range(parts.start // 32, (parts.stop - 1) // 32 + 1)

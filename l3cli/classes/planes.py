@@ -60,7 +60,7 @@ def fixed_point(table: TransformTable) -> FixedPoint:
     return _fixed_point(first.weights, first.intercept, basis, read, sites)
 
 
-def later_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
+def refined_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
     """Return a layer that reads planes and after which another does; InputFileError if its transforms are beyond all
     planes."""
     plane = np.repeat(np.arange(len(basis)), layer.side**2)

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.classes.later import mirrored, window_means
 from l3cli.classes.planes import LUMINANCE
+from l3cli.classes.refinement import mirrored, window_means
 
 DARKEST = 2**9  # steps of a plane: the least mean luminance that a ratio is taken to
 

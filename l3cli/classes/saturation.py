@@ -37,14 +37,14 @@ def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[in
     codes = np.arange(len(occurrences))
     lost = lost_filters(codes, filters or range(int(codes[-1]).bit_length())) > 0
     frequent = np.argsort(-occurrences[1:], kind="stable")[: most - 1] + 1
-    kept = np.sort(frequent[occurrences[frequent] > SMALLEST_SHARE * occurrences.sum()])
-    kept = np.concatenate([kept[~lost[kept]], kept[lost[kept]]])
+    chosen = np.sort(frequent[occurrences[frequent] > SMALLEST_SHARE * occurrences.sum()])
+    chosen = np.concatenate([chosen[~lost[chosen]], chosen[lost[chosen]]])
     case_of_code = np.zeros(len(occurrences), dtype=np.uint16)
-    if not kept.size:
+    if not chosen.size:
         return case_of_code
-    differing = np.bitwise_count(codes[:, None] ^ kept[None]).astype(np.float64)
-    misses = (codes[:, None] & ~kept[None]) != 0
-    other = (lost[:, None] != lost[kept]) * len(codes)
+    differing = np.bitwise_count(codes[:, None] ^ chosen[None]).astype(np.float64)
+    misses = (codes[:, None] & ~chosen[None]) != 0
+    other = (lost[:, None] != lost[chosen]) * len(codes)
     case_of_code[:] = np.argmin(differing + 0.5 * misses + other, axis=1) + 1
     case_of_code[0] = 0
     return case_of_code
@@ -68,9 +68,11 @@ def stored_threshold(recipe: Options, camera: CameraModel) -> int:
     return int(np.ceil(camera.black_level + recipe.saturation * (camera.white_level - camera.black_level)))
 
 
-def saturation_codes(patches: NDArray[np.unsignedinteger], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
+def saturation_codes(
+    patches: NDArray[np.unsignedinteger], rule: ClassRule, neighbours: Neighbourhoods, site: int
+) -> Integers:
     """Pattern of saturated channels near the centre of each patch (patch, tap)."""
-    order = tap_order(rule, near, site)
+    order = tap_order(rule, neighbours, site)
     return codes(patches.T[order.taps], rule, order)
 
 

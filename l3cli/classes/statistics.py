@@ -17,7 +17,7 @@ from l3cli.frames.frame import pad_mosaic, shifted_cfa
 class Statistics:
     """Statistics of the neighbourhoods of pixels, of any shape (…)."""
 
-    near: Neighbourhoods
+    neighbours: Neighbourhoods
     site: Integers  # (…), or one site for all, (1)
     sums: Integers  # (…, channel) of v = DN >> shift
     squares: Integers | None  # (…, channel) of v²; None: the rule has one contrast, and nothing else asks for them
@@ -27,7 +27,7 @@ class Statistics:
     @cached_property
     def scaled(self) -> Integers:
         """Channel means (…, channel) times 65536: S · round(65536 / n), below 2³²."""
-        return self.sums * self.near.mean_reciprocal[self.site]
+        return self.sums * self.neighbours.mean_reciprocal[self.site]
 
 
 class PatchSums(NamedTuple):
@@ -73,7 +73,7 @@ def _no_windows(patches: int) -> NDArray[np.float32]:
 
 
 def mosaic_statistics(
-    values: NDArray[np.uint16], rule: ClassRule, near: Neighbourhoods, cfa: NDArray[np.uint8], phase: tuple[int, int]
+    values: NDArray[np.uint16], rule: ClassRule, neighbours: Neighbourhoods, cfa: NDArray[np.uint8], phase: tuple[int, int]
 ) -> Statistics:
     """Statistics of every pixel of a mosaic (row, col) of DN whose first pixel has CFA site `phase`."""
     rows, cols = values.shape
@@ -82,17 +82,17 @@ def mosaic_statistics(
     shifted = padded >> rule.shift
     saturated = padded >= rule.saturation
     sums, squares, code = [], [], np.zeros((rows, cols), dtype=np.int64)
-    for index in range(near.count.shape[1]):
-        here = channel == index
-        sums.append(_box(shifted * here, rule.patch))
+    for index in range(neighbours.count.shape[1]):
+        of_channel = channel == index
+        sums.append(_box(shifted * of_channel, rule.patch))
         if rule.contrasts > 1:
-            squares.append(_box(shifted**2 * here, rule.patch))
-        inner = _inner(saturated & here, rule)
+            squares.append(_box(shifted**2 * of_channel, rule.patch))
+        inner = _inner(saturated & of_channel, rule)
         if inner.any():
             code |= (_box(inner.astype(np.int64), 2 * rule.saturation_radius + 1) > 0).astype(np.int64) << index
     site = sites(rows, cols, cfa.shape, phase)
     windows = _mosaic_windows(shifted, rule, rows, cols)
-    return Statistics(near, site, np.stack(sums, -1), np.stack(squares, -1) if squares else None, code, windows)
+    return Statistics(neighbours, site, np.stack(sums, -1), np.stack(squares, -1) if squares else None, code, windows)
 
 
 def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> Integers:

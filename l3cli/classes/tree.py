@@ -96,10 +96,10 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
     along = np.maximum(np.maximum(np.abs(straight), np.abs(diagonal)), (both >> 6) * 45)
     colours = [_sum(_inner(plane, 2), NEAR) for plane in (*chroma, luminance)]
     numerators = (
-        trace, straight, diagonal, straight + diagonal, straight - diagonal, along, _near(gx * gx + gy * gy),
+        trace, straight, diagonal, straight + diagonal, straight - diagonal, along, _local(gx * gx + gy * gy),
         chroma_trace, chroma_trace, chroma_xx - chroma_yy, _sum(gx * ux + gy * uy, WIDE), _sum(gx * vx + gy * vy, WIDE),
-        _near(bx * bx), _near(by * by), _signed_square(_inner(bx, 2)), _signed_square(_inner(by, 2)),
-        _signed_square(_near(gx)), _signed_square(_near(gy)), *colours,
+        _local(bx * bx), _local(by * by), _signed_square(_inner(bx, 2)), _signed_square(_inner(by, 2)),
+        _signed_square(_local(gx)), _signed_square(_local(gy)), *colours,
     )  # fmt: skip
     denominators = (np.ones_like(trace), trace + NOISE_TRACE, chroma_trace + NOISE_TRACE, np.maximum(colours[2], DARK))
     return Evidence(np.stack(numerators).astype(np.float32), np.stack(denominators).astype(np.float32))
@@ -144,7 +144,7 @@ def turned_axes(turn: int) -> tuple[bool, int, int]:
     return transposed, (across[0] if transposed else across[1]), (down[1] if transposed else down[0])
 
 
-def _near(values: Integers) -> Integers:
+def _local(values: Integers) -> Integers:
     """Return the sums over 3 × 3 of values with a margin of 2."""
     return _sum(_inner(values, 1), NEAR)
 

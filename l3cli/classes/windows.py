@@ -56,12 +56,12 @@ class TapOrder:
     windows: NDArray[np.float32]  # (sum, tap) how often each tap counts in the window sums of all further features
 
 
-def tap_order(rule: ClassRule, near: Neighbourhoods, site: int) -> TapOrder:
+def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrder:
     """Return the order for one site."""
-    channel, channels = near.channel[site], near.count.shape[1]
+    channel, channels = neighbours.channel[site], neighbours.count.shape[1]
     reach = np.abs(np.arange(rule.patch) - rule.radius)
     outer = np.maximum(reach[:, None], reach[None]).ravel() > rule.saturation_radius
-    start = np.append(0, np.cumsum(near.count[site])).tolist()
+    start = np.append(0, np.cumsum(neighbours.count[site])).tolist()
     inner = np.bincount(channel[~outer], minlength=channels).tolist()
     taps = np.lexsort((outer, channel))
     return TapOrder(

@@ -179,8 +179,8 @@ def _usage(error: click.ClickException) -> str:
     """Return what is wrong with a call, and which help to read."""
     message = error.format_message().rstrip(".")
     if isinstance(error, click.NoSuchOption):
-        near = [name for name in error.possibilities or () if name.startswith("--")]
-        message = f"no option {error.option_name}" + (f"; {suggestion(error.option_name, near)}" if near else "")
+        similar = [name for name in error.possibilities or () if name.startswith("--")]
+        message = f"no option {error.option_name}" + (f"; {suggestion(error.option_name, similar)}" if similar else "")
     if isinstance(error, click.BadParameter) and error.param is not None and isinstance(error.param.type, click.Choice):
         message = message.partition(" is not one of ")[0]  # Invalid value for '--codec': 'h256'
         known = map(str, error.param.type.choices)

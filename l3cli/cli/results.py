@@ -47,7 +47,7 @@ class Record:
     begun: float = field(default_factory=time.time)  # s since 1970
     start: float = field(default_factory=time.monotonic)
 
-    def keep(self, messages: list[str], message: str) -> None:
+    def add(self, messages: list[str], message: str) -> None:
         if len(messages) < MOST_KEPT:
             messages.append(with_options(message))
         else:
@@ -124,7 +124,7 @@ class Recorded(Passing):
             self._record.steps[what] = (done, before + time.monotonic() - start)
 
     def heard(self, level: str, message: str) -> None:
-        self._record.keep(self._record.messages if level == "info" else self._record.warnings, message)
+        self._record.add(self._record.messages if level == "info" else self._record.warnings, message)
 
 
 def recorded(console: Console) -> Console:

@@ -26,49 +26,49 @@ def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
     while len(pairs) < LEVELS and min(pairs[-1][0].shape) >= 2 * WINDOW:
         pairs.append((_halved(pairs[-1][0]), _halved(pairs[-1][1])))
     vector = np.zeros((2, *pairs[-1][0].shape), int)
-    for level, (here, before) in enumerate(reversed(pairs)):
+    for level, (frame, before) in enumerate(reversed(pairs)):
         if level:
-            vector = _doubled(vector, here.shape)
-        vector = _refined(here, before, vector, REACH if level == 0 else 1)
+            vector = _doubled(vector, frame.shape)
+        vector = _refined(frame, before, vector, REACH if level == 0 else 1)
     fine = _exact(*pairs[0], vector)
     return np.concatenate([fine, _seen(light, last, fine)[None]]).astype(np.float32)
 
 
-def _refined(here: Array, before: Array, vector: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
+def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
     """Return the best of the displacements within `reach` of a field of them (2, row, col)."""
     from scipy.ndimage import median_filter
 
     offsets = np.array(list(itertools.product(range(-reach, reach + 1), repeat=2)))
-    best, least = vector, np.full(here.shape, np.inf)
+    best, least = vector, np.full(frame.shape, np.inf)
     for offset in offsets[np.argsort(np.hypot(*offsets.T), kind="stable")]:
         tried = vector + offset[:, None, None]
-        cost = _mismatch(here, before, tried) + PENALTY * float(np.hypot(*offset))
+        cost = _mismatch(frame, before, tried) + PENALTY * float(np.hypot(*offset))
         better = cost < least
         least = np.where(better, cost, least)
         best = np.where(better, tried, best)
     return np.stack([median_filter(each, WINDOW, mode="nearest") for each in best])
 
 
-def _mismatch(here: Array, before: Array, vector: NDArray[np.intp]) -> Array:
+def _mismatch(frame: Array, before: Array, vector: NDArray[np.intp]) -> Array:
     """Return the mean square difference (row, col) of windows from those that lie a displacement (2, row, col) back."""
     from scipy.ndimage import uniform_filter
 
     place = [
-        np.clip(at - by, 0, length - 1) for at, by, length in zip(np.indices(here.shape), vector, here.shape, strict=True)
+        np.clip(at - by, 0, length - 1) for at, by, length in zip(np.indices(frame.shape), vector, frame.shape, strict=True)
     ]
-    return np.asarray(uniform_filter(np.square(here - before[place[0], place[1]]), WINDOW))
+    return np.asarray(uniform_filter(np.square(frame - before[place[0], place[1]]), WINDOW))
 
 
-def _exact(here: Array, before: Array, motion: Array) -> Array:
+def _exact(frame: Array, before: Array, motion: Array) -> Array:
     """Return the displacements (2, row, col) to parts of a pixel: least squares over windows of what slopes of the frame,
     brought along, say of the difference (Lucas and Kanade, "An iterative image registration technique", 1981)."""
     from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
-    place, spline = np.indices(here.shape), spline_filter(before)
+    place, spline = np.indices(frame.shape), spline_filter(before)
     for _ in range(STEPS):
-        brought = map_coordinates(spline, place - motion, order=3, mode="mirror", prefilter=False)
-        down, right = np.gradient(brought)
-        rest = here - brought
+        warped = map_coordinates(spline, place - motion, order=3, mode="mirror", prefilter=False)
+        down, right = np.gradient(warped)
+        rest = frame - warped
         dd, rr, dr, d, r = (
             uniform_filter(each, WINDOW) for each in (down * down, right * right, down * right, down * rest, right * rest)
         )

@@ -93,12 +93,12 @@ def curve_of(document: Mapping[str, Any], figure: str) -> Curve:
             raise ValueError("no number that a figure can be")
         rising = sorted(by_luminance)
         name = str(document["camera"])
-        told = all("clipped" in frame and "exposure" in frame for frame in document["frames"])
+        measured = all("clipped" in frame and "exposure" in frame for frame in document["frames"])
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputFileError(f'no figure {figure} by luminance; give what "l3 evaluate --json" prints') from error
     value, clipped = (tuple(float(np.mean([row[part] for row in by_luminance[each]])) for each in rising) for part in (0, 1))
     exposure = tuple(max(time for _, _, time in by_luminance[each]) for each in rising)
-    return Curve(name, tuple(rising), value, *((clipped, exposure) if told else ()))
+    return Curve(name, tuple(rising), value, *((clipped, exposure) if measured else ()))
 
 
 def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:

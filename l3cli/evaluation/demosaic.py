@@ -40,12 +40,12 @@ def interpolate(mosaic: Array, cfa: CFA) -> Array:
     channel = tiled(cfa, mosaic.shape)
     planes = []
     for index in range(int(cfa.max()) + 1):
-        here = (channel == index).astype(np.float64)
+        sampled = (channel == index).astype(np.float64)
         sigma = SIGMA * np.sqrt(cfa.size / (cfa == index).sum())
         reach = max(cfa.shape)  # no pixel is further from a sample of the channel
         planes.append(
-            gaussian_filter(mosaic * here, sigma, mode="mirror", radius=reach)
-            / gaussian_filter(here, sigma, mode="mirror", radius=reach)
+            gaussian_filter(mosaic * sampled, sigma, mode="mirror", radius=reach)
+            / gaussian_filter(sampled, sigma, mode="mirror", radius=reach)
         )
     return np.array(planes)
 

@@ -11,9 +11,9 @@ from l3cli.artifacts.plane_rules import StructureRule, TreeRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import contrast, direction, level, saturation
 from l3cli.classes.features import further_features
-from l3cli.classes.later import first_label_words
 from l3cli.classes.plane_kernel import rule_constants, rule_macros
-from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
+from l3cli.classes.planes import fixed_point, opponent_basis, refined_fixed_point
+from l3cli.classes.refinement import first_label_words
 from l3cli.classes.windows import neighbourhoods
 from l3cli.export.wordlengths import ShortWords
 from l3cli.rendering.opencl.layout import (
@@ -22,8 +22,8 @@ from l3cli.rendering.opencl.layout import (
     by_column,
     first_plane_weights,
     first_weights,
-    later_plane_weights,
-    later_weights,
+    refinement_plane_weights,
+    refinement_weights,
 )
 
 TAP_GROUP = 16  # taps are filled up to a multiple by weights of zero, so that loops over them have no rest
@@ -94,12 +94,14 @@ def filled(taps: int) -> int:
 
 def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[Array], list[str]]:
     """Return the arrays of l3_table.c, those of the last layer floats unless `short`, and the lines that follow them."""
-    rule, near = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+    rule, neighbours = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     arrays = [
         Array("l3_cfa", table.cfa, "channel of each site (CFA row, CFA column)"),
-        Array("l3_count", near.count.astype(np.uint8), "taps of each channel in the patch of a site (site, channel)"),
-        Array("l3_mean_reciprocal", near.mean_reciprocal.astype(np.uint32), "round(65536 / count) (site, channel)"),
-        Array("l3_variance_reciprocal", near.variance_reciprocal.astype(np.uint32), "round(512 / count) (site, channel)"),
+        Array("l3_count", neighbours.count.astype(np.uint8), "taps of each channel in the patch of a site (site, channel)"),
+        Array("l3_mean_reciprocal", neighbours.mean_reciprocal.astype(np.uint32), "round(65536 / count) (site, channel)"),
+        Array(
+            "l3_variance_reciprocal", neighbours.variance_reciprocal.astype(np.uint32), "round(512 / count) (site, channel)"
+        ),
         Array("l3_level_tops", _some(level.kernel_array(rule)), "highest level sum below each level edge (edge)"),
         Array("l3_contrast_edges", _some(contrast.kernel_array(rule)), "contrast edges, times 512 (edge, level)"),
         Array(
@@ -122,7 +124,7 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
 
 
 def _last_floats(table: TransformTable) -> list[Array]:
-    weights = later_weights(table.later[-1]) if table.later else first_weights(table, table.first)
+    weights = refinement_weights(table.later[-1]) if table.later else first_weights(table, table.first)
     windows = weights.taps.shape[-1] - weights.ratio_taps
     return [
         Array("l3_last_weights", _fill(weights.taps[..., :windows]), "(class, output, tap)", packed=True),
@@ -165,7 +167,7 @@ def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
         prefix = f"layer{number}_"
         rule, last = layer.rule, number == len(table.layers)
         if not last:
-            arrays += _fixed(prefix, later_plane_weights(later_fixed_point(layer, basis)))
+            arrays += _fixed(prefix, refinement_plane_weights(refined_fixed_point(layer, basis)))
         more, struct = _structure(prefix, rule) if isinstance(rule, StructureRule) else _tree(prefix, rule)
         label_words = first_label_words(rule, table.first.rule)
         arrays += [

@@ -11,7 +11,7 @@ from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, rule_fields
 from l3cli.artifacts.plane_rules import GRADIENT
 from l3cli.artifacts.schema import Spec, declared
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, later_fixed_point, opponent_basis
+from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, opponent_basis, refined_fixed_point
 from l3cli.classes.ratios import DARKEST as RATIO_DARKEST
 from l3cli.classes.structure import NOISE_TRACE
 from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP, turned_tests
@@ -167,17 +167,17 @@ def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
 
 def _derived(arrays: _Arrays, table: TransformTable) -> None:
     """Add the arrays that l3 computes from a table before it renders."""
-    near = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+    neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     for name, values, doc in (
-        ("count", near.count, "taps of each channel in the patch of a site"),
-        ("mean_reciprocal", near.mean_reciprocal, "round(65536 / count)"),
-        ("variance_reciprocal", near.variance_reciprocal, "round(512 / count)"),
+        ("count", neighbours.count, "taps of each channel in the patch of a site"),
+        ("mean_reciprocal", neighbours.mean_reciprocal, "round(65536 / count)"),
+        ("variance_reciprocal", neighbours.variance_reciprocal, "round(512 / count)"),
     ):
         arrays.add(f"layer0/{name}", values.astype(np.int32), ("site", "channel"), "1", doc)
     if not table.later:
         return
     basis = opponent_basis(table.white_point)
-    for number, fixed in enumerate((fixed_point(table), *(later_fixed_point(layer, basis) for layer in table.later[:-1]))):
+    for number, fixed in enumerate((fixed_point(table), *(refined_fixed_point(layer, basis) for layer in table.later[:-1]))):
         _fixed(arrays, f"layer{number}/", fixed, "per DN" if number == 0 else "per coarse step of a plane")
     tests = [turned_tests(turn) for turn in range(8)]
     if any(layer.tree for layer in table.later):

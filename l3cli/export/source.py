@@ -110,9 +110,9 @@ def _piece(name: str) -> str:
 
 def _pieces(table: TransformTable, words: Words) -> tuple[str, ...]:
     further = "direction.c" if table.first.rule.axes else "no_direction.c"
-    behind = ("planes.c", "structure.c", "tree.c", "several_layers.c") if table.later else ("one_layer.c",)
+    layer_files = ("planes.c", "structure.c", "tree.c", "several_layers.c") if table.later else ("one_layer.c",)
     spectra = "spectra.c" if table.spectra else "no_spectra.c"
-    return ("head.c", further, "classes.c", f"{words}.c", *behind, spectra, "render.c")
+    return ("head.c", further, "classes.c", f"{words}.c", *layer_files, spectra, "render.c")
 
 
 # ---------------------------------------------------------------------------------------------------------------- macros

@@ -22,7 +22,7 @@ from l3cli.classes.windows import window_channels
 from l3cli.errors import InputFileError
 from l3cli.export.vector import drawn_mosaic
 from l3cli.frames.frame import RawFrame
-from l3cli.rendering.reference import ReferenceRenderer, later_outputs, output_planes
+from l3cli.rendering.reference import ReferenceRenderer, output_planes, refinement_outputs
 
 OUTPUT_FRACTION = 12  # bits of an output behind the point: words reach ±8
 OUTPUT_TOP = 2**15 - 1
@@ -217,4 +217,4 @@ def _outputs(table: TransformTable) -> Callable[[NDArray[np.float32]], NDArray[n
         first = table.first
         return lambda weights: output_planes(frame, labels, table, dataclasses.replace(first, weights=weights))
     last, planes = table.later[-1], reference.planes(frame)
-    return lambda weights: later_outputs(planes, labels, dataclasses.replace(last, weights=weights))
+    return lambda weights: refinement_outputs(planes, labels, dataclasses.replace(last, weights=weights))

@@ -70,15 +70,15 @@ class _Worker:
         with contextlib.ExitStack() as failed:
             failed.push(self._owned)
             self._owned.enter_context(linked(path))
-            here, there = socket.socketpair()
-            self.socket = self._owned.enter_context(here)
-            with there:
+            ours, theirs = socket.socketpair()
+            self.socket = self._owned.enter_context(ours)
+            with theirs:
                 self._process = os.fork()
                 if not self._process:
                     try:
-                        for other in (here, *others):
+                        for other in (ours, *others):
                             other.close()
-                        _decode(there, path, arrays, seconds)
+                        _decode(theirs, path, arrays, seconds)
                     finally:
                         os._exit(1)
             failed.pop_all()

@@ -205,9 +205,9 @@ def _versions() -> dict[str, str]:
 
 def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
     """Return, in a worker, function(item). One at a time, since not all that is called is safe in several threads."""
-    for name, there in versions.items():
-        if (here := _versions()[name]) != there:
-            raise L3Error(f"a worker has {name} {here}, this machine {there}; install the same version on both")
+    for name, theirs in versions.items():
+        if (ours := _versions()[name]) != theirs:
+            raise L3Error(f"a worker has {name} {ours}, this machine {theirs}; install the same version on both")
     if any(os.environ.get(name) != number for name, number in ONE_BLAS_THREAD.items()):
         names = " ".join(f"{name}={number}" for name, number in ONE_BLAS_THREAD.items())
         raise L3Error(f"a worker computes in several threads, which may round otherwise; start it with {names}")

@@ -154,7 +154,7 @@ class NoiseSets:
         """The first layers as integers."""
         return self._joined(("weights", "intercept", "fraction"), [fixed_point(table) for table in self.tables])
 
-    def later_rules(self, number: int) -> tuple[PlaneRule, ...]:
+    def refinement_rules(self, number: int) -> tuple[PlaneRule, ...]:
         """Return the rule of later layer `number`, from 0, in each set."""
         return tuple(table.later[number].rule for table in self.tables)
 
@@ -169,7 +169,7 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     """Return the table for frames with this share of the camera's noise variance: class edges that follow noise, but not
     trees, are scaled, so that detail that noise would hide is told from flat areas again; transforms stay as learned."""
     rule = table.first.rule
-    axes = tuple(feature.quieter(axis, share) for feature, axis in further_features(rule))
+    axes = tuple(feature.with_less_noise(axis, share) for feature, axis in further_features(rule))
     features = FurtherFeatures.of(axes) if axes else None
     first = replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=features)
     later = tuple(

@@ -27,7 +27,7 @@ class LightMeter:
 
     def __init__(self, table: TransformTable) -> None:
         self.table = table
-        self._near = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+        self._neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
         self._weights = np.ascontiguousarray(table.first.weights[:, 1])
         self._intercept = table.first.intercept[:, 1]
         self._orders: dict[int, TapOrder] = {}  # by CFA site
@@ -37,8 +37,8 @@ class LightMeter:
         table = self.table
         patches, site = spread_patches(frame, table, None if balance is None else balance.gains)
         if site not in self._orders:
-            self._orders[site] = tap_order(table.first.rule, self._near, site)
-        labels = label_patches(patches.values, table.first.rule, self._near, site, self._orders[site])
+            self._orders[site] = tap_order(table.first.rule, self._neighbours, site)
+        labels = label_patches(patches.values, table.first.rule, self._neighbours, site, self._orders[site])
         classes = table.first.rule.on_site(labels, site)
         signal = (patches.values.astype(np.float32) - np.float32(patches.black_level)) / np.float32(
             table.white_level - table.black_level
@@ -132,14 +132,14 @@ class CoverageMeter:
 
     def __init__(self, table: TransformTable) -> None:
         self._table = table
-        self._near = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+        self._neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
         self._samples = table.first.rule.by_axis(table.first.samples)
 
     def coverage(self, frame: RawFrame) -> Coverage:
         """Return the coverage of a frame of any size and phase."""
         rule = self._table.first.rule
         patches, site = spread_patches(frame, self._table)
-        labels = label_patches(patches.values, rule, self._near, site)
+        labels = label_patches(patches.values, rule, self._neighbours, site)
         place = rule.split(labels)
         learned = np.flatnonzero(self._samples[site].sum(axis=(1, 2, 3)) > 0)
         lowest, highest = (learned[0], learned[-1]) if learned.size else (0, rule.levels - 1)

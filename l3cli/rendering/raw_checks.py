@@ -61,7 +61,7 @@ class FrameWarnings:
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
-        for text in (other_camera(frame, self.table), other_phase(frame, self.table), *mistaken(frame, self.table)):
+        for text in (other_camera(frame, self.table), other_phase(frame, self.table), *value_warnings(frame, self.table)):
             self._note(text, frame.name)
         for note in frame.notes:
             self._notes.setdefault(note, frame.name)
@@ -141,7 +141,7 @@ def _words(name: str) -> set[str]:
 def other_phase(frame: RawFrame, table: TransformTable) -> str:
     """Return a warning, with the phase that fits, if the sites of one channel differ as they do where a file misstates
     its array; else ""."""
-    now, least, phases = best_phases(frame, table)
+    now, least, phases = phase_contrasts(frame, table)
     if now < SITES_DIFFER or not phases or least > SITES_AGREE * now:
         return ""
     fitting = " or ".join(f"{row},{col}" for row, col in phases)
@@ -163,7 +163,7 @@ def odd_exposure_time(seconds: float | None, table: TransformTable) -> str:
     )
 
 
-def mistaken(frame: RawFrame, table: TransformTable) -> Iterator[str]:
+def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
     """Yield a warning for values that the table's camera hardly gives, as the frame's levels and size are taken."""
     top = int(frame.values.max())
     too_high = top > BEYOND * frame.white_level
@@ -283,7 +283,7 @@ def disagreement(means: NDArray[np.float64], cfa: NDArray[np.uint8], phase: tupl
     return max(float(np.ptp(of_channel) / max(of_channel.mean(), 1e-9)) for of_channel in seen)
 
 
-def best_phases(frame: RawFrame, table: TransformTable) -> tuple[float, float, list[tuple[int, int]]]:
+def phase_contrasts(frame: RawFrame, table: TransformTable) -> tuple[float, float, list[tuple[int, int]]]:
     """The disagreement of a frame's sites, the least one that another phase would leave, and the phases that leave about as
     little; zeros and none of dark frames, and of arrays no channel of which has two sites."""
     means = site_means(frame, table.cfa.shape)

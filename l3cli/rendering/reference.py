@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from l3cli.artifacts.layers import PLANE_STEP, MosaicLayer, PlaneLayer
 from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.classes.decide import label_mosaic
-from l3cli.classes.later import label_planes, mirrored
-from l3cli.classes.planes import FixedPoint, coarse, later_fixed_point, opponent_basis
+from l3cli.classes.planes import FixedPoint, coarse, opponent_basis, refined_fixed_point
 from l3cli.classes.ratios import shaded_chroma
+from l3cli.classes.refinement import label_planes, mirrored
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import RawFrame, pad_mosaic
 from l3cli.rendering.conditions import NoiseSets
@@ -33,7 +33,7 @@ class ReferenceRenderer:
         """Class (row, col) of every pixel in a layer of the table."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
-        return self._later(levelled, labels, layer)[1] if layer else labels
+        return self._refine(levelled, labels, layer)[1] if layer else labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Outputs of the table, (output, row, col)."""
@@ -54,8 +54,8 @@ class ReferenceRenderer:
         labels = self._labels(levelled)
         gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
         if self.table.later:
-            planes, later_labels = self._later(levelled, labels, len(self.table.later))
-            made = gain * later_outputs(planes, later_labels, self._sets.later[-1])
+            planes, refined_labels = self._refine(levelled, labels, len(self.table.later))
+            made = gain * refinement_outputs(planes, refined_labels, self._sets.later[-1])
         else:
             made = gain * output_planes(levelled, labels, self.table, self._sets.first)
         return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
@@ -63,13 +63,13 @@ class ReferenceRenderer:
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
         """Return the planes that the last layer of a table of several reads of a frame, (plane, row, col)."""
         levelled = at_table_levels(frame, self.table)
-        return self._later(levelled, self._labels(levelled), len(self.table.later))[0]
+        return self._refine(levelled, self._labels(levelled), len(self.table.later))[0]
 
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
         """Fixed-point transforms of all layers but the last."""
         basis = opponent_basis(self.table.white_point)
-        return [self._sets.first_fixed_point, *(later_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
+        return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:
         """Class (row, col) in the first layer of every pixel of a frame at the table's levels, among those of all sets."""
@@ -79,20 +79,20 @@ class ReferenceRenderer:
             labels = np.where(chosen == number, number * len(self.table.first.weights) + of_set, labels)
         return labels
 
-    def _later(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
+    def _refine(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
         """Return the planes that layer `number` after the first reads of a frame at the table's levels, and the classes
         of its pixels."""
         later = self._sets.later
         planes = first_planes(levelled, first_labels, self.table, self._fixed_points[0])
-        labels = self._later_labels(planes, first_labels, 0)
+        labels = self._refined_labels(planes, first_labels, 0)
         for place, fixed in enumerate(self._fixed_points[1:number], 1):
-            planes = later_planes(planes, labels, later[place - 1], fixed)
-            labels = self._later_labels(planes, first_labels, place)
+            planes = refinement_planes(planes, labels, later[place - 1], fixed)
+            labels = self._refined_labels(planes, first_labels, place)
         return planes, labels
 
-    def _later_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
+    def _refined_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
         """Class (row, col) in later layer `place`, from 0, of every pixel."""
-        rule, *others = self._sets.later_rules(place)
+        rule, *others = self._sets.refinement_rules(place)
         return label_planes(planes, first_labels, rule, self.table.first.rule, *others)
 
 
@@ -136,7 +136,9 @@ def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed
     return planes
 
 
-def later_planes(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint) -> NDArray[np.int32]:
+def refinement_planes(
+    planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint
+) -> NDArray[np.int32]:
     """Planes (plane, row, col) that a layer makes of those of the layer before, by its classes (row, col)."""
     _, rows, cols = planes.shape
     windows = _windows(coarse(planes).astype(np.int64), layer)
@@ -148,7 +150,7 @@ def later_planes(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer,
     return made
 
 
-def later_outputs(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer) -> NDArray[np.float64]:
+def refinement_outputs(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer) -> NDArray[np.float64]:
     """Outputs (output, row, col) of a plane layer from what it reads and its classes (row, col)."""
     _, rows, cols = planes.shape
     windows = _windows(planes.astype(np.float64) * PLANE_STEP, layer)
@@ -189,6 +191,6 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
         total += weight
         brighter += weight * difference
         change += weight * (padded[:, *there] - planes)
-    kept = np.where(brightness > SPECTRA_DARKEST, brightness, 1.0)
-    share = kept / np.where(brightness > SPECTRA_DARKEST, brightness + brighter / total, 1.0)
+    safe = np.where(brightness > SPECTRA_DARKEST, brightness, 1.0)
+    share = safe / np.where(brightness > SPECTRA_DARKEST, brightness + brighter / total, 1.0)
     return np.where(brightness > SPECTRA_DARKEST, (planes + change / total) * share, planes)

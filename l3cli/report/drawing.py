@@ -103,7 +103,7 @@ class Plot:
     def line(
         self, x: Array, y: Array, colour: str, mark: str = "line", width: float = 2, series: str | None = None
     ) -> "Plot":
-        self._keep(series, x, y)
+        self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take(points, joined=True)
         path = "M" + "L".join(f"{a:.1f},{b:.1f}" for a, b in points)
@@ -115,7 +115,7 @@ class Plot:
 
     def steps(self, edges: Array, heights: Array, colour: str, mark: str = "line", series: str | None = None) -> "Plot":
         """Return a histogram's outline: heights (bin) between edges (bin + 1). Its data are heights at the lower edges."""
-        self._keep(series, edges[:-1], heights)
+        self._add_series(series, edges[:-1], heights)
         return self.line(np.repeat(edges, 2)[1:-1], np.repeat(heights, 2), colour, mark, 1.8)
 
     def band(self, x: Array, low: Array, high: Array, colour: str) -> "Plot":
@@ -129,7 +129,7 @@ class Plot:
         self, x: Array, y: Array, colour: str, mark: str = "dot", size: float = 5, opacity: float = 0.75,
         series: str | None = None,
     ) -> "Plot":  # fmt: skip
-        self._keep(series, x, y)
+        self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take([(a + c * size / 2, b) for a, b in points for c in (-1, 1)], joined=False)
         path = "".join(f"M{a:.1f},{b:.1f}{MARKS[mark]}" for a, b in points)
@@ -176,8 +176,8 @@ class Plot:
     def points(self, keys: Sequence[Key], x: Array, y: Array, used: NDArray[np.bool_]) -> None:
         """Draw the points (…, channel) of each channel that are used."""
         for channel, key in enumerate(keys):
-            here = used[..., channel]
-            self.dots(x[..., channel][here], y[..., channel][here], key.colour, key.mark, series=key.label)
+            of_channel = used[..., channel]
+            self.dots(x[..., channel][of_channel], y[..., channel][of_channel], key.colour, key.mark, series=key.label)
 
     def figure(self, title: str, finding: str, keys: tuple[Key, ...] = ()) -> Figure:
         """Return the drawing as a figure, with the numbers of all series."""
@@ -200,7 +200,7 @@ class Plot:
             if place is not None
         ]
 
-    def _keep(self, series: str | None, x: Array, y: Array) -> None:
+    def _add_series(self, series: str | None, x: Array, y: Array) -> None:
         if series is not None:
             self._rows += zip(itertools.repeat(series), x.ravel().tolist(), y.ravel().tolist(), strict=False)
 

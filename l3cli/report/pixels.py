@@ -77,15 +77,15 @@ def crop_of(
     sites = Sites(table.cfa, table.channels, tuple(hex_colour(each) for each in channel_light(camera)))
     for size in SIZES:
         corner = richest(labels[0], size)
-        here = tuple(slice(start, start + length) for start, length in zip(corner, size, strict=True))
-        crop = _crop(table, labels, here)
+        area = tuple(slice(start, start + length) for start, length in zip(corner, size, strict=True))
+        crop = _crop(table, labels, area)
         text = packed(crop, sites, table.outputs)
         if len(text) <= limit:
             break
     for others in ("all", "frame"):
-        left = len(text) + more - len(packed(_crop(table, labels, here, others), sites, table.outputs))
+        left = len(text) + more - len(packed(_crop(table, labels, area, others), sites, table.outputs))
         if left >= 0:
-            crop = _crop(table, labels, here, others, left // len(labels))
+            crop = _crop(table, labels, area, others, left // len(labels))
             return crop, packed(crop, sites, table.outputs)
     return crop, text
 
@@ -93,7 +93,7 @@ def crop_of(
 def _crop(
     table: TransformTable,
     labels: list[NDArray[np.integer]],
-    here: tuple[slice, ...],
+    area: tuple[slice, ...],
     others: str = "none",
     letters: int = 0,
 ) -> Crop:
@@ -104,7 +104,7 @@ def _crop(
         side, planes = (layer.rule.patch, ("mosaic",)) if isinstance(layer, MosaicLayer) else (layer.side, PLANES)
         taps = side**2 * len(planes)
         pixels = np.bincount(of.ravel(), minlength=len(layer.weights))
-        seen, indices = np.unique(of[here], return_inverse=True)
+        seen, indices = np.unique(of[area], return_inverse=True)
         order = np.argsort(-pixels, kind="stable")
         order = order[~np.isin(order, seen) & ((others == "all") | (pixels[order] > 0) & (others == "frame"))]
         room = letters * 3 // 4 // (layer.weights.shape[1] * (taps + 4))  # weights are hardly deflated
@@ -113,14 +113,14 @@ def _crop(
             Layer(
                 side=side,
                 planes=planes,
-                labels=indices.reshape(of[here].shape),
+                labels=indices.reshape(of[area].shape),
                 words=tuple(_words(table, layer, index) for index in classes.tolist()),
                 patches=layer.samples[classes],
                 pixels=pixels[classes],
                 weights=layer.weights[classes[: len(seen) + room], :, :taps],
             )
         )
-    return Crop((here[0].start, here[1].start), labels[0].shape, tuple(layers))
+    return Crop((area[0].start, area[1].start), labels[0].shape, tuple(layers))
 
 
 def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer, index: int) -> dict[str, str]:

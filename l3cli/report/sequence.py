@@ -82,12 +82,12 @@ def _curves(documents: Documents, figure: str) -> Figure:
     y = spanning(label, np.concatenate([values for _, values in series.values()]), zero=zero)
     plot = Plot(spanning("frame", [0.0, longest]), y)
     keys = plot.curves(series, size=0, width=1.6)
-    said = (
+    sentences = (
         f"{name} {tidy(values.min())} to {tidy(values.max())}, mean {tidy(values.mean())}"
         for name, (_, values) in series.items()
         if values.size
     )
-    return plot.figure(title, f"{label}: {'; '.join(said)}.", keys)
+    return plot.figure(title, f"{label}: {'; '.join(sentences)}.", keys)
 
 
 def _series(document: dict[str, Any], figure: str) -> tuple[np.ndarray, np.ndarray]:

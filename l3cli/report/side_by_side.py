@@ -175,8 +175,10 @@ def _level_figure(sides: list[Side]) -> Figure | None:
     )
     plot = Plot(x, spanning(NAMES[figure], np.concatenate([values for _, values in curves]), zero=True))
     series = {_title(side, sides): curve for side, curve in zip(sides, curves, strict=True)}
-    said = (f"{name} {figure_text(figure, of.min())} to {figure_text(figure, of.max())}" for name, (_, of) in series.items())
-    finding = f"{NAMES[figure]} of ours, over all frames of each: {'; '.join(said)}."
+    ranges = (
+        f"{name} {figure_text(figure, of.min())} to {figure_text(figure, of.max())}" for name, (_, of) in series.items()
+    )
+    finding = f"{NAMES[figure]} of ours, over all frames of each: {'; '.join(ranges)}."
     return plot.figure("Error over the class's level", finding, plot.curves(series))
 
 

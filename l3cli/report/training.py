@@ -75,8 +75,8 @@ def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> N
     signal = (frame.raw.astype(np.float64) - camera.black_level) / (camera.white_level - camera.black_level)
     rows, cols = camera.cfa.shape
     for (row, col), channel in np.ndenumerate(camera.cfa):
-        here = signal[row::rows, col::cols]
-        survey.levels[channel] += np.histogram(np.clip(here, None, 1.0), LEVEL_EDGES)[0]
+        at_site = signal[row::rows, col::cols]
+        survey.levels[channel] += np.histogram(np.clip(at_site, None, 1.0), LEVEL_EDGES)[0]
     survey.pixels += signal.size
     survey.below += int((signal < LEVEL_EDGES[0]).sum())
     survey.saturated += int((signal >= SATURATED).sum())

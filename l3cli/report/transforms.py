@@ -40,11 +40,11 @@ def transform_section(
         Subsection("Noise and flat areas", (_noise_figures(table), *_gain_tables(table, insight))),
     )
     if insight["later"]:
-        parts += (Subsection("Later layers", (_later_table(insight),)),)
+        parts += (Subsection("Later layers", (_refinement_table(insight),)),)
     return Section(f"Table: {name}", lead, parts)
 
 
-def _later_table(insight: dict[str, Any]) -> Table:
+def _refinement_table(insight: dict[str, Any]) -> Table:
     """Return a row for each layer after the first."""
     gains = tuple(f"noise gain {output}, median" for output in insight["noise_gain"])
     rows = tuple(

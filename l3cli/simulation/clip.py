@@ -85,11 +85,11 @@ def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
     from scipy.sparse import csr_array
 
     start = first + step * np.arange(pixels)[:, None]
-    near = np.floor(start - 1.5).astype(int) + np.arange(int(np.ceil(step)) + 4)
-    centre = near + 0.5
+    knots = np.floor(start - 1.5).astype(int) + np.arange(int(np.ceil(step)) + 4)
+    centre = knots + 0.5
     weight = (_filled(start + step - centre) - _filled(start - centre)) / step
-    row = np.broadcast_to(np.arange(pixels)[:, None], near.shape)
-    column = np.clip(near, 0, length - 1)
+    row = np.broadcast_to(np.arange(pixels)[:, None], knots.shape)
+    column = np.clip(knots, 0, length - 1)
     return csr_array((weight.astype(np.float32).ravel(), (row.ravel(), column.ravel())), shape=(pixels, length))
 
 

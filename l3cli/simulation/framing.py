@@ -116,7 +116,7 @@ def _resampling(length: int, scale: float, most: int) -> Any:
     inside = (np.arange(points) + 0.5) / points
     position = (np.arange(pixels)[:, None] + (whole - pixels) / 2 + inside) * step - 0.5  # in samples
     first = np.floor(position).astype(int)
-    near = np.clip(np.stack([first, first + 1]), 0, length - 1)
+    either = np.clip(np.stack([first, first + 1]), 0, length - 1)
     weight = np.stack([1 - (position - first), position - first]).astype(np.float32) / points
-    row = np.broadcast_to(np.arange(pixels)[:, None], near.shape)
-    return csr_array((weight.ravel(), (row.ravel(), near.ravel())), shape=(pixels, length))
+    row = np.broadcast_to(np.arange(pixels)[:, None], either.shape)
+    return csr_array((weight.ravel(), (row.ravel(), either.ravel())), shape=(pixels, length))

@@ -185,22 +185,22 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
     weights = np.exp(-0.5 * (np.arange(reach + 1) / sigma) ** 2)
     weights = (weights / (2 * weights.sum() - 1)).astype(np.float32)
     rows, cols, bands = cube.shape
-    near = np.pad(np.arange(rows), reach, mode="symmetric").tolist()
+    around = np.pad(np.arange(rows), reach, mode="symmetric").tolist()
     sides = np.pad(np.arange(cols), reach, mode="symmetric")
-    scratch, kept = np.empty((cols, bands), np.float32), np.empty((reach, cols, bands), np.float32)
+    scratch, window = np.empty((cols, bands), np.float32), np.empty((reach, cols, bands), np.float32)
     wide = np.empty((cols + 2 * reach, bands), np.float32)  # a row, blurred down, and what is beyond its ends
     for row in range(rows):
 
         def sharp(at: int, row: int = row) -> Array:  # the rows above are blurred already
-            return kept[at % reach] if at < row else cube[at]
+            return window[at % reach] if at < row else cube[at]
 
         line = wide[reach : reach + cols]
         np.multiply(cube[row], weights[0], out=line)
         for step in range(1, reach + 1):
-            np.add(sharp(near[row + reach - step]), sharp(near[row + reach + step]), out=scratch)
+            np.add(sharp(around[row + reach - step]), sharp(around[row + reach + step]), out=scratch)
             line += np.multiply(scratch, weights[step], out=scratch)
         wide[:reach], wide[reach + cols :] = line[sides[:reach]], line[sides[reach + cols :]]
-        kept[row % reach] = cube[row]
+        window[row % reach] = cube[row]
         np.multiply(line, weights[0], out=cube[row])
         for step in range(1, reach + 1):
             np.add(wide[reach - step :][:cols], wide[reach + step :][:cols], out=scratch)

@@ -31,7 +31,7 @@ from l3cli.system.files import write_whole
 from l3cli.system.ledger import is_noting
 from l3cli.system.text import counted
 
-MOST_SAID = 8  # assumptions and missing things of which each gets a line on the console
+MOST_LINES = 8  # assumptions and missing things of which each gets a line on the console
 SAMPLED = 6  # frames that an array's period is taken from
 MOST_NOTED = 12  # frames of which each gets a line of its own
 
@@ -70,8 +70,8 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> str:
             text, notes = compose(seen, known, name, named_from(folder, output), read), seen.notes
             contents = f"{len(seen.groups)} captures, {sum(len(group.frames) for group in seen.groups)} frames"
         write_whole(output, str(text))
-        assumed = _first([f"assumed: {line}" for line in text.assumed], MOST_SAID, "… and {} more, marked ASSUMED")
-        missing = _first([f"missing: {line}" for line in text.missing], MOST_SAID, "… and {} more, marked TODO")
+        assumed = _first([f"assumed: {line}" for line in text.assumed], MOST_LINES, "… and {} more, marked ASSUMED")
+        missing = _first([f"missing: {line}" for line in text.missing], MOST_LINES, "… and {} more, marked TODO")
         for line in (*notes, *assumed, *missing):
             console.info(line)
         written = f"{output}: {contents}"
@@ -136,18 +136,18 @@ def survey(listing: CaptureFolder, output: Path, camera: CameraModel | None, con
     if not facts:
         reason = f": {notes[0].removesuffix('; left out')}" if notes else ""
         raise InputFileError(f"{listing.folder} holds no raw frame{reason}; give the folder of a camera's captures")
-    kept = _frames_of_one_sensor(facts, notes)
-    shape, pattern = kept[0].shape, kept[0].raw.pattern
+    used = _frames_of_one_sensor(facts, notes)
+    shape, pattern = used[0].shape, used[0].raw.pattern
     if camera is not None and shape != (camera.rows, camera.cols):
         raise RecipeError(
             f"{camera.name} has {camera.rows}×{camera.cols} pixels, the frames {shape[0]}×{shape[1]}; give their camera"
         )
-    period = _period(kept, camera, listing)
-    usable = _with_wavelengths(_summarised(kept, period, listing, notes, console), notes)
+    period = _period(used, camera, listing)
+    usable = _with_wavelengths(_summarised(used, period, listing, notes, console), notes)
     if not usable:
         raise InputFileError(f"{listing.folder} holds no raw frame that can be used; {notes[-1]}")
-    black = next((fact.raw.black_level for fact in kept if fact.raw.black_level is not None), None)
-    white = next((fact.raw.white_level for fact in kept if fact.raw.white_level is not None), None)
+    black = next((fact.raw.black_level for fact in used if fact.raw.black_level is not None), None)
+    white = next((fact.raw.white_level for fact in used if fact.raw.white_level is not None), None)
     scale = scale_of(usable, black)
     groups = with_plain_kinds(sort_frames(usable, scale, notes), scale, notes)
     array = None if pattern is None else array_of(pattern)

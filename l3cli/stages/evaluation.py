@@ -112,13 +112,13 @@ class FrameRenderers:
     def __init__(self, backend: str, table: TransformTable, console: Console) -> None:
         self._backend, self._table, self._console = backend, table, console
         self._made: dict[Mix | None, Renderer] = {}
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
 
     def of(self, frame: TrainingPair) -> Renderer:
         """Return the renderer of a frame."""
         mix = mix_for(self._table, _white_of(frame)) if self._table.lights else None
-        if mix and frame.illuminant not in self._said:
-            self._said.add(frame.illuminant)
+        if mix and frame.illuminant not in self._reported:
+            self._reported.add(frame.illuminant)
             self._console.info(f"frames under {frame.illuminant}: transforms of {described(self._table, mix)}")
         if mix not in self._made:
             if len(self._made) == MOST_KEPT:

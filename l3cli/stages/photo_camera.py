@@ -23,10 +23,10 @@ Taken = Sequence[tuple[Path, Stated]]  # the raw files of a camera, and what eac
 def photographed(taken: Taken, light: str | None, console: Console) -> PhotoCamera:
     """The camera that took these raw files. `light`: of the charts in them; None: guessed. InputFileError if the first is
     none that states its array and levels, or if nothing tells its curves."""
-    path, told = taken[0]
+    path, known = taken[0]
     measured = _measurements(path, light)
     frame = measured.photos[0].frames[0]
-    noise = noise_of(told, frame.white_level - frame.black_level)
+    noise = noise_of(known, frame.white_level - frame.black_level)
     for other, _ in taken[:SEARCHED]:
         found = _by_chart(measured if other == path else _measurements(other, light), console)
         if found is None or found.channels != measured.body.channels:
@@ -36,12 +36,12 @@ def photographed(taken: Taken, light: str | None, console: Console) -> PhotoCame
         fit = found.fit.photo
         light_of = f"{fit.lights[0]}{' (guessed)' if fit.guessed[0] else ''}"
         origin = f"of the {fit.charts[0]} ColorChecker in {other.name}, under {light_of}"
-        if told.noise is None:
+        if known.noise is None:
             noise = SensorNoise(found.gain, found.noise.read_noise, "as the patches of the chart show it")
         curves = found.responsivity / found.responsivity.max()
-        return PhotoCamera(other, measured.body, frame, told, found.wavelength, curves, origin, noise, fit.lights[0])
-    curves, origin = _without_chart(path, told, measured)
-    return PhotoCamera(path, measured.body, frame, told, curves.wavelength, curves.relative, origin, noise)
+        return PhotoCamera(other, measured.body, frame, known, found.wavelength, curves, origin, noise, fit.lights[0])
+    curves, origin = _without_chart(path, known, measured)
+    return PhotoCamera(path, measured.body, frame, known, curves.wavelength, curves.relative, origin, noise)
 
 
 def _measurements(path: Path, light: str | None) -> Measurements:
@@ -65,16 +65,16 @@ def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
     return None if wrong else camera
 
 
-def _without_chart(path: Path, told: Stated, measured: Measurements) -> tuple[matrices.Curves, str]:
+def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[matrices.Curves, str]:
     """The curves by the colour matrices of a file, or the usual ones, and where they are from."""
     channels = measured.body.channels
     prior = matrices.prior_of(channels, shipped_statistics())
     codes = [code_of(name) for name in channels]
-    known = [each for each in told.matrices if set(codes) <= each.rows.keys()]
-    if known:
-        stated = [ColourMatrix(each.light, each.of(codes)) for each in known]
-        lights = " and ".join(f"{each.light}{' (assumed)' if each.assumed else ''}" for each in known)
-        what = "the colour matrices" if len(known) > 1 else "the colour matrix"
+    chosen = [each for each in known.matrices if set(codes) <= each.rows.keys()]
+    if chosen:
+        stated = [ColourMatrix(each.light, each.of(codes)) for each in chosen]
+        lights = " and ".join(f"{each.light}{' (assumed)' if each.assumed else ''}" for each in chosen)
+        what = "the colour matrices" if len(chosen) > 1 else "the colour matrix"
         return matrices.curves_of_matrices(stated, prior), f"of {what} for {lights}; a photo of a ColorChecker tells more"
     if prior.measured:
         return matrices.usual_curves(prior), "assumed: the mean of 52 measured cameras, for the file states no colour matrix"

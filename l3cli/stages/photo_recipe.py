@@ -53,8 +53,8 @@ class PhotoCamera:
     @property
     def assumed(self) -> list[str]:
         """Return the facts that the files do not state and the recipe assumes."""
-        told = self.stated
-        names = {"pixel pitch": told.pitch_um, "focal length": self._focal_mm, "f-number": self._f_number}
+        known = self.stated
+        names = {"pixel pitch": known.pitch_um, "focal length": self._focal_mm, "f-number": self._f_number}
         return ["peak efficiency", *(name for name, value in names.items() if value is None)]
 
     @property

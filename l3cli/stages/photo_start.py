@@ -57,7 +57,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
             write_folder(place, contents[place])
             load_camera(place / "camera.toml")  # what cannot be simulated is refused now
             _link(place / _shown(camera), links[place / _shown(camera)])
-            console.info(_told(place, camera))
+            console.info(_photo_line(place, camera))
     return list(made)
 
 
@@ -106,7 +106,7 @@ def _shown(camera: PhotoCamera) -> str:
     return f"{SHOWN}{suffix if is_photo(camera.photo) else ''}"
 
 
-def _told(place: Path, camera: PhotoCamera) -> str:
+def _photo_line(place: Path, camera: PhotoCamera) -> str:
     """One line on a folder: the camera, what is from where, what is assumed, what comes next."""
     body, frame = camera.body, camera.frame
     pattern = "/".join("".join(body.channels[site] for site in row) for row in body.cfa)
@@ -140,13 +140,13 @@ def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console
     cameras: dict[str, list[tuple[Path, Stated]]] = {}
     for path in dict.fromkeys(files):
         try:
-            told = stated(path)
+            facts = stated(path)
         except InputFileError as error:
             if path not in listed:
                 raise
             console.report(f"left out: {error}")
             continue
-        cameras.setdefault(told.camera, []).append((path, told))
+        cameras.setdefault(facts.camera, []).append((path, facts))
     if not cameras:
         raise InputFileError(f"{files[0].parent}: none of its files can be read; give raw files with the mosaic of a camera")
     return cameras

@@ -178,10 +178,12 @@ def _compose(given: Given, backend: str, console: Console) -> tuple[str, str, li
     called = [camera.name for camera in cameras]
     for array, held in zip(arrays, cameras_of, strict=True):
         _warn_of_cameras(array, console)
-        here = [_judge(pair, str(len(judged) + number), shares, backend, console) for number, pair in enumerate(array.pairs)]
+        judged_pairs = [
+            _judge(pair, str(len(judged) + number), shares, backend, console) for number, pair in enumerate(array.pairs)
+        ]
         sections += _array_sections(array, held, called, THUMBNAIL_BYTES // max(len(given.of(TrainingSet)), 1))
-        sections += [each.section for each in here]
-        judged += here
+        sections += [each.section for each in judged_pairs]
+        judged += judged_pairs
     first = [each.front for each in judged if each.front is not None]
     if len(judged) > 1:
         first.insert(0, _side_by_side(judged, shares[0], backend))

@@ -21,7 +21,7 @@ from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_
 from l3cli.training.division import BATCH
 from l3cli.training.patches import Floats, Patches, colourless_frame, draw_levels, expose_patches, noise_share, patches_of
 from l3cli.training.row_weighting import RowWeighting
-from l3cli.training.sums import add_rounded, beside, empty_sums, grid_steps, pairs
+from l3cli.training.sums import add_rounded, empty_sums, grid_steps, pairs, rounding_number
 from l3cli.training.training_pass import TrainingPass
 
 EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
@@ -37,12 +37,12 @@ def sum_sites(
 ) -> dict[int, ClassSums]:
     """Sums of the canonical sites that `weightings` names, whose rows they weigh, over blocks (index of the first frame,
     sites that take part, frames); a frame is read once and let go."""
-    near = neighbourhoods(pass_.head.camera.cfa, pass_.rule.patch, len(pass_.head.camera.channels))
+    neighbours = neighbourhoods(pass_.head.camera.cfa, pass_.rule.patch, len(pass_.head.camera.channels))
     sums = {site: empty_sums(pass_.rule, len(pass_.head.outputs)) for site in weightings}
     for first, sites, frames in blocks:
         rngs = {site: np.random.default_rng([pass_.seed, pass_.number, first, site]) for site in sites}
-        for site, patches in _batches(pass_, first, frames, near, rngs):
-            _Batch(pass_, patches, near, site, weightings[site]).add_to(sums[site], rngs[site])
+        for site, patches in _batches(pass_, first, frames, neighbours, rngs):
+            _Batch(pass_, patches, neighbours, site, weightings[site]).add_to(sums[site], rngs[site])
     return sums
 
 
@@ -50,7 +50,7 @@ def _batches(
     pass_: TrainingPass,
     first: int,
     frames: Iterator[TrainingPair],
-    near: Neighbourhoods,
+    neighbours: Neighbourhoods,
     rngs: dict[int, np.random.Generator],
 ) -> Iterator[tuple[int, Patches]]:
     """The patches of a block, frames from `first`, for each site: together or, where one frame has more than BATCH, a part
@@ -64,11 +64,11 @@ def _batches(
                 count = min(rest, BATCH)
                 rest -= count
                 how = pass_.recipe.symmetry, pass_.recipe.achromatic, colourless
-                waiting[site].append(patches_of(frame, pass_.head, near, site, count, rng, *how))
+                waiting[site].append(patches_of(frame, pass_.head, neighbours, site, count, rng, *how))
                 if rest:
                     yield site, waiting[site].pop()
     for site, patches in waiting.items():
-        yield site, Patches.together(patches)
+        yield site, Patches.concatenated(patches)
         patches.clear()
 
 
@@ -76,10 +76,10 @@ class _Batch:
     """Patches of one site on their way into the sums."""
 
     def __init__(
-        self, pass_: TrainingPass, patches: Patches, near: Neighbourhoods, site: int, weighting: RowWeighting | None
+        self, pass_: TrainingPass, patches: Patches, neighbours: Neighbourhoods, site: int, weighting: RowWeighting | None
     ) -> None:
-        self.pass_, self.patches, self.near, self.site, self.weighting = pass_, patches, near, site, weighting
-        member = (near.channel[site][:, None] == np.arange(near.count.shape[1])) / near.count[site]
+        self.pass_, self.patches, self.neighbours, self.site, self.weighting = pass_, patches, neighbours, site, weighting
+        member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
         self.tap_share = member.mean(axis=1).astype(np.float32)  # level = mean over channels of the channel means
 
     def add_to(self, sums: ClassSums, rng: np.random.Generator) -> None:
@@ -87,7 +87,7 @@ class _Batch:
         label, level, scale = self._exposed(rng)
         order = np.argsort(label, kind="stable")
         label = label[order]
-        large = beside(grid_steps(self.pass_.rule, self.pass_.head.camera, self.patches.target.shape[1]))
+        large = rounding_number(grid_steps(self.pass_.rule, self.pass_.head.camera, self.patches.target.shape[1]))
         for piece in _pieces(label):
             draw = order[piece]
             patch = draw % len(self.patches.signal)
@@ -101,11 +101,11 @@ class _Batch:
         scale: Floats = np.array([self.patches.possible(one) for one in scales], np.float32)
         label = np.empty(scale.shape, dtype=np.min_scalar_type(pass_.rule.classes_per_site))
         level = np.empty_like(scale)
-        order = tap_order(pass_.rule, self.near, self.site)
+        order = tap_order(pass_.rule, self.neighbours, self.site)
         for first in range(0, len(signal), EXPOSED):
-            here = slice(first, first + EXPOSED)
-            for draw, seen in enumerate(self._seen(here, scale[:, here], order, rng)):
-                label[draw, here], level[draw, here] = seen
+            batch = slice(first, first + EXPOSED)
+            for draw, seen in enumerate(self._seen(batch, scale[:, batch], order, rng)):
+                label[draw, batch], level[draw, batch] = seen
         return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)
 
     def _random_scale(self, patch_level: Floats, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -115,18 +115,18 @@ class _Batch:
         return draw_levels(self.pass_.recipe, patch_level.size, rng) / patch_level
 
     def _seen(
-        self, here: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
+        self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """Class and level (patch) of the patches `here` at each row of `scale` (draw, patch), with noise."""
+        """Class and level (patch) of the patches of `batch` at each row of `scale` (draw, patch), with noise."""
         pass_, patches = self.pass_, self.patches
-        signal: Floats = np.ascontiguousarray(patches.signal[here].T)[order.taps]
-        channel = self.near.channel[self.site][order.taps][:, None]
-        carried: Floats | None = None if patches.carried is None else patches.carried[here].T[order.taps]
+        signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
+        channel = self.neighbours.channel[self.site][order.taps][:, None]
+        carried: Floats | None = None if patches.carried is None else patches.carried[batch].T[order.taps]
         for row in scale:
             left = None if carried is None else carried * row**2
             values = self._exposed_values(signal * row, rng, left, channel)
             seen = patch_statistics(values, pass_.rule, order)
-            yield label_sums(seen, pass_.rule, self.near, self.site), self._level(seen.sums)
+            yield label_sums(seen, pass_.rule, self.neighbours, self.site), self._level(seen.sums)
 
     def _exposed_values(
         self, signal: Floats, rng: np.random.Generator, carried: Floats | None, channel: NDArray[np.int64]
@@ -141,7 +141,7 @@ class _Batch:
     def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
         """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""
         camera, shift = self.pass_.head.camera, self.pass_.rule.shift
-        mean = (1 / (self.near.count[self.site] * len(sums))) @ sums
+        mean = (1 / (self.neighbours.count[self.site] * len(sums))) @ sums
         seen = (mean * 2**shift + (truncation(shift) - camera.black_level)) / (camera.white_level - camera.black_level)
         return np.asarray(unclipped_level(seen, camera.sensitivity), np.float64)
 
@@ -160,7 +160,7 @@ class _Batch:
         clean *= scale[:, None]
         target = self.patches.target[patch] * scale[:, None]
         carried = None if self.patches.carried is None else self.patches.carried[patch] * scale[:, None] ** 2
-        window = self.near.channel[self.site]
+        window = self.neighbours.channel[self.site]
         variance = noise_share(clean, self.pass_.head.camera, carried, self.pass_.dark, window)
         if self.pass_.recipe.noise == "none":
             variance[:] = 0

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.physics.display import XYZ
-from l3cli.training.highlights import misleading
+from l3cli.training.highlights import error_of_white
 from l3cli.training.patches import white_signal
 from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces
 from l3cli.training.systems import Integers
@@ -27,7 +27,7 @@ class Goal:
     white_signal: Array | None  # (channel) its signals, shares of full scale; None: not known
     black_level: float  # DN, of the camera
     white_level: float  # DN, at which a pixel of the camera saturates
-    misled: Array | float = 0.0  # (channel) how far off, relatively, surfaces make the signals of white
+    white_error: Array | float = 0.0  # (channel) how far off, relatively, surfaces make the signals of white
     surfaces: PlainSurfaces | None = None  # under the training light; None: not known, or the outputs are others
     filters: tuple[int, ...] = ()  # (channel) first channel with its filter; (): every channel has its own
     sensitivity: Array | None = None  # (channel) as of the camera; None: all alike
@@ -50,8 +50,8 @@ def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) 
         isolated |= {"filters": tuple(camera.readout.same_filter.tolist()), "sensitivity": camera.sensitivity}
     if light is None:
         return Goal(head.outputs, camera.channels, white_point, None, *levels, **isolated)
-    signal, misled = white_signal(light, camera), misleading(light, camera)
+    signal, white_error = white_signal(light, camera), error_of_white(light, camera)
     surfaces = None
     if one_light(light) and head.outputs == XYZ:
         surfaces = plain_surfaces(camera, light, head.target_light or light, white_point)
-    return Goal(head.outputs, camera.channels, white_point, signal, *levels, misled, surfaces, **isolated)
+    return Goal(head.outputs, camera.channels, white_point, signal, *levels, white_error, surfaces, **isolated)

@@ -66,23 +66,23 @@ def grey_patches(
                 continue
             share = (saturated[:, None] | ~same).all(axis=0).mean() or NOTHING_LOST  # of the filters
             weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
-            for near in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
+            for neighbour in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
                 plain = 0, rule.kinds_of(case)
-                for index in rule.join(near, *plain, further=np.arange(rule.further)).ravel().tolist():
+                for index in rule.join(neighbour, *plain, further=np.arange(rule.further)).ravel().tolist():
                     rows.setdefault(index, []).append(weight * row)
     return {index: np.array(greys).T @ np.array(greys) / len(greys) for index, greys in rows.items()}
 
 
 def steps_back(
     common: Array,
-    here: NDArray[np.int64],
+    clipping: NDArray[np.int64],
     rule: ClassRule,
     signal: Array,
     black_level: float,
     white_level: float,
 ) -> tuple[NDArray[np.int64], Array]:
-    """Places in `here` of the classes that a grey falls into where every channel clips, and how much luminance each of them
-    lacks there, beside the brightest that greys are given on the way; `here` are the classes with something saturated,
+    """Places in `clipping` of the classes that a grey falls into where every channel clips, and how much luminance each
+    lacks there, beside the brightest that greys are given on the way; `clipping` are the classes with something saturated,
     `common` (class, channel + 1) what each adds to luminance for a flat patch of one channel, or at all, and `signal`
     (channel) what the camera sees of the training light's white."""
     threshold = (rule.saturation - black_level) / (white_level - black_level)
@@ -91,10 +91,10 @@ def steps_back(
     totals = (clipped * (white_level - black_level) + black_level).sum(axis=1)
     levels = np.array([level.level_of_mean(rule, float(total)) for total in totals])
     kinds = rule.kind(0, saturation.cases(rule, saturation.code_of(clipped >= threshold)))
-    passed = np.searchsorted(here, rule.join(levels, 0, kinds)).clip(max=here.size - 1)
-    known = here[passed] == rule.join(levels, 0, kinds)
+    passed = np.searchsorted(clipping, rule.join(levels, 0, kinds)).clip(max=clipping.size - 1)
+    known = clipping[passed] == rule.join(levels, 0, kinds)
     shown = (common[passed, :-1] * clipped).sum(axis=1) + common[passed, -1]
-    _, at, _, _, kind = rule.split(here)
+    _, at, _, _, kind = rule.split(clipping)
     last = np.flatnonzero((at == levels[-1]) & (kind == kinds[-1]))
     return last, np.maximum(shown[:-1].max(initial=0.0, where=known[:-1]) - common[last].sum(axis=1), 0.0)
 
@@ -105,18 +105,18 @@ def white_channels(
     window: NDArray[np.int64],
     white: Array,
     known: Array | None,
-    misled: Array | float = 0.0,
+    white_error: Array | float = 0.0,
 ) -> Array | None:
     """Signals (channel) of the training light's white at Y = 1: those `known`, unless the patches speak against it, as they
-    do of frames through another lens; else those that they make likely. None if there are no patches. `misled` (channel):
-    how far off, relatively, surfaces are known to make them."""
+    do of frames through another lens; else those that they make likely. None if there are no patches. `white_error`
+    (channel): how far off, relatively, surfaces are known to make them."""
     likely = _channels_of(flat_moments(sums, rule, window.size + 1 + white.size), window, white)
-    if known is None or likely is None or (np.abs(known / likely - 1) > np.maximum(misled, FARTHEST)).any():
+    if known is None or likely is None or (np.abs(known / likely - 1) > np.maximum(white_error, FARTHEST)).any():
         return likely
     return known
 
 
-def misleading(light: LightSpectrum, camera: CameraModel) -> Array:
+def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
     """Return the relative error (channel) of the signals of white that measured surfaces under a light make likely: a few
     per cent for visible light, much where a camera sees infrared, of which X, Y, Z tell nothing."""
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)

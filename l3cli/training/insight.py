@@ -26,8 +26,8 @@ def insight(table: TransformTable) -> dict[str, Any]:
     noise_gain: √Σw² of each output, median and worst over trained classes. dc_gain: median over
     trained unsaturated classes of what a flat unit signal of one channel adds to each output. condition: median and worst
     over trained classes. worst: the trained classes of the largest noise gain (of Y if there is one), with their names.
-    All are of the first layer and of all lights together; later: of every layer after it `later_layer`. lights: names of
-    those that have transforms besides, and their colour temperatures in K; not there if none has. spectra: the window
+    All are of the first layer and of all lights together; later: of every layer after it `refinement_layer`. lights: names
+    of those that have transforms besides, and their colour temperatures in K; not there if none has. spectra: the window
     (pixel) that they are smoothed over, and the reach in brightness; not there if they are not.
     """
     trained, rule = table.first.samples > 0, table.first.rule
@@ -63,7 +63,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
             }
             for index in worst.tolist()
         ],
-        "later": [later_layer(layer, table.outputs) for layer in table.later],
+        "later": [refinement_layer(layer, table.outputs) for layer in table.later],
         **({"spectra": {"window": table.spectra.window, "reach": table.spectra.reach}} if table.spectra else {}),
         **({"lights": [_light(light) for light in table.lights]} if table.lights else {}),
     }
@@ -73,7 +73,7 @@ def _light(light: SceneLight) -> dict[str, Any]:
     return {"name": light.name, "kelvin": round(temperature(light.white_point[:3])[0])}
 
 
-def later_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
+def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
     """Figures of a layer after the first: its classes, side (pixel) and number of its windows, levels, structures (flat, and
     each strength without a direction and in each of them; or the leaves of a tree, its depth, and how many of its
     nodes compare what, by name), noise_gain as in `insight`."""
@@ -100,11 +100,11 @@ def _apart(rule: PlaneRule) -> dict[str, Any]:
     return {"leaves": rule.structures, "depth": rule.depth, "tests": tests}
 
 
-def _further(table: TransformTable, together: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
-    """Name and patches of each value of each further feature, which the classes have `together` (class)."""
+def _further(table: TransformTable, further_class: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
+    """Name and patches of each value of each further feature, which the classes have, `further_class`, (class)."""
     every = {}
     for (feature, axis), value in zip(
-        further_features(table.first.rule), table.first.rule.split_further(together), strict=True
+        further_features(table.first.rule), table.first.rule.split_further(further_class), strict=True
     ):
         patches = np.bincount(value, weights=table.first.samples, minlength=axis.size).tolist()
         every[axis.name] = [{"name": feature.name(table, index), "patches": count} for index, count in enumerate(patches)]
@@ -127,9 +127,9 @@ def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict
     site = table.first.rule.split(np.arange(len(chosen))).site
     gain = np.full((len(chosen), len(table.outputs), len(table.channels)), np.nan)
     for index in np.unique(site):
-        here = chosen & (site == index)
+        of_site = chosen & (site == index)
         member = windows[index][:, None] == np.arange(len(table.channels))
-        gain[here] = table.first.weights[here] @ member.astype(np.float64)
+        gain[of_site] = table.first.weights[of_site] @ member.astype(np.float64)
     median = np.median(gain[chosen], axis=0) if chosen.any() else np.zeros(gain.shape[1:])
     return {
         output: dict(zip(table.channels, values, strict=True))

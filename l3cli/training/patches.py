@@ -39,7 +39,7 @@ class Patches:
         return np.where(self.carried.any(axis=1), followed, scale)
 
     @classmethod
-    def together(cls, parts: list["Patches"]) -> "Patches":
+    def concatenated(cls, parts: list["Patches"]) -> "Patches":
         """All patches of `parts`; simulated ones among real ones carry a variance of zero."""
         carried = None
         if any(part.carried is not None for part in parts):
@@ -51,7 +51,7 @@ class Patches:
 def patches_of(
     frame: TrainingPair,
     head: TrainingSet,
-    near: Neighbourhoods,
+    neighbours: Neighbourhoods,
     site: int,
     count: int,
     rng: np.random.Generator,
@@ -62,18 +62,18 @@ def patches_of(
     """`count` patches of a simulated frame or a real pair, laid out like those of canonical `site`; whether sites share
     their training, as in site_maps, matters to real pairs. A share `achromatic` of them is taken from the `colourless`
     frame, if there is one."""
-    side = int(np.sqrt(near.channel.shape[1]))
+    side = int(np.sqrt(neighbours.channel.shape[1]))
     if frame.raw.shape[0] < side or frame.raw.shape[1] < side:
         rows, cols = frame.raw.shape
         raise InputFileError(f"frame of scene {frame.scene} is {rows}×{cols}, smaller than the {side}×{side} patch")
     if isinstance(frame, TrainingFrame):
         grey = round(achromatic * count) if colourless is not None else 0
-        how = head.camera.output_unit, near.channel[site]
+        how = head.camera.output_unit, neighbours.channel[site]
         patches = sample_patches(frame, head, *how, count - grey, orientations(side), rng)
         if not grey or colourless is None:
             return patches
-        return Patches.together([patches, sample_patches(colourless, head, *how, grey, orientations(side), rng)])
-    return sample_pair(frame, head.camera, near, site, count, rng, shared)
+        return Patches.concatenated([patches, sample_patches(colourless, head, *how, grey, orientations(side), rng)])
+    return sample_pair(frame, head.camera, neighbours, site, count, rng, shared)
 
 
 def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
@@ -104,7 +104,7 @@ def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float6
 def sample_pair(
     pair: TrainingPair,
     camera: CameraModel,
-    near: Neighbourhoods,
+    neighbours: Neighbourhoods,
     site: int,
     count: int,
     rng: np.random.Generator,
@@ -112,10 +112,10 @@ def sample_pair(
 ) -> Patches:
     """`count` patches of a real pair at random places among the sites that are canonical `site` turned or mirrored: only
     there, and only turned so, is its mosaic that of the table."""
-    side = int(np.sqrt(near.channel.shape[1]))
+    side = int(np.sqrt(neighbours.channel.shape[1]))
     radius, period = side // 2, camera.cfa.shape
     rows, cols = pair.raw.shape
-    every = enumerate(site_maps(near.channel, side, shared))
+    every = enumerate(site_maps(neighbours.channel, side, shared))
     maps = [(other, site_map) for other, site_map in every if site_map.canonical == site]
     reach = np.arange(side) - radius
     offset = (reach[:, None] * cols + reach[None]).ravel()
@@ -134,7 +134,7 @@ def sample_pair(
     values = pair.raw.reshape(-1)[np.concatenate(takes)].astype(np.float32)
     span = np.float32(camera.white_level - camera.black_level)
     signal = (values - np.float32(camera.black_level)) / span
-    window = near.channel[site]
+    window = neighbours.channel[site]
     carried = (camera.noise_variance(signal * span, channel=window) / span**2).astype(np.float32)
     signal[values >= np.floor(camera.white_level)] = 1.0
     target = pair.target.reshape(len(pair.target), -1)[:, np.concatenate(places)].T

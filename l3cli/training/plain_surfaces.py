@@ -90,16 +90,16 @@ class PlainSurfaces:
         for each in theirs.tolist():
             # Both count alike, however many: a lamp may have a colour that no surface has.
             count = np.repeat([1 / stripes[each], 1 / max(vivid[each], 1)], [stripes[each], vivid[each]])
-            here = chroma == each
-            every[each] = _moments(self.beyond[here], self.beyond_outputs[here], count, window)
+            members = chroma == each
+            every[each] = _moments(self.beyond[members], self.beyond_outputs[members], count, window)
         return every
 
-    def _mean(self, here: NDArray[np.bool_], window: NDArray[np.int64]) -> Array | None:
-        dyed = np.count_nonzero(here[: -self.greys])
+    def _mean(self, members: NDArray[np.bool_], window: NDArray[np.int64]) -> Array | None:
+        dyed = np.count_nonzero(members[: -self.greys])
         if dyed < FEWEST * self.signals.shape[1]:
             return None
-        count = np.append(np.ones(len(here) - self.greys), np.full(self.greys, GREY_SHARE * dyed / self.greys))[here]
-        return _moments(self.signals[here], self.outputs[here], count, window)
+        count = np.append(np.ones(len(members) - self.greys), np.full(self.greys, GREY_SHARE * dyed / self.greys))[members]
+        return _moments(self.signals[members], self.outputs[members], count, window)
 
 
 def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.int64]) -> Array:

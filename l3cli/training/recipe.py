@@ -16,7 +16,7 @@ from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import Count, CountOrNone, Positive, Recipe, Share
 
 MOST_PATCHES = 1_000_000_000
-MOST_LATER = 3  # layers after the first
+MOST_REFINEMENT = 3  # layers after the first
 MOST_STRENGTH = 1e5  # an edge of the structure tensor's trace: what gradients reach lies far below
 MOST_OF_HIGHLIGHTS = 0.5  # where highlights begin: darker than that are the darkest levels of a camera that sees noise alone
 LEAST_SENSITIVE = 1 / 16  # of channels, relative: beyond, planes do not hold both dark and light (docs/method.md#exposures)
@@ -180,8 +180,10 @@ def check_layers(layers: tuple[LayerRecipe, ...]) -> None:
 
 def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
     """All that cannot be of [[layer]]."""
-    if len(layers) > MOST_LATER:
-        yield fault(f"layer: {len(layers)} layers after the first; {MOST_LATER} can be learned", f"layer.{MOST_LATER}")
+    if len(layers) > MOST_REFINEMENT:
+        yield fault(
+            f"layer: {len(layers)} layers after the first; {MOST_REFINEMENT} can be learned", f"layer.{MOST_REFINEMENT}"
+        )
     for number, recipe in enumerate(layers):
         name, key = f"layer[{number + 1}]", f"layer.{number}"
         if recipe.colour_ratios and number + 1 < len(layers):

@@ -43,7 +43,7 @@ class Solution:
     rows: Array  # (class, tap + 1, output)
     response: Array  # (class, channel + 1, output)
     compliance: Array  # (class, equations, tap + 1, channel + 1)
-    softness: Array  # (class, equations, channel + 1, channel + 1): the response of the compliance
+    compliance_response: Array  # (class, equations, channel + 1, channel + 1): the response of the compliance
     solved: NDArray[np.bool_]  # (class)
     samples: Array  # (class) patches of its own
     condition: Array  # (class) of the equations for the least noisy row; 0: not solved
@@ -84,7 +84,7 @@ def solve(
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
     equations = _equations(recipe, goal, rule)
     basis = _opponent_basis(goal)
-    white = white_channels(sums, rule, window, goal.white, goal.white_signal, goal.misled)
+    white = white_channels(sums, rule, window, goal.white, goal.white_signal, goal.white_error)
     levels = goal.black_level, goal.white_level
     greys = grey_patches(sums, rule, window, goal.white, *levels, white, goal.filters, goal.sensitivity)
     surfaces = _surfaces(rule, window, goal, white) if recipe.plain_surfaces else {}
@@ -159,21 +159,21 @@ def equal_responses(
     solved = np.all([solution.solved for solution in solutions], axis=0)
     if not solved.any():
         raise L3Error("no class has training patches at every CFA site; simulate more frames")
-    bent = [solution.rows for solution in solutions]
+    constrained = [solution.rows for solution in solutions]
     if recipe.equal_response:
-        bent = _bent(solutions, copies, rule, solved, goal, _equations(recipe, goal, rule))
+        constrained = _constrained(solutions, copies, rule, solved, goal, _equations(recipe, goal, rule))
     back = np.linalg.inv(_opponent_basis(goal))
     if goal.integers is not None:
-        fitting = solved & np.all([systems.fits(rows @ back, goal.white, goal.integers) for rows in bent], axis=0)
+        fitting = solved & np.all([systems.fits(rows @ back, goal.white, goal.integers) for rows in constrained], axis=0)
         solved = fitting if fitting.any() else solved
     transforms = []
-    for solution, rows in zip(solutions, bent, strict=True):
+    for solution, rows in zip(solutions, constrained, strict=True):
         filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solved, rule)]
         transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples, solution.condition))
     return transforms
 
 
-def _bent(
+def _constrained(
     solutions: list[Solution],
     copies: list[int],
     rule: ClassRule,
@@ -182,26 +182,26 @@ def _bent(
     equations: list[Equations],
 ) -> list[Array]:
     """Rows (class, tap + 1, output) of the sites. Of all common responses the one of least total squared error is taken."""
-    bent = [solution.rows.copy() for solution in solutions]
+    constrained = [solution.rows.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
     white = _exact_white(solutions, goal)
     rising = solutions[0].white if goal.outputs[:3] == XYZ else None
     of_white = (_opponent_basis(goal).T @ goal.white).tolist()
-    slack = np.pad(_slack(solutions, copies), (0, 1))
+    colour_compliance = np.pad(_colour_compliance(solutions, copies), (0, 1))
     # Among textures of many bands, each measured by few pixels, sites do better apart; colours show the least difference.
     free = (rule.split(np.arange(solved.size)).contrast > 0) & (goal.outputs[:3] != XYZ)
     for kind in (False, True):
         used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
-        here = np.flatnonzero(solved & (saturated == kind))
+        members = np.flatnonzero(solved & (saturated == kind))
         for output, each in enumerate(equations):
             number = sorted(set(equations)).index(each)
             stiffness = []
             for solution in solutions:
-                softness = solution.softness[here, number][:, used, used]
-                wide = np.where(free[here], 1 / (PLAIN * np.maximum(solution.power[here], 1e-12)), 0.0)
-                softness = softness + wide[:, None, None] * slack[used, used]
-                stiffness.append(np.linalg.inv(softness))
-            response = [solution.response[here][:, used, output, None] for solution in solutions]
+                compliance_response = solution.compliance_response[members, number][:, used, used]
+                wide = np.where(free[members], 1 / (PLAIN * np.maximum(solution.power[members], 1e-12)), 0.0)
+                compliance_response = compliance_response + wide[:, None, None] * colour_compliance[used, used]
+                stiffness.append(np.linalg.inv(compliance_response))
+            response = [solution.response[members][:, used, output, None] for solution in solutions]
             total = sum(copy * stiff for copy, stiff in zip(copies, stiffness, strict=True))
             pull = sum(copy * k @ r for copy, k, r in zip(copies, stiffness, response, strict=True))
             common = np.linalg.solve(total, pull)
@@ -209,14 +209,14 @@ def _bent(
                 bend = np.linalg.solve(total, np.broadcast_to(white[:, None], common.shape))
                 missing = of_white[output] - white @ common
                 common = common + bend * (missing / (white @ bend))[:, None]
-            if kind and rising is not None and output == XYZ.index("Y") and here.size:
-                last, missing = steps_back(common[..., 0], here, rule, rising, goal.black_level, goal.white_level)
+            if kind and rising is not None and output == XYZ.index("Y") and members.size:
+                last, missing = steps_back(common[..., 0], members, rule, rising, goal.black_level, goal.white_level)
                 bend = np.linalg.solve(np.asarray(total)[last], np.ones((last.size, common.shape[1], 1)))
                 common[last] += bend * (missing / bend.sum(axis=(1, 2)))[:, None, None]
             for site, (stiff, separate) in enumerate(zip(stiffness, response, strict=True)):
-                change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - separate))
-                bent[site][here, :, output] += change[..., 0]
-    return bent
+                change = solutions[site].compliance[members, number][:, :, used] @ (stiff @ (common - separate))
+                constrained[site][members, :, output] += change[..., 0]
+    return constrained
 
 
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
@@ -231,14 +231,16 @@ def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
     return known
 
 
-def _slack(solutions: list[Solution], copies: list[int]) -> Array:
+def _colour_compliance(solutions: list[Solution], copies: list[int]) -> Array:
     """Return the tolerance (channel, channel) for unlike answers of sites: the smaller, the more plain patches of the
     scenes would show it."""
-    slack = np.linalg.inv(np.average([solution.colours for solution in solutions], axis=0, weights=copies))
+    colour_compliance = np.linalg.inv(np.average([solution.colours for solution in solutions], axis=0, weights=copies))
     white = solutions[0].white
     if white is not None:
-        slack -= np.outer(slack @ white, slack @ white) / (white @ slack @ white)  # greys are answered alike to the last bit
-    return np.asarray(slack)
+        colour_compliance -= np.outer(colour_compliance @ white, colour_compliance @ white) / (
+            white @ colour_compliance @ white
+        )  # greys are answered alike to the last bit
+    return np.asarray(colour_compliance)
 
 
 def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[Equations]:

@@ -41,13 +41,13 @@ def empty_sums(rule: ClassRule, outputs: int) -> ClassSums:
     return ClassSums(np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps)), np.zeros(classes))
 
 
-def beside(step: Array | float) -> Array:
+def rounding_number(step: Array | float) -> Array:
     """A number of steps, 1.5 · 2⁵², beside which float64 keeps whole steps only."""
     return np.asarray(step * (1.5 * 2.0**52))
 
 
 def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
-    """Add `more`, rounded to whole steps, to `total` in place; `large`: what is `beside` that step."""
+    """Add `more`, rounded to whole steps, to `total` in place; `large`: what is `rounding_number` that step."""
     rounded = more + large
     rounded -= large
     total += rounded

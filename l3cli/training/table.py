@@ -54,7 +54,7 @@ def take_pilot(
     camera = head.camera
     codes = 2 ** len(camera.channels)
     rule = make_rule(recipe.classes, camera, np.zeros(codes, dtype=np.uint16))
-    near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
+    neighbours = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     canonical = canonical_sites(head, rule, recipe.learning)
     occurrences = np.zeros(codes, dtype=np.int64)
     shares, whites, lights, exposures, observed = [], [], [], [], []
@@ -65,15 +65,15 @@ def take_pilot(
         dark = _dark_signal(frame, camera)
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
-            pilot = patches_of(frame, head, near, site, count, rng, recipe.learning.symmetry)
+            pilot = patches_of(frame, head, neighbours, site, count, rng, recipe.learning.symmetry)
             patch_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
             scale = pilot.possible(draw_levels(recipe.learning, len(patch_level), rng) / patch_level)[:, None]
             carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
             signal = (pilot.signal * scale).astype(np.float32)
-            values = expose_patches(signal, camera, rng, carried, dark, near.channel[site])
-            occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
-            shares.append(channel_shares(pilot.signal, near, site))
-            observed.append(observe_patches(values, rule, near, site))
+            values = expose_patches(signal, camera, rng, carried, dark, neighbours.channel[site])
+            occurrences += np.bincount(saturation_codes(values, rule, neighbours, site), minlength=codes)
+            shares.append(channel_shares(pilot.signal, neighbours, site))
+            observed.append(observe_patches(values, rule, neighbours, site))
     about = np.array(whites), np.array(lights), np.array(exposures)
     return Pilot(occurrences, np.concatenate(shares), *about, _together(observed))
 
@@ -125,8 +125,8 @@ def _together(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArr
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
     """The sites that are trained; all others are their rotations or mirror images."""
-    near = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
-    return sorted({site_map.canonical for site_map in site_maps(near.channel, rule.patch, recipe.symmetry)})
+    neighbours = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
+    return sorted({site_map.canonical for site_map in site_maps(neighbours.channel, rule.patch, recipe.symmetry)})
 
 
 def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
@@ -152,8 +152,8 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
 def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
     """The table of all sites from the solutions of the canonical ones."""
     head, rule, camera = pass_.head, pass_.rule, pass_.head.camera
-    near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
-    maps = site_maps(near.channel, rule.patch, pass_.recipe.symmetry)
+    neighbours = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
+    maps = site_maps(neighbours.channel, rule.patch, pass_.recipe.symmetry)
     copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
     equal = equal_responses(list(solutions.values()), copies, rule, pass_.recipe, pass_.goal)
     transforms = dict(zip(solutions, equal, strict=True))

@@ -41,7 +41,7 @@ def learned(insight: dict[str, Any]) -> list[str]:
         for worst in insight["worst"]
     ]
     for number, layer in enumerate(insight["later"], 2):
-        lines += _later(number, layer)
+        lines += _refine(number, layer)
     if spectra := insight.get("spectra"):
         side, reach = spectra["window"], spectra["reach"]
         lines.append(f"spectra smoothed over {side} × {side} pixels of like brightness, within {100 * reach:.3g} %")
@@ -51,7 +51,7 @@ def learned(insight: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _later(number: int, layer: dict[str, Any]) -> list[str]:
+def _refine(number: int, layer: dict[str, Any]) -> list[str]:
     """Lines about a layer after the first."""
     classes, side = layer["classes"], layer["side"]
     gains = " · ".join(f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in layer["noise_gain"].items())
@@ -90,7 +90,7 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     layers = [{"classes_per_site": first, "taps": classes.patch**2}]
     for each in recipe.layer:
         taps = OUTPUTS * each.side**2 + RATIO_TAPS * each.colour_ratios
-        layers.append({"classes_per_site": _later_classes(each, levels, cases), "taps": taps})
+        layers.append({"classes_per_site": _refinement_classes(each, levels, cases), "taps": taps})
     document = {
         "levels": levels, "contrasts": contrasts, "further": further, "chromas": chromas, "saturation_cases": cases,
         "patch": classes.patch, "layers": layers, "patches": recipe.learning.patches,
@@ -104,7 +104,7 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     return document
 
 
-def _later_classes(layer: LayerRecipe, levels: int, cases: int) -> int:
+def _refinement_classes(layer: LayerRecipe, levels: int, cases: int) -> int:
     """Return the classes a site of a later layer: leaves of a tree, or structures at every level."""
     if layer.leaves:
         return layer.leaves + cases - 1

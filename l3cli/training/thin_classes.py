@@ -49,11 +49,11 @@ def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
 
     def means(values: Array) -> Array:
         summed = by_case(values)
-        near = summed / np.maximum(count, 1e-9)
+        smoothed = summed / np.maximum(count, 1e-9)
         level = summed.sum(axis=1, keepdims=True) / np.maximum(count.sum(axis=1, keepdims=True), 1e-9)
         case = summed.sum(axis=(0, 1)) / np.maximum(count.sum(axis=(0, 1)), 1e-9)
         known = (1 - CASE_SHARE) * level_count / (level_count + THIN_PARENT)
-        mean = known * np.where(count > 0, near, level) + (1 - known) * case
+        mean = known * np.where(count > 0, smoothed, level) + (1 - known) * case
         return mean.reshape(-1, summed.shape[-1])
 
     return ClassSums(means(sums.moments), means(sums.noise), level_count.reshape(-1).copy())

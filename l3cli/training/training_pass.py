@@ -70,7 +70,7 @@ def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fractio
     their proportion over the sets and evenly over the frames of each, rounded up (docs/method.md#patches)."""
     parts = shares if shares is not None else [Fraction(count) for count in frames]
     each = [math.ceil(patches * part / sum(parts) / count) for part, count in zip(parts, frames, strict=True)]
-    return tuple(here for here, count in zip(each, frames, strict=True) for _ in range(count))
+    return tuple(value for value, count in zip(each, frames, strict=True) for _ in range(count))
 
 
 def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:

@@ -1,4 +1,4 @@
-// Gradients of planes: their scale, and the words by which the classes of the layer before name it (l3cli/classes/later.py), for
+// Gradients of planes: their scale, and the words by which the classes of the layer before name it (l3cli/classes/refinement.py), for
 // both variants.
 //
 // What a class of the first layer says of its pixels stands in two words, the lower and the upper one of label_words: its gradient

@@ -19,7 +19,7 @@ from l3cli.io.images import read_image
 from l3cli.io.raw.files import read_raw
 from tests.helpers.artifacts import some_sums
 from tests.helpers.calls import L3, Refused
-from tests.helpers.tables import random_table, with_later, with_low_noise
+from tests.helpers.tables import random_table, with_low_noise, with_refinement
 
 C_FILES = ["CMakeLists.txt", "Makefile", "README.md", "l3.c", "l3.h", "l3_picture.c", "l3_picture.h", "l3_table.c",
            "l3_table.h", "test.c", "test_labels.bin", "test_outputs.bin", "test_raw.bin"]  # fmt: skip
@@ -30,7 +30,7 @@ needs_compiler = pytest.mark.skipif(CC is None, reason="there is no C compiler (
 @pytest.fixture(scope="module")
 def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("table") / "table.h5"
-    save(with_later(random_table([[0, 1], [1, 2]], contrasts=()), 3), path)
+    save(with_refinement(random_table([[0, 1], [1, 2]], contrasts=()), 3), path)
     return path
 
 

@@ -25,7 +25,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.report.pixels import Crop, Layer, Sites, crop_of, packed, richest
 from l3cli.stages.report import CLASS_BYTES
 from tests.helpers.browser import Browser
-from tests.helpers.tables import colorimetric_table, frame_of_all_levels, with_later, with_tree
+from tests.helpers.tables import colorimetric_table, frame_of_all_levels, with_refinement, with_tree
 from tests.helpers.training_sets import a_frame
 
 SIZE = (60, 90)
@@ -43,7 +43,7 @@ class Report(NamedTuple):
 def report(bayer: CameraModel, tmp_path_factory: pytest.TempPathFactory) -> Report:
     folder = tmp_path_factory.mktemp("pixels")
     camera = dataclasses.replace(bayer, channels=("r", "<b>", "b"))
-    table = with_later(colorimetric_table(camera), 3)
+    table = with_refinement(colorimetric_table(camera), 3)
     raw = frame_of_all_levels(table, np.random.default_rng(3), SIZE)
     save(table, folder / "table.h5")
     head = TrainingSet(camera=camera, outputs=table.outputs, target_description="")
@@ -119,7 +119,7 @@ def labels_of(report: Report) -> list[np.ndarray]:
 
 
 def test_classes_are_reported_in_words(bayer: CameraModel) -> None:
-    table = with_later(colorimetric_table(bayer), 3)
+    table = with_refinement(colorimetric_table(bayer), 3)
     rule = table.first.rule
     words = class_words(table, rule.join(2, 1, 0, site=3))
     assert words["level"].startswith("2 (0.")
@@ -139,7 +139,7 @@ def test_classes_are_reported_in_words(bayer: CameraModel) -> None:
 @pytest.mark.parametrize("site", [0, 1, 2, 3])
 def test_an_edge_is_named_by_its_angle(bayer: CameraModel, step: tuple[int, int], angle: int, site: int) -> None:
     """A ramp down and across by `step`: its edges run at right angles to it, as seen with rows downwards."""
-    rule = with_later(colorimetric_table(bayer), 3).later[0].rule
+    rule = with_refinement(colorimetric_table(bayer), 3).later[0].rule
     assert isinstance(rule, StructureRule)
     rule = dataclasses.replace(rule, turns=np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]], np.int8))
     row, col = np.mgrid[:7, :7]

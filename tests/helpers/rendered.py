@@ -10,7 +10,7 @@ from l3cli.rendering.display import encode, make_display
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS
-from tests.helpers.tables import XYZ, random_table, with_later, with_low_noise, with_tree
+from tests.helpers.tables import XYZ, random_table, with_low_noise, with_refinement, with_tree
 
 # float32 sums of at most 225 products, each term below 1 and rounded to 6e-8: 225 · 6e-8 at worst, a tenth of it in fact.
 OUTPUT_TOLERANCE = 1e-5
@@ -34,12 +34,12 @@ TABLES = {
     "8 directions": lambda: random_table(
         FIVE_BAND, black_level=100.0, direction=direction.Options(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
     ),
-    "two layers": lambda: with_later(random_table(FIVE_BAND, black_level=100.0, patch=9), 5, ratios=True),
-    "two layers of 16 bits": lambda: with_later(random_table(X_TRANS, bits=16, black_level=2048.0, patch=7), 3),
-    "three layers": lambda: with_later(random_table(FIVE_BAND, black_level=100.0, patch=7), 5, 3, seed=2),
-    "four layers": lambda: with_later(random_table(X_TRANS, bits=14, patch=5), 3, 7, 5, seed=4, ratios=True),
-    "a layer of single pixels": lambda: with_later(random_table(BAYER, patch=5), 1, seed=6, ratios=True),
-    "two wide layers": lambda: with_later(random_table(BAYER, bits=8, patch=5), 7, seed=3, ratios=True),
+    "two layers": lambda: with_refinement(random_table(FIVE_BAND, black_level=100.0, patch=9), 5, ratios=True),
+    "two layers of 16 bits": lambda: with_refinement(random_table(X_TRANS, bits=16, black_level=2048.0, patch=7), 3),
+    "three layers": lambda: with_refinement(random_table(FIVE_BAND, black_level=100.0, patch=7), 5, 3, seed=2),
+    "four layers": lambda: with_refinement(random_table(X_TRANS, bits=14, patch=5), 3, 7, 5, seed=4, ratios=True),
+    "a layer of single pixels": lambda: with_refinement(random_table(BAYER, patch=5), 1, seed=6, ratios=True),
+    "two wide layers": lambda: with_refinement(random_table(BAYER, bits=8, patch=5), 7, seed=3, ratios=True),
     "tree of 8 bits": lambda: with_tree(random_table(BAYER, bits=8, patch=5, seed=11), 5, leaves=100),
     "tree of five bands": lambda: with_tree(
         random_table(FIVE_BAND, black_level=108.93, patch=9, seed=11), seed=2, ratios=True
@@ -53,7 +53,7 @@ TABLES = {
         random_table(FIVE_BAND, contrasts=(1.1, 2.0), direction=direction.Options(orientations=8, strengths=(1.5, 6.0)))
     ),
     "two sets of three layers": lambda: with_low_noise(
-        with_later(random_table(BAYER, black_level=64.0, patch=9, direction=direction.Options()), 5, 3, ratios=True)
+        with_refinement(random_table(BAYER, black_level=64.0, patch=9, direction=direction.Options()), 5, 3, ratios=True)
     ),
     "three sets of a tree": lambda: with_low_noise(
         with_tree(random_table(X_TRANS, bits=14, patch=5, seed=11), seed=2), 0.25, 0.03

@@ -13,9 +13,9 @@ from l3cli.artifacts.plane_rules import TESTS, GradientScale, StructureRule, Tre
 from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.decide import label_mosaic
-from l3cli.classes.later import plane_evidence
 from l3cli.classes.planes import fixed_point
 from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.refinement import plane_evidence
 from l3cli.classes.rule import make_rule
 from l3cli.classes.tree import EVERY, Evidence
 from l3cli.classes.windows import window_channels
@@ -37,7 +37,7 @@ def with_first(table: TransformTable, **fields: Any) -> TransformTable:
     return dataclasses.replace(table, first=dataclasses.replace(table.first, **fields))
 
 
-def with_later(table: TransformTable, *sides: int, seed: int = 1, ratios: bool = False) -> TransformTable:
+def with_refinement(table: TransformTable, *sides: int, seed: int = 1, ratios: bool = False) -> TransformTable:
     """The table with later layers of random weights, whose windows have these sides; the last one may have colour ratios."""
     rng = np.random.default_rng(seed)
     sites, outputs, below = table.cfa.size, len(table.outputs), table.first.rule

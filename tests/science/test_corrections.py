@@ -41,7 +41,7 @@ from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera
 from tests.helpers.flaws import Flaws, flaws, seen, shading
-from tests.helpers.tables import frame_of_all_levels, random_table, with_later
+from tests.helpers.tables import frame_of_all_levels, random_table, with_refinement
 
 SHAPE = (61, 150)
 CORNERS = (0.5, 0.54, 0.58, 0.52, 0.56)
@@ -62,7 +62,7 @@ def map_of(wrong: Flaws) -> DefectMap:
 
 TABLES = {
     "processor": lambda: random_table(X_TRANS, bits=16, black_level=2048.4, patch=5),
-    "graphics": lambda: with_later(random_table(BAYER, black_level=100.4, patch=5), 3),
+    "graphics": lambda: with_refinement(random_table(BAYER, black_level=100.4, patch=5), 3),
 }
 
 

@@ -23,7 +23,7 @@ from l3cli.physics.display import lab
 from l3cli.rendering.renderer import make_renderer
 from l3cli.simulation import sensor
 from l3cli.simulation.light import make_light, white_rates
-from l3cli.training.highlights import grey_patches, misleading, white_channels
+from l3cli.training.highlights import error_of_white, grey_patches, white_channels
 from tests.helpers.paths import CONFIGS
 
 SCENES = """
@@ -218,7 +218,7 @@ def test_surfaces_mislead_about_white_where_a_camera_sees_infrared() -> None:
     """There the signals of white are those of its light, however surfaces look; elsewhere surfaces speak against a lens."""
     for name, least, most in (("bayer", 0.0, 0.1), ("fiveband", 0.0, 0.1), ("rgbir", 0.3, 3.0)):
         camera = load_camera(CONFIGS / f"cameras/{name}.toml")
-        skewed = misleading(make_light("D65", {}, camera.wavelength).spectrum, camera)
+        skewed = error_of_white(make_light("D65", {}, camera.wavelength).spectrum, camera)
         assert skewed.min() >= least
         assert skewed.max() < most
 

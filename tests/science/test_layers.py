@@ -21,7 +21,7 @@ from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import lab
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.stages.training.later_layers import layer_pass
+from l3cli.stages.training.refinement_layers import layer_pass
 from l3cli.training.accumulate import TARGET_FLOOR
 from l3cli.training.layers.first import Seen
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer

@@ -23,7 +23,7 @@ from l3cli.stages.rendering.rendition import OUTPUTS
 from l3cli.system.console import Silent
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS
-from tests.helpers.tables import XYZ, random_table, with_later, with_lights, with_tree
+from tests.helpers.tables import XYZ, random_table, with_lights, with_refinement, with_tree
 
 LEAVES = 'illuminants = {}\nexposure_share = [0.5]\n[[scene]]\nsource = "dead leaves"\nsize = [48, 48]\ncount = 2\n'
 CLASSES = "[classes]\npatch = 3\nlevels = 2\nchromas = 2\n[learning]\npatches = 600\nfirst_draws = 0\ndraws = 2\n"
@@ -119,7 +119,7 @@ def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refu
 # --------------------------------------------------------------------------------------------------------- mixing
 
 
-@pytest.mark.parametrize("layers", [lambda table: with_later(table, 3, 5), with_tree])
+@pytest.mark.parametrize("layers", [lambda table: with_refinement(table, 3, 5), with_tree])
 def test_the_lights_themselves_and_all_beyond_have_their_own_transforms(
     layers: Callable[[TransformTable], TransformTable],
 ) -> None:
@@ -141,7 +141,7 @@ def test_the_lights_themselves_and_all_beyond_have_their_own_transforms(
 
 
 def test_between_lights_transforms_are_mixed_by_mired() -> None:
-    table = with_lights(with_later(random_table(BAYER), 3), "D65", "A", "4000K")
+    table = with_lights(with_refinement(random_table(BAYER), 3), "D65", "A", "4000K")
     mix = mix_for(table, white("3200K"))
     assert mix is not None
     warm, cool, scene = (mired_of(white(light)) for light in ("A", "4000K", "3200K"))
@@ -161,7 +161,7 @@ def test_between_lights_transforms_are_mixed_by_mired() -> None:
 
 
 def test_equal_sets_stay_what_they_are() -> None:
-    table = with_lights(with_later(random_table(BAYER), 3), "A")
+    table = with_lights(with_refinement(random_table(BAYER), 3), "A")
     (own,), (light,) = table.conditions, table.lights
     cool = dataclasses.replace(own, light=dataclasses.replace(light, name="D65", white_point=white("D65")))
     table = dataclasses.replace(table, conditions=(own, cool))
@@ -179,7 +179,7 @@ def test_a_table_of_one_set_is_not_mixed() -> None:
 
 
 def test_lights_are_written_and_read(tmp_path: Path) -> None:
-    table = with_lights(with_later(random_table(BAYER), 3, 5), "A", "D65")
+    table = with_lights(with_refinement(random_table(BAYER), 3, 5), "A", "D65")
     save(table, tmp_path / "table.h5")
     assert equal(load(TransformTable, tmp_path / "table.h5"), table)
     shown = with_lights(random_table(BAYER, outputs=(*XYZ, "N")), "A", "D65").pictured()
@@ -187,7 +187,7 @@ def test_lights_are_written_and_read(tmp_path: Path) -> None:
 
 
 def test_lights_of_other_classes_are_refused() -> None:
-    table = with_lights(with_later(random_table(BAYER), 3), "A", "D65")
+    table = with_lights(with_refinement(random_table(BAYER), 3), "A", "D65")
     warm, cool = table.conditions
     narrow = dataclasses.replace(cool.later[0], weights=cool.later[0].weights[:, :, :3])
     for message, fields in (

@@ -25,7 +25,7 @@ from l3cli.training.patches import expose_patches
 from tests.helpers.artifacts import some_layer_sums, some_sums
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS
-from tests.helpers.tables import XYZ, random_table, with_later, with_low_noise, with_tree
+from tests.helpers.tables import XYZ, random_table, with_low_noise, with_refinement, with_tree
 
 LEAVES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\ncount = 4\n'
 CLASSES = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[classes.direction]\n[learning]\npatches = 2000\nfirst_draws = 1\n"
@@ -124,7 +124,7 @@ def test_cells_up_to_the_limit_are_of_low_noise() -> None:
     np.testing.assert_array_equal(left.below([0.9, 0.3535], (3, 5)), [[2, 2, 2, 1, 1], [2, 2, 2, 1, 1], [1, 1, 1, 0, 0]])
 
 
-@pytest.mark.parametrize("layers", [lambda table: with_later(table, 3, 5), with_tree])
+@pytest.mark.parametrize("layers", [lambda table: with_refinement(table, 3, 5), with_tree])
 def test_two_sets_are_written_and_read(layers: Callable[[TransformTable], TransformTable], tmp_path: Path) -> None:
     table = with_low_noise(layers(random_table(BAYER)))
     save(table, tmp_path / "table.h5")
@@ -138,7 +138,7 @@ def test_a_table_of_pictures_alone_keeps_both_sets() -> None:
 
 
 def test_low_noise_transforms_of_other_layers_are_refused() -> None:
-    table = with_low_noise(with_later(random_table(BAYER), 3))
+    table = with_low_noise(with_refinement(random_table(BAYER), 3))
     (low,) = table.conditions
     assert low.edges is not None
 

@@ -28,7 +28,7 @@ from l3cli.export.vector import drawn_mosaic
 from l3cli.export.wordlengths import OUTPUT_FRACTION, OUTPUT_TOP, SEED, SHAPE, in_words, short_cost, short_words
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
-from tests.helpers.tables import random_table, with_first, with_later, with_low_noise, with_spectra, with_tree
+from tests.helpers.tables import random_table, with_first, with_low_noise, with_refinement, with_spectra, with_tree
 
 CC = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
 ARM, QEMU = shutil.which("arm-linux-gnueabihf-gcc"), shutil.which("qemu-arm")
@@ -62,7 +62,7 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
         direction=direction.Options(orientations=8, strengths=(4.0,), coherence=0.5),
     ),
     "three layers, 2 × 4, 16 bits": lambda: with_strengths(
-        with_later(a_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, patch=7, contrasts=()), 3, 5),
+        with_refinement(a_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, patch=7, contrasts=()), 3, 5),
         5_000_000, 100_000_000, 700_000_000, 1_500_000_000,
     ),
     "smoothed spectra": lambda: with_spectra(a_table([[0, 1], [2, 3]], 12, 64.0, outputs=tuple("abcd")), 5, 0.4),
@@ -300,7 +300,7 @@ def test_arrays_of_one_layer_make_the_outputs_of_the_test_mosaic() -> None:
 
 def test_arrays_of_the_second_set_stand_next_to_the_usual_ones() -> None:
     """As another table's would; what both sets share stands once, and a table of one set is written as ever."""
-    table = with_low_noise(with_later(random_table([[0, 1], [1, 2]], 12, 64.0), 3), 0.25)
+    table = with_low_noise(with_refinement(random_table([[0, 1], [1, 2]], 12, 64.0), 3), 0.25)
     document, arrays = read_folder(table)
     usual, usual_arrays = read_folder(dataclasses.replace(table, conditions=()))
     other, other_arrays = read_folder(table.under(table.conditions[0]))
@@ -317,7 +317,7 @@ def test_arrays_of_the_second_set_stand_next_to_the_usual_ones() -> None:
 
 
 def test_two_bits_more_cost_twelve_decibels_less() -> None:
-    document, arrays = read_folder(with_later(random_table([[0, 1], [1, 2]], 12, 64.0, contrasts=()), 3))
+    document, arrays = read_folder(with_refinement(random_table([[0, 1], [1, 2]], 12, 64.0, contrasts=()), 3))
     costs = {(each["binary_point_of"], each["bits"]): each["psnr_db"] for each in document["word_lengths"]["costs"]}
     for scale in ("class", "table"):
         steps = np.diff([costs[scale, bits] for bits in (8, 10, 12, 14, 16)])

@@ -40,7 +40,7 @@ from l3cli.training.patches import (
     white_signal,
 )
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
-from l3cli.training.sums import EXACT, STEP, add_rounded, beside, grid_steps, moment_matrix
+from l3cli.training.sums import EXACT, STEP, add_rounded, grid_steps, moment_matrix, rounding_number
 from l3cli.training.symmetry import orientations, site_maps, stabilisers
 from l3cli.training.table import add_up
 from l3cli.training.thin_classes import parent_of, parents_of
@@ -143,7 +143,7 @@ def test_contributions_are_rounded_to_whole_steps() -> None:
     rng = np.random.default_rng(0)
     more, step = (rng.standard_normal(999) * 300).astype(np.float32), np.exp2(rng.integers(-24, -10, 999).astype(np.float64))
     total = np.zeros(999)
-    add_rounded(total, more, beside(step))
+    add_rounded(total, more, rounding_number(step))
     assert (total == np.rint(more / step) * step).all()
 
 

@@ -25,7 +25,7 @@ from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.renderer import make_ready, make_renderer
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import ROOT
-from tests.helpers.tables import random_table, with_later, with_tree
+from tests.helpers.tables import random_table, with_refinement, with_tree
 
 
 def test_device_is_chosen_by_index_and_name() -> None:
@@ -184,7 +184,7 @@ def test_what_is_compiled_for_another_processor_is_another_program(monkeypatch: 
 FRAME = RawFrame("noise", np.random.default_rng(1).integers(0, 4096, (61, 301), np.uint16), 64, 4095)
 
 
-TABLES = {"structures": with_later(random_table(BAYER, patch=3), 3), "tree": with_tree(random_table(BAYER, patch=3))}
+TABLES = {"structures": with_refinement(random_table(BAYER, patch=3), 3), "tree": with_tree(random_table(BAYER, patch=3))}
 
 
 def render(name: str) -> None:

@@ -128,7 +128,7 @@ def test_half_the_noise_is_as_flat(bayer: CameraModel) -> None:
     """To the edges for a quarter of its variance, as the whole is to the camera's own."""
     rule = a_rule(bayer, direction.Options(strengths=(1.0,)))
     quiet = dataclasses.replace(
-        rule, features=FurtherFeatures.of(tuple(direction.quieter(each, 0.25) for each in rule.axes))
+        rule, features=FurtherFeatures.of(tuple(direction.with_less_noise(each, 0.25) for each in rule.axes))
     )
     span, noise = bayer.white_level - bayer.black_level, np.random.default_rng(1).normal(size=(300, 300))
     level = 0.3 * span

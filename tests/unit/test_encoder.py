@@ -14,10 +14,10 @@ from l3cli.rendering.opencl import renderer as opencl
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from tests.helpers.cameras import BAYER
-from tests.helpers.tables import random_table, with_later
+from tests.helpers.tables import random_table, with_refinement
 
 ONE_LAYER = random_table(BAYER, bits=12, black_level=64.0, patch=3)
-TWO_LAYERS = with_later(ONE_LAYER, 3, ratios=True)
+TWO_LAYERS = with_refinement(ONE_LAYER, 3, ratios=True)
 
 
 def noise(rows: int = 61, cols: int = 301, seed: int = 1) -> RawFrame:

@@ -32,7 +32,7 @@ from l3cli.training.recipe import LayerRecipe, TrainingRecipe, for_camera
 from l3cli.training.sums import empty_sums
 from tests.helpers.cameras import random_camera
 from tests.helpers.paths import CONFIGS
-from tests.helpers.tables import random_table, with_first, with_later
+from tests.helpers.tables import random_table, with_first, with_refinement
 
 CFA = [[0, 0, 2, 2], [1, 1, 3, 3], [2, 2, 0, 0], [3, 3, 1, 1]]  # channels 0 and 2 behind one filter, 1 and 3 behind another
 FILTERS = (0, 1, 0, 1)
@@ -194,7 +194,7 @@ def test_kernels_agree_with_the_reference() -> None:
         samples=np.ones(classes),
         condition=np.ones(classes, np.float32),
     )
-    table = with_later(replace(table, camera=model), 3)
+    table = with_refinement(replace(table, camera=model), 3)
     assert table.later[0].rule.cases == rule.cases - rule.spared_cases
     light = np.exp(rng.normal(0.0, 1.5, (60, 70))) * model.full_scale / 2
     light *= model.sensitivity[model.channel_map(light.shape)]

@@ -20,9 +20,9 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from l3cli.training.insight import insight
 from tests.helpers.cameras import BAYER
-from tests.helpers.tables import random_table, with_later, with_tree
+from tests.helpers.tables import random_table, with_refinement, with_tree
 
-TABLE = with_later(random_table(BAYER, bits=12, black_level=64.0), 3, 5)
+TABLE = with_refinement(random_table(BAYER, bits=12, black_level=64.0), 3, 5)
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_layers_agree_in_what_they_share() -> None:
 
 
 def test_only_the_last_layer_has_colour_ratios(tmp_path: Path) -> None:
-    one, two = with_later(TABLE, 3, 5, ratios=True).later
+    one, two = with_refinement(TABLE, 3, 5, ratios=True).later
     table = dataclasses.replace(TABLE, later=(one, two))
     assert (one.ratio_taps, two.ratio_taps, two.window_taps) == (0, 2, 75)
     save(table, tmp_path / "table.h5")
@@ -131,4 +131,4 @@ def test_info_describes_every_layer(l3: Callable, path: Path) -> None:
 @pytest.mark.parametrize("backend", list(BACKENDS))
 def test_renderers_refuse_more_layers_than_four(backend: str) -> None:
     with pytest.raises(RecipeError, match="5 layers"):
-        make_renderer(backend, with_later(random_table(BAYER, patch=3), 3, 3, 3, 3))
+        make_renderer(backend, with_refinement(random_table(BAYER, patch=3), 3, 3, 3, 3))

@@ -12,14 +12,14 @@ from l3cli.classes.planes import (
     MOST_FRACTION,
     coarse,
     fixed_point,
-    later_fixed_point,
     opponent_basis,
     raw_middle,
+    refined_fixed_point,
 )
 from l3cli.classes.windows import window_channels
 from l3cli.errors import InputFileError
 from tests.helpers.cameras import BAYER, FIVE_BAND
-from tests.helpers.tables import random_table, with_first, with_later
+from tests.helpers.tables import random_table, with_first, with_refinement
 
 
 @pytest.mark.parametrize("bits", [8, 12, 16])
@@ -72,10 +72,10 @@ def test_weights_that_lose_most_are_rounded_up_and_of_equal_ones_the_first() -> 
 
 
 def test_layers_between_read_16_bits_and_stay_within_32() -> None:
-    table = with_later(random_table(BAYER, bits=12), 5, 3)
+    table = with_refinement(random_table(BAYER, bits=12), 5, 3)
     layer = table.later[0]
     layer = dataclasses.replace(layer, intercept=np.full_like(layer.intercept, 0.7))
-    fixed = later_fixed_point(layer, opponent_basis(table.white_point))
+    fixed = refined_fixed_point(layer, opponent_basis(table.white_point))
     sums = (np.abs(fixed.weights.astype(np.int64)) * COARSE_TOP).sum(axis=-1) + np.abs(fixed.intercept) + 2**MOST_FRACTION
     assert sums.max() < 2**31
     planes = np.array([0, 1 << COARSE >> 1, (1 << COARSE >> 1) - 1, -(1 << COARSE), 2**22 - 1, 1 - 2**22], np.int32)

@@ -8,7 +8,7 @@ import pytest
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.io.raw.headerless import make_layout
-from l3cli.rendering.raw_checks import mistaken
+from l3cli.rendering.raw_checks import value_warnings
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table
 
@@ -33,7 +33,7 @@ def picture(share: float = 1.0, black: float = BLACK, white: float = WHITE, seed
 def words(
     values: np.ndarray, table: TransformTable, black: float = BLACK, white: float = WHITE, exchangeable: bool = False
 ) -> str:
-    return " / ".join(mistaken(RawFrame("frame", values, black, white, exchangeable=exchangeable), table))
+    return " / ".join(value_warnings(RawFrame("frame", values, black, white, exchangeable=exchangeable), table))
 
 
 def test_nothing_is_reported_of_what_cameras_give(table: TransformTable) -> None:

@@ -21,7 +21,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from tests.helpers.cameras import BAYER
 from tests.helpers.rendered import KINDS, OUTPUT_TOLERANCE, STRIPES, TABLES, assert_equal_to_reference
-from tests.helpers.tables import XYZ, frame_of_all_levels, random_table, with_first, with_later, with_tree
+from tests.helpers.tables import XYZ, frame_of_all_levels, random_table, with_first, with_refinement, with_tree
 
 TREES = [name for name in TABLES if name.startswith("tree")][:-1]  # of several leaves
 
@@ -133,7 +133,11 @@ def test_any_colour_filter_array(data: st.DataObject) -> None:
 @pytest.mark.parametrize("layers", ["one layer", "two layers", "tree", "four layers"])
 def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, layers: str, kind: str) -> None:
     table = random_table(STRIPES, bits=12, black_level=100.0, patch=5)
-    several = {"two layers": with_later(table, 5), "four layers": with_later(table, 3, 7, 5), "tree": with_tree(table, 5)}
+    several = {
+        "two layers": with_refinement(table, 5),
+        "four layers": with_refinement(table, 3, 7, 5),
+        "tree": with_tree(table, 5),
+    }
     table = several.get(layers, table)
     frame = RawFrame(
         "f", np.random.default_rng(0).integers(0, 4096, (61, 83)).astype(np.uint16), 100.0, table.white_level, (2, 1)

@@ -18,7 +18,7 @@ from l3cli.training.solve import Solution, equal_responses, solve
 from l3cli.training.sums import pairs
 from l3cli.training.systems import Equation, Integers, fits, solve_within
 from tests.helpers.cameras import random_camera
-from tests.helpers.tables import random_table, with_later
+from tests.helpers.tables import random_table, with_refinement
 
 BITS = Integers(12, 64.0, 4095.0)
 WHITE = np.array([0.95, 1.0, 1.09])
@@ -102,7 +102,7 @@ def test_no_transform_of_a_table_is_too_large(steps: int, monkeypatch: pytest.Mo
 
 def test_nor_one_between_layers() -> None:
     """Of a class whose rows all but agree, so that their differences are taken for what the target differs by."""
-    table = with_later(random_table([[0, 1], [1, 0]]), 3)
+    table = with_refinement(random_table([[0, 1], [1, 0]]), 3)
     rule = table.later[0].rule
     taps, rng = 27, np.random.default_rng(2)
     row, col = pairs(taps + 1 + 3)

@@ -55,14 +55,14 @@ def test_kernels_agree_with_the_reference_on_every_value(cfa: ArrayLike, bits: i
         seen[50:80, 12 * number : 12 * number + 30] = 400 + 200 * rng.random()  # … but a square
         frame = exposed(rng, seen[::-1] if number == 4 else seen, camera.gain, bits)
         ours, theirs = reference.filtered(frame), kernels.filtered(frame)
-        assert reference.kept is not None
-        assert np.array_equal(reference.kept.values, kernels.kept())
+        assert reference.history is not None
+        assert np.array_equal(reference.history.values, kernels.history())
         assert np.array_equal(ours.values, theirs.values)
         assert ours.noise_share == theirs.noise_share
         assert ours.noise_left is not None
         assert theirs.noise_left is not None
         assert np.array_equal(ours.noise_left.shares, theirs.noise_left.shares)
-        weights.append(reference.kept.left.mean() / ONE)
+        weights.append(reference.history.left.mean() / ONE)
     assert min(weights) < 0.7  # much was blended
     assert reference.vectors is not None
     assert reference.vectors.any()
@@ -77,8 +77,8 @@ def test_noise_falls_by_what_the_recursion_leaves() -> None:
     left = np.array([filtered.filtered(frame).values - light * camera.gain - BLACK for frame in made])[30:]
     alone = np.array([frame.values - light * camera.gain - BLACK for frame in made])[30:]
     share = LEAST_WEIGHT / ONE
-    assert filtered.kept is not None
-    known = filtered.kept.left.mean() / ONE
+    assert filtered.history is not None
+    known = filtered.history.left.mean() / ONE
     assert share / (2 - share) <= known < 0.12  # more where noise looked like motion
     assert np.mean(left**2) == pytest.approx(np.mean(alone**2) * known + 1 / 12, rel=0.15)  # and rounding to DN
 
@@ -208,7 +208,7 @@ def test_frames_in_nearly_any_order_are_read_once_and_jumps_from_the_lead_in_on(
         read.append(place)
         return RawFrame("a", np.zeros((2, 2), np.uint16), 0.0, 1.0)
 
-    asked = AnyOrder(Remembering, noted, keep=4)
+    asked = AnyOrder(Remembering, noted, most=4)
     for place in (1, 0, 3, 2, 4, 7, 5, 6):
         asked.filtered(place, of_place(0))
     assert read == [0, 2, 5, 6]
@@ -228,7 +228,7 @@ def test_after_a_broken_frame_the_others_are_what_they_were() -> None:
             raise InputFileError("broken")
         return of_place(place)
 
-    asked = AnyOrder(Remembering, read, keep=4)
+    asked = AnyOrder(Remembering, read, most=4)
     with pytest.raises(InputFileError):
         asked.filtered(4, of_place(4))
     assert asked.filtered(1, of_place(1)).name == "ab"

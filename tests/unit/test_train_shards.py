@@ -34,7 +34,7 @@ from l3cli.errors import InputFileError
 from l3cli.options.pipeline import TrainOptions
 from l3cli.parallel import workers
 from l3cli.physics import spectra
-from l3cli.stages.training.held_frames import HELD
+from l3cli.stages.training.held_frames import FRAMES
 from l3cli.stages.training.passes import Execution, first_pass
 from l3cli.stages.training.run import open_run
 from l3cli.system.console import Silent
@@ -355,12 +355,12 @@ def test_a_small_training_set_is_read_once(
     monkeypatch.setattr(TrainingSetReader, "frame", noted)
     with open_training_set(training) as reader:
         size = sum(value.nbytes for value in vars(reader.frame(0)).values() if isinstance(value, np.ndarray))
-    monkeypatch.setattr(HELD, "most", 2 * size)
-    HELD.clear()
+    monkeypatch.setattr(FRAMES, "most", 2 * size)
+    FRAMES.clear()
     read.clear()
     assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
     assert sorted(read) == [0, 1, 2, 2, 2]  # by the pilot, and two passes
-    assert HELD.bytes == 0
+    assert FRAMES.bytes == 0
 
 
 def test_what_all_sites_share_is_made_once(

@@ -14,7 +14,7 @@ from l3cli.frames.shading import Shading
 from l3cli.io.raw.cfa_codes import neutral_of_channels
 from l3cli.physics import correlated_lights, spectra
 from l3cli.physics.display import daylight, delta_e_2000, display_white, lab, scene_white
-from l3cli.rendering.raw_checks import best_phases, other_camera, other_phase
+from l3cli.rendering.raw_checks import other_camera, other_phase, phase_contrasts
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.white.auto import AutoWhite
 from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance, balanced, plain_balance
@@ -22,7 +22,7 @@ from l3cli.rendering.white.grey import GreyRenderer, Square
 from l3cli.rendering.white.scene_white import Whites
 from l3cli.rendering.white.source import AUTO, CAMERA, CameraWhite, SquareWhite, given_white, white_source
 from tests.helpers.cameras import BAYER, FIVE_BAND
-from tests.helpers.tables import colorimetric_table, random_table, with_later
+from tests.helpers.tables import colorimetric_table, random_table, with_refinement
 
 LIGHTS = ("2500K", "3200K", "A", "D5000K", "D65", "9000K")
 ROUNDING = 2e-3  # of signals of 12 bits at two fifths of full scale, as plain areas are rendered: half a DN in 300
@@ -99,7 +99,7 @@ def test_a_green_lamp_is_green(bayer: CameraModel) -> None:
 
 @pytest.mark.parametrize("cfa", [BAYER, FIVE_BAND])
 def test_plain_areas_and_squares_are_rendered_as_in_whole_frames(cfa: list) -> None:
-    table = with_later(random_table(cfa, patch=7), 3)
+    table = with_refinement(random_table(cfa, patch=7), 3)
     rng = np.random.default_rng(1)
     grey, whole = GreyRenderer(table), ReferenceRenderer(table)
     shares = rng.uniform(0.1, 0.6, (3, len(table.channels)))
@@ -358,7 +358,7 @@ def test_an_array_that_begins_elsewhere_is_reported_with_the_phase_that_fits(
     frame = scene(bayer, "D65")
     assert other_phase(frame, table) == ""
     wrong = dataclasses.replace(frame, phase=(0, 1))
-    now, least, phases = best_phases(wrong, table)
+    now, least, phases = phase_contrasts(wrong, table)
     assert now > 0.2
     assert least < 0.02
     assert phases == [(0, 0), (1, 1)]

@@ -117,15 +117,15 @@ def _seen_body(out: DraftText, seen: Survey, photo: bool) -> None:
     elif guessed := sorting.guess_array(seen.groups_of("mono"), seen.scale, seen.period):
         why = f"sites of the {rows}×{cols} array that answer alike, named by the light they see"
         out.assume("channels", guessed.channels, why)
-        out.assume("pattern", guessed.pattern, why, said=False)
+        out.assume("pattern", guessed.pattern, why, announced=False)
     else:
         what = f"rows of names; values repeat every {rows}×{cols} pixels" if rows * cols > 1 else "rows of names"
         out.todo("channels", ["r", "g", "b"], "names of the channels of the colour filter array", "[cfa]")
         out.todo("pattern", ["r g", "g b"], what, "[cfa]")
     if photo:
         out.table("[optics]")
-        out.assume("focal_length_mm", FOCAL_MM, "mm; curves of photos do not depend on it", said=False)
-        out.assume("f_number", F_NUMBER, "as above", said=False)
+        out.assume("focal_length_mm", FOCAL_MM, "mm; curves of photos do not depend on it", announced=False)
+        out.assume("f_number", F_NUMBER, "as above", announced=False)
     else:
         unknown_optics(out)
 
@@ -150,7 +150,7 @@ class _Composer:
             out.key("name", self.camera.name)
             known_body(out, self.camera)
         else:
-            out.assume("name", name, "the folder's name", said=False)
+            out.assume("name", name, "the folder's name", announced=False)
             _seen_body(out, self.seen, photo=not self.steps and not self.bands and bool(self.charts))
         if self.steps:
             self._mono()
@@ -273,7 +273,7 @@ class _Composer:
             if light:
                 out.key("illuminant", light)
             else:
-                out.assume("illuminant", f"light {number}", "a name for reports", said=False)
+                out.assume("illuminant", f"light {number}", "a name for reports", announced=False)
             self._corners(corners.get(id(group)), path)
             if table is None:
                 example = f"spectra/chart_{light or number}.csv"

@@ -116,13 +116,13 @@ def _by_wavelength(name: Name, columns: Sequence[Column]) -> Column | None:
     nearest = min(abs(column.nm - wanted) for column in columns)
     if nearest > NEAR_NM:
         return None
-    near = [column for column in columns if abs(column.nm - wanted) == nearest]
+    nearest_columns = [column for column in columns if abs(column.nm - wanted) == nearest]
 
     def unlike(column: Column) -> tuple[int, int]:
         words = read_name(f"{column.name}.csv").words if column.name else column.spectra.name.words
         return len(words ^ name.words), column.number
 
-    return min(near, key=unlike)
+    return min(nearest_columns, key=unlike)
 
 
 def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list[str]) -> list[Spectra | None]:

@@ -35,7 +35,7 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
     used = sweep or curves[0]
     names = channels_of_sweep(used) or (list(used.table.names) if used.table.names else None)
     if camera is None:
-        out.assume("name", name, "the folder's name", said=False)
+        out.assume("name", name, "the folder's name", announced=False)
         _body(out, names, len(used.table.values))
     else:
         out.key("name", camera.name)

@@ -36,10 +36,10 @@ class DraftText:
     def key(self, name: str, value: Any, comment: str = "") -> None:
         self._line(f"{name} = {toml_value(value)}", comment)
 
-    def assume(self, name: str, value: Any, why: str, said: bool = True) -> None:
-        """Add a key whose value is probable; `said`: name it on the console, too."""
+    def assume(self, name: str, value: Any, why: str, announced: bool = True) -> None:
+        """Add a key whose value is probable; `announced`: name it on the console, too."""
         self._line(f"{name} = {toml_value(value)}", f"ASSUMED: {why}")
-        if said:
+        if announced:
             self.assumed.append(f"{name} = {toml_value(value)}: {why}")
 
     def todo(self, name: str, example: Any, what: str, where: str) -> None:

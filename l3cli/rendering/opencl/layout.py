@@ -14,10 +14,10 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, PlaneRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.kernel import joined, kernel_arrays, kernel_macros, snippets
-from l3cli.classes.later import first_label_words
 from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippets
-from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, later_fixed_point, opponent_basis, raw_middle
+from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, opponent_basis, raw_middle, refined_fixed_point
 from l3cli.classes.ratios import DARKEST
+from l3cli.classes.refinement import first_label_words
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.spaces import Curve
 from l3cli.rendering.conditions import NoiseSets
@@ -98,7 +98,7 @@ def first_source(variant: str, rule: ClassRule) -> str:
     return "\n".join([*features, joined_files(*VARIANTS[variant].sources)])
 
 
-def later_source(variant: str, rule: PlaneRule) -> str:
+def refinement_source(variant: str, rule: PlaneRule) -> str:
     """The .cl files of a variant for a layer that reads planes, with the formula of its rule."""
     formula, kernels = rule_snippets(rule)
     files = (
@@ -106,7 +106,7 @@ def later_source(variant: str, rule: PlaneRule) -> str:
         "common/encoding.cl",
         "common/gradient.cl",
         formula,
-        *VARIANTS[variant].later_sources,
+        *VARIANTS[variant].refinement_sources,
         kernels[variant],
     )
     return joined_files(*files)
@@ -143,7 +143,7 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
 TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "COARSE": COARSE, "COARSE_TOP": COARSE_TOP, "CODE": "int"}
 
 
-def later_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
+def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
     """Everything about a layer after the first that a kernel's loops and formulas depend on."""
     return {
         "PATCH": layer.side,
@@ -174,7 +174,7 @@ def display_macros(display: Display) -> Macros:
 def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArray, ...]:
     """The constants of the kernel `classes`, in the order of its arguments, for a table and `others`, further sets of it."""
     rule, channels = table.first.rule, len(table.channels)
-    near = neighbourhoods(table.cfa, rule.patch, channels)
+    neighbours = neighbourhoods(table.cfa, rule.patch, channels)
     period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
     cfa = table.cfa[:, period].astype(np.uint16)
     member = np.where(cfa == np.arange(channels, dtype=np.uint16)[:, None, None], np.uint16(0xFFFF), np.uint16(0))
@@ -185,9 +185,9 @@ def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArra
     return (
         member,
         np.uint16(1) << cfa,
-        by_channel(near.count),
-        by_channel(near.mean_reciprocal),
-        by_channel(near.variance_reciprocal),
+        by_channel(neighbours.count),
+        by_channel(neighbours.mean_reciprocal),
+        by_channel(neighbours.variance_reciprocal),
         period.astype(np.uint32),
         *kernel_arrays(rule, *(other.first.rule for other in others)),
     )
@@ -223,12 +223,12 @@ def first_plane_weights(fixed: FixedPoint, bits: int) -> WholeWeights:
     return WholeWeights(by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
 
 
-def later_plane_weights(fixed: FixedPoint) -> WholeWeights:
+def refinement_plane_weights(fixed: FixedPoint) -> WholeWeights:
     """Return the weights of a layer that reads planes if another follows it."""
     return WholeWeights(by_column(fixed.weights, PLANES), fixed.intercept.astype(np.int32), fixed.fraction)
 
 
-def later_weights(layer: PlaneLayer) -> Weights:
+def refinement_weights(layer: PlaneLayer) -> Weights:
     """Return the weights of the last layer, if it reads planes, per step of a plane."""
     windows = by_column(layer.weights[..., : layer.window_taps], PLANES)
     taps = np.concatenate([windows, layer.weights[..., layer.window_taps :]], axis=-1)
@@ -257,13 +257,13 @@ def table_buffers(
     table, later, steps = sets.tables[0], sets.later, []
     for number in range(len(later)):
         if number:
-            whole = later_plane_weights(later_fixed_point(later[number - 1], opponent_basis(table.white_point)))
+            whole = refinement_plane_weights(refined_fixed_point(later[number - 1], opponent_basis(table.white_point)))
         else:
             whole = first_plane_weights(sets.first_fixed_point, table.bits)
-        rules = rule_arrays(table, variant, *sets.later_rules(number))
+        rules = rule_arrays(table, variant, *sets.refinement_rules(number))
         before = constant(VARIANTS[variant].pack_whole(whole, lanes))
         steps.append(PlaneStep(before, tuple(map(constant, rules)), constant(np.zeros(9, np.float32))))
-    last = later_weights(later[-1]) if later else first_weights(table, sets.first)
+    last = refinement_weights(later[-1]) if later else first_weights(table, sets.first)
     return [*map(constant, class_arrays(*sets.tables))], constant(VARIANTS[variant].pack(last, lanes)), steps
 
 
@@ -280,14 +280,14 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
     taps of a window but the last, the last taps of four outputs, their four intercepts, the taps behind the window one by
     one, and zeros up to a multiple of 16."""
     classes, outputs, taps = layer.taps.shape
-    taps, behind = taps - layer.ratio_taps, layer.ratio_taps
-    if outputs in SIDE_BY_SIDE_OUTPUTS and taps <= SIDE_BY_SIDE_TAPS and not behind:
+    taps, ratios = taps - layer.ratio_taps, layer.ratio_taps
+    if outputs in SIDE_BY_SIDE_OUTPUTS and taps <= SIDE_BY_SIDE_TAPS and not ratios:
         return _side_by_side(layer.taps, layer.intercept, 4)
     groups = -(-outputs // 4)
     group = -(-outputs // groups)
     vectors = -(-(taps - 1) // lanes)
     last = vectors * group * lanes
-    packed = np.zeros((classes, groups, -(-(last + 8 + 4 * behind) // 16) * 16), layer.taps.dtype)
+    packed = np.zeros((classes, groups, -(-(last + 8 + 4 * ratios) // 16) * 16), layer.taps.dtype)
     for g in range(groups):
         chosen = slice(g * group, min((g + 1) * group, outputs))
         count = chosen.stop - chosen.start
@@ -297,7 +297,7 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
         packed[:, g, :last] = ordered.reshape(classes, last)
         packed[:, g, last : last + count] = layer.taps[:, chosen, taps - 1]
         packed[:, g, last + 4 : last + 4 + count] = layer.intercept[:, chosen]
-        for tap in range(behind):
+        for tap in range(ratios):
             start = last + 8 + 4 * tap
             packed[:, g, start : start + count] = layer.taps[:, chosen, taps + tap]
     return packed
@@ -317,8 +317,8 @@ def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
     first[:, : intercept.shape[1], 0] = intercept
     filled = np.zeros((classes, 4, -(-count // once) * once), taps.dtype)
     filled[:, :outputs, :count] = taps
-    beside = filled.reshape(classes, 4, -1, once).transpose(0, 2, 1, 3)
-    return np.concatenate([first.reshape(classes, 16).view(taps.dtype), beside.reshape(classes, -1)], axis=1)
+    interleaved = filled.reshape(classes, 4, -1, once).transpose(0, 2, 1, 3)
+    return np.concatenate([first.reshape(classes, 16).view(taps.dtype), interleaved.reshape(classes, -1)], axis=1)
 
 
 def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
@@ -351,7 +351,7 @@ class Variant:
     sources: tuple[
         str, ...
     ]  # files of opencl/ for the layer that reads the mosaic, joined in this order behind the features'
-    later_sources: tuple[str, ...]  # and for one that reads planes
+    refinement_sources: tuple[str, ...]  # and for one that reads planes
     cut: Callable[[TransformTable, int], Cut]  # for a number of lanes that suits the device
     pack: Callable[[Weights, int], NDArray]  # weights as its kernels read them, for Cut.lanes
     pack_whole: Callable[[WholeWeights, int], NDArray]

@@ -174,7 +174,10 @@ class Programs:
             macros = layout.table_macros(self._table, self._sets)
         else:
             later = self._table.later[layer - 1]
-            source, macros = layout.later_source(self._variant, later.rule), layout.later_macros(self._table, later)
+            source, macros = (
+                layout.refinement_source(self._variant, later.rule),
+                layout.refinement_macros(self._table, later),
+            )
         if any(other[0] == layer for other in self._programs) and not (self.joins and layer == 0):
             macros = {**macros, **TRANSFORM_ONLY}
         return source, {**macros, **ending, **self.cut.macros}

@@ -21,7 +21,18 @@ from l3cli.rendering.opencl import layout
 from l3cli.rendering.opencl.devices import pyopencl, refusals
 from l3cli.rendering.opencl.programs import Programs, chosen, compiler_of
 from l3cli.rendering.opencl.steps import DeviceShading, DeviceSpectra
-from l3cli.rendering.opencl.work import SPECTRA, Band, Held, Track, Work, bands, constant, scratch, shares_memory, stages_of
+from l3cli.rendering.opencl.work import (
+    SPECTRA,
+    Band,
+    Track,
+    Unread,
+    Work,
+    bands,
+    constant,
+    scratch,
+    shares_memory,
+    stages_of,
+)
 
 TRACKS = 2
 BEYOND = 16  # bytes behind the last pixel, which a vector may read
@@ -50,12 +61,12 @@ class OpenCLRenderer:
             self._constant, self._scratch = partial(constant, self._context), partial(scratch, self._context)
             self._programs = Programs(self._compiler, table, self.variant, lanes, len(self._sets))
             self._cut = self._programs.cut
-            self._class_buffers, self._weights, self._later = layout.table_buffers(
+            self._class_buffers, self._weights, self._layers = layout.table_buffers(
                 self._sets, self.variant, self._cut.lanes, self._constant
             )
             self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
-            self._held: Held | None = None
+            self._unread: Unread | None = None
             self._in_place = shares_memory(self.device)
             self._joined = self._programs.joins  # whether classes and transforms of the first layer are one kernel
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
@@ -71,7 +82,7 @@ class OpenCLRenderer:
         """Outputs of the table, (output, row, col)."""
         planes, work = self._start_outputs(frame)
         if len(self._bands(frame.values.shape)) == 1:
-            self._held = Held(frame, frame.values.copy(), self._tracks[-1], self._tracks[-1].result)
+            self._unread = Unread(frame, frame.values.copy(), self._tracks[-1], self._tracks[-1].result)
         self._wait(work)
         if frame.light_share != 1:
             planes *= np.float32(frame.light_share)
@@ -104,7 +115,7 @@ class OpenCLRenderer:
         their kernel built without the encoding, which writes one number a pixel instead; "encode" what the whole kernel
         takes beyond that. Call it twice: the first run warms up.
         """
-        self._held = None
+        self._unread = None
         joined, self._joined = self._joined, False
         try:
             _, work = self._start_outputs(frame) if display is None else self._start_picture(frame, display)
@@ -125,8 +136,8 @@ class OpenCLRenderer:
     def _start_picture(self, frame: RawFrame, display: Display, borrow: bool = True) -> tuple[NDArray, Work]:
         require_xyz(self.table.outputs)
         picture = np.empty((*frame.values.shape, 3), display.dtype)
-        if self._held is not None and self._held.are_of(frame):
-            return picture, self._start_encoding(self._held, display, picture)
+        if self._unread is not None and self._unread.are_of(frame):
+            return picture, self._start_encoding(self._unread, display, picture)
         matrix = display.matrix * frame.light_share
         return picture, self._start(frame, [picture], layout.display_macros(display), matrix, borrow=borrow)
 
@@ -141,10 +152,10 @@ class OpenCLRenderer:
         work, values = Work(self.stages), np.ascontiguousarray(levelled.values)
         if not borrow and np.may_share_memory(values, frame.values):
             values = values.copy()
-        self._held = None
+        self._unread = None
         with refusals(self.device):
             shaded = self._shading.macros(frame.shading)
-            joined = self._joined and not self._later
+            joined = self._joined and not self._layers
             kernel = None if ending is None else self._programs.transforms({**ending, **shaded}, joined)
             encoding = None
             for band in self._bands(values.shape):
@@ -155,29 +166,29 @@ class OpenCLRenderer:
                     self._classify(track, band, levelled, work)
                 if encoding is None:  # not before the device is busy
                     encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
-                for number in range(layer if kernel is None else len(self._later)):
-                    self._classify_later(number, track, band, levelled, work)
+                for number in range(layer if kernel is None else len(self._layers)):
+                    self._classify_refinement(number, track, band, levelled, work)
                 parts = [result[band.rows] for result in results]
                 if kernel is not None:
                     target, offset = self._target(track, parts, work), 0
                     self._transform(kernel, encoding, track, band, target, levelled, work)
                 else:
-                    target = track.later_labels[layer - 1] if layer else track.labels
+                    target = track.refined_labels[layer - 1] if layer else track.labels
                     offset = 4 * (band.rows.start - band.reads[layer].start) * band.columns
                 self._fetch(track, parts, target, offset, work)
         return work
 
-    def _start_encoding(self, held: Held, display: Display, picture: NDArray) -> Work:
+    def _start_encoding(self, unread: Unread, display: Display, picture: NDArray) -> Work:
         """Start to fill a picture with outputs that the device still holds."""
-        work, track = Work(self.stages), held.track
+        work, track = Work(self.stages), unread.track
         with refusals(self.device):
             kernel = self._programs.encoder(layout.display_macros(display))
-            matrix = self._constant(display.matrix * held.frame.light_share, np.float32)
+            matrix = self._constant(display.matrix * unread.frame.light_share, np.float32)
             target = (
                 work.in_place(track.queue, picture, written=True) if self._in_place else self._scratch(None, picture.nbytes)
             )
             shape, cut = (picture.shape[0], picture.shape[1]), self._programs.encoder_cut
-            work.add("encode", self._run(kernel, track, shape, held.result, matrix, target, cut=cut))
+            work.add("encode", self._run(kernel, track, shape, unread.result, matrix, target, cut=cut))
             self._fetch(track, [picture], target, 0, work)
         return work
 
@@ -227,16 +238,16 @@ class OpenCLRenderer:
         """Row and column of the CFA where a band begins."""
         return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
 
-    def _classify_later(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
+    def _classify_refinement(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
         """Queue the planes that later layer `number` reads of a band, and the classes that they give."""
-        step, (rows, columns), made = self._later[number], band.shape(number), band.shape(number + 1)
+        step, (rows, columns), made = self._layers[number], band.shape(number), band.shape(number + 1)
         track.planes[number] = self._scratch(track.planes[number], 4 * layout.PLANES * rows * columns)
         kernel = self._programs.planes(number, self._joined and not number)
         reads, ends = self._reads(number, track, band, frame)
         buffers = (*reads, step.weights, step.nothing, track.planes[number], np.float32(0), *ends)
         work.add("planes", self._run(kernel, track, (rows, columns), *buffers))
-        track.later_labels[number] = self._scratch(track.later_labels[number], 4 * made[0] * columns)
-        buffers = (track.planes[number], track.labels, *band.later[number].classes, *step.rule, track.later_labels[number])
+        track.refined_labels[number] = self._scratch(track.refined_labels[number], 4 * made[0] * columns)
+        buffers = (track.planes[number], track.labels, *band.later[number].classes, *step.rule, track.refined_labels[number])
         work.add("structures", self._run(self._programs.classes(number + 1), track, made, *buffers, np.int32(rows)))
 
     def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
@@ -246,7 +257,7 @@ class OpenCLRenderer:
             return self._decides(track, band), self._site(band, frame)
         if not number:
             return (track.raw, *band.mosaic_source, track.labels), (np.int32(0),)
-        read = (track.planes[number - 1], *band.later[number - 1].transforms, track.later_labels[number - 1])
+        read = (track.planes[number - 1], *band.later[number - 1].transforms, track.refined_labels[number - 1])
         return read, (np.int32(band.shape(number - 1)[0]),)
 
     def _transform(
@@ -254,7 +265,7 @@ class OpenCLRenderer:
     ) -> None:
         """Transforms of the last layer, and its classes if it is alone, and encoding or smoothing of a band into the buffer
         `result`."""
-        number = len(self._later)
+        number = len(self._layers)
         into = self._spectra.room(track, band) if self._spectra else result
         made = (into, *self._shading.gain(frame.shading, band.made))
         reads, ends = self._reads(number, track, band, frame)

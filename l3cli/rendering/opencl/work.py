@@ -15,7 +15,7 @@ from l3cli.frames.frame import RawFrame, mirrored_indices
 from l3cli.rendering.opencl.devices import pyopencl
 
 STAGES = ("upload", "classes", "transforms", "encode", "download")
-LATER_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
+REFINEMENT_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
 SPECTRA = "spectra"  # between transforms and encoding, where spectra are smoothed
 BAND_PIXELS = 1 << 22  # of a band, margins aside
 
@@ -25,7 +25,7 @@ Source = Any  # a buffer of indices
 
 def stages_of(table: TransformTable) -> tuple[str, ...]:
     """Return the stages by which the time of a frame is counted."""
-    stages = LATER_STAGES if table.later else STAGES
+    stages = REFINEMENT_STAGES if table.later else STAGES
     return (*stages[:-2], SPECTRA, *stages[-2:]) if table.spectra else stages
 
 
@@ -56,7 +56,7 @@ class Track:
         self.sets: Any = None  # number of the set of transforms that renders each pixel …
         self.chosen: tuple[Any, ...] = ()  # … or the host's array of them; nothing where there is one set
         self.planes: list[Any] = [None] * layers  # that each later layer reads
-        self.later_labels: list[Any] = [None] * layers
+        self.refined_labels: list[Any] = [None] * layers
         self.made: Any = None  # outputs whose spectra are still to be smoothed
         self.result: Any = None
         self._typed: set[Any] = set()  # kernels
@@ -141,7 +141,7 @@ class Work:
 
 
 @dataclass(frozen=True)
-class Held:
+class Unread:
     """Outputs of a frame that are still on the device, as a track's result."""
 
     frame: RawFrame
@@ -199,7 +199,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
 
     across = {margin: columns_beside(margin) for margin in {REACH, *(layer.radius for layer in table.later)}}
 
-    def beside(seen: slice, margin: int, there: slice) -> Source:
+    def outside(seen: slice, margin: int, there: slice) -> Source:
         """Rows of `there` for the rows `seen` and `margin` more."""
         return constant(_int32(mirrored_indices(rows, margin, 1)[seen.start : seen.stop + 2 * margin] - there.start))
 
@@ -212,8 +212,8 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)
         later = tuple(
             PlaneSource(
-                (beside(made, REACH, read), beside(made, REACH, reads[0]), across[REACH]),
-                (beside(made, layer.radius, read), across[layer.radius]),
+                (outside(made, REACH, read), outside(made, REACH, reads[0]), across[REACH]),
+                (outside(made, layer.radius, read), across[layer.radius]),
             )
             for layer, read, made in zip(table.later, reads, reads[1:], strict=False)
         )

@@ -69,11 +69,11 @@ class AnyOrder:
 
     Each frame is what it is in order: one that does not follow the one before it is made as by a run that goes on there.
     Threads may share it; one at a time is at work. `read` gives the raw frame at a place, from 0, and what it raises is
-    raised; `keep`: number of the last frames that are held, since threads come in any order.
+    raised; `most`: number of the last frames that are held, since threads come in any order.
     """
 
-    def __init__(self, make: Callable[[], Filter], read: Callable[[int], RawFrame], keep: int) -> None:
-        self._make, self._read, self._keep = make, read, keep
+    def __init__(self, make: Callable[[], Filter], read: Callable[[int], RawFrame], most: int) -> None:
+        self._make, self._read, self._most = make, read, most
         self._alone = ThreadLock()
         self._made: dict[int, RawFrame] = {}  # by place
         self._next, self._complete = 0, 0  # places: of the frame that the filters take next; from which on they are right
@@ -96,7 +96,7 @@ class AnyOrder:
                 self._next = at + 1
                 if at >= self._complete:
                     self._made[at] = made
-                if len(self._made) > self._keep:
+                if len(self._made) > self._most:
                     del self._made[next(iter(self._made))]  # the oldest
             return self._made[place]
 

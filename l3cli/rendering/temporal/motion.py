@@ -68,8 +68,8 @@ class _Search:
     def _first(self, axis: int) -> NDArray[np.intp]:
         """Return the first row or column of the window of every block."""
         grid, unit = self._grid, self._grid.period[axis] << self._level
-        beside = (grid.window(self._level)[axis] - grid.block[axis] // unit) // 2
-        return np.arange(grid.blocks[axis]) * grid.block[axis] // unit - beside
+        margin = (grid.window(self._level)[axis] - grid.block[axis] // unit) // 2
+        return np.arange(grid.blocks[axis]) * grid.block[axis] // unit - margin
 
     def _windows(self, plane: Plane, vector: Vectors) -> Plane:
         """(block row, block col, row, col) of a plane, moved; beyond it its edge."""

@@ -105,7 +105,7 @@ class _Buffers:
     def __init__(self, device: Device, grid: Grid, noise: NoiseTerms) -> None:
         pixels, blocks = (int(np.prod(sides)) for sides in (grid.shape, grid.blocks))
         flags = pyopencl().mem_flags
-        self.kept = [device.buffer(2 * pixels) for _ in range(2)]  # of the frame before, of this one
+        self.history = [device.buffer(2 * pixels) for _ in range(2)]  # of the frame before, of this one
         self.now, self.before = (device.buffer(2 * _units(grid)) for _ in range(2))
         self.vectors = [device.buffer(8 * blocks) for _ in range(2)]
         # Of cells, with what lies beside them.
@@ -141,8 +141,8 @@ class OpenCLFilter:
                 self._weigh(raw, self._search(raw))
             levels = (self._noise.protect, int(first), buffers.strips, int(np.prod(grid.cells)), *grid.blocks)
             device.run(
-                "blend", *grid.blocks, raw, buffers.kept[0], buffers.vectors[0], buffers.weights, buffers.cuts,
-                buffers.kept[1], buffers.left[1], target, buffers.before, *levels,
+                "blend", *grid.blocks, raw, buffers.history[0], buffers.vectors[0], buffers.weights, buffers.cuts,
+                buffers.history[1], buffers.left[1], target, buffers.before, *levels,
             )  # fmt: skip
             cl = pyopencl()
             cl.enqueue_copy(device.queue, buffers.host_left, buffers.left[1], is_blocking=False)
@@ -151,7 +151,7 @@ class OpenCLFilter:
             else:
                 work.add("download", cl.enqueue_copy(device.queue, made, target, is_blocking=False))
             work.end()
-            for pair in (buffers.kept, buffers.left):
+            for pair in (buffers.history, buffers.left):
                 pair.reverse()
             rows, cols = frame.values.shape
             left = int(buffers.host_left.sum(dtype=np.int64)) / (int(np.prod(grid.cells)) * reference.ONE)
@@ -159,10 +159,10 @@ class OpenCLFilter:
             of_cells = NoiseLeft(buffers.host_left[1:-1, PADDING:-PADDING].copy(), reference.ONE, grid.cell)
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
-    def kept(self) -> NDArray[np.uint16]:
+    def history(self) -> NDArray[np.uint16]:
         """Return the state after the frames so far, u (row, col)."""
         values = np.empty(self._grid.shape, np.uint16)
-        pyopencl().enqueue_copy(self._device.queue, values, self._buffers.kept[0])
+        pyopencl().enqueue_copy(self._device.queue, values, self._buffers.history[0])
         return values
 
     def _begin(self, frame: RawFrame) -> None:
@@ -200,7 +200,7 @@ class OpenCLFilter:
         constant = min(grid.sites * noise.constant, reference.MOST_VARIANCE)
         terms = (noise.protect, noise.black, noise.linear, constant, noise.fixed, noise.uneven)
         device.run(
-            "evidence", *grid.blocks, raw, buffers.kept[0], vectors, buffers.left[0], *buffers.found, buffers.weights,
+            "evidence", *grid.blocks, raw, buffers.history[0], vectors, buffers.left[0], *buffers.found, buffers.weights,
             *terms, grid.blocks[1],
         )  # fmt: skip
         device.run("weigh", *grid.blocks, *buffers.found, buffers.weights, buffers.left[1], buffers.cuts, grid.blocks[1])

@@ -55,8 +55,8 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
     """A frame, values (row, col) u of whole blocks, with what was kept before it, moved by `vectors`."""
     rows, cols = np.indices(grid.shape, sparse=True)
     of_pixel = vectors.repeat(grid.block[0], 0).repeat(grid.block[1], 1)
-    kept = before.values[rows + of_pixel[..., 0], cols + of_pixel[..., 1]].astype(np.int64)
-    residual = values - kept
+    history = before.values[rows + of_pixel[..., 0], cols + of_pixel[..., 1]].astype(np.int64)
+    residual = values - history
     left = _moved_left(before.left, vectors, grid)
     power, mean, wide, expected = _evidence(values, residual, left, vectors, grid, noise)
     if np.count_nonzero(power > CUT * expected) * FEW > power.size:
@@ -67,7 +67,7 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
     weight = np.maximum(ONE - expected * ONE**2 // whole, LEAST_WEIGHT)
     left = np.minimum(((ONE - weight) ** 2 * left + weight**2 * ONE) // ONE**2 + 1, ONE)
     of_pixel = weight.repeat(grid.cell[0], 0).repeat(grid.cell[1], 1)
-    new = kept + ((of_pixel * residual + ONE // 2) // ONE)
+    new = history + ((of_pixel * residual + ONE // 2) // ONE)
     return Blend(new.astype(np.uint16), left, restarted=False)
 
 
@@ -122,7 +122,7 @@ class ReferenceFilter:
     def __init__(self, period: tuple[int, ...], camera: CameraModel) -> None:
         self._period, self._camera = period, camera
         self._kind: Kind | None = None
-        self.kept: Blend | None = None
+        self.history: Blend | None = None
         self.vectors: Vectors | None = None  # of the last frame, if it was not a first one
 
     def filtered(self, frame: RawFrame) -> RawFrame:
@@ -131,15 +131,15 @@ class ReferenceFilter:
         grid = Grid.of(frame.values.shape, self._period)
         noise = noise_of(self._camera, frame.black_level, frame.white_level, grid.period[0] * grid.period[1])
         values = grid.padded(to_units(frame.values, noise))
-        if self.kept is None or kind != self._kind:
-            self._kind, self.kept, self.vectors = kind, first_blend(values, grid), None
+        if self.history is None or kind != self._kind:
+            self._kind, self.history, self.vectors = kind, first_blend(values, grid), None
         else:
-            self.vectors = vectors_of(planes_of(values, grid), planes_of(self.kept.values, grid), grid, noise)
-            self.kept = blended(values, self.kept, self.vectors, grid, noise)
+            self.vectors = vectors_of(planes_of(values, grid), planes_of(self.history.values, grid), grid, noise)
+            self.history = blended(values, self.history, self.vectors, grid, noise)
         rows, cols = frame.values.shape
-        made = of_units(self.kept.values[:rows, :cols], noise)
-        share = share_left(self._camera, frame, int(self.kept.left.sum()) / (self.kept.left.size * ONE))
-        left = NoiseLeft(self.kept.left.astype(np.uint16), ONE, grid.cell)
+        made = of_units(self.history.values[:rows, :cols], noise)
+        share = share_left(self._camera, frame, int(self.history.left.sum()) / (self.history.left.size * ONE))
+        left = NoiseLeft(self.history.left.astype(np.uint16), ONE, grid.cell)
         return replace(frame, values=made, noise_share=share, noise_left=left)
 
 

@@ -31,7 +31,7 @@ class AutoWhite:
 
     def __init__(self, whites: Whites, balanced_by: Whites | None = None) -> None:
         self._whites, self._table, self._balances = whites, whites.table, balanced_by or whites
-        self._near = neighbourhoods(self._table.cfa, self._table.first.rule.patch, len(self._table.channels))
+        self._neighbours = neighbourhoods(self._table.cfa, self._table.first.rule.patch, len(self._table.channels))
         self._neutrals = _neutrals(self._table)  # (mired, green, channel)
         self._places = self._log_ratios()  # (fine mired, fine green, 2)
         self._made: dict[tuple[int, int], SceneWhite] = {}
@@ -66,7 +66,7 @@ class AutoWhite:
         """Cone responses (row, col, 3) of a grid of pixels, and which of them (row, col) are neither clipped nor dark."""
         table, rule = self._table, self._table.first.rule
         patches, site = spread_patches(frame, table)
-        labels = label_patches(patches.values, rule, self._near, site)
+        labels = label_patches(patches.values, rule, self._neighbours, site)
         classes = rule.on_site(labels, site)
         full_scale = np.float32(table.white_level - table.black_level)
         signal = (patches.values.astype(np.float32) - np.float32(patches.black_level)) / full_scale

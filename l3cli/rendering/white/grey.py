@@ -93,14 +93,14 @@ class GreyRenderer:
         rows, cols = where
         margin = self._reach + max(self.table.cfa.shape)
         top, left = max(rows.start - margin, 0), max(cols.start - margin, 0)
-        cut = _evened(frame, (slice(top, rows.stop + margin), slice(left, cols.stop + margin)))
+        cut = _shading_corrected(frame, (slice(top, rows.stop + margin), slice(left, cols.stop + margin)))
         phase = ((frame.phase[0] + top) % self.table.cfa.shape[0], (frame.phase[1] + left) % self.table.cfa.shape[1])
         planes = self._renderer.exact_outputs(replace(cut, phase=phase))
         inside = planes[:, rows.start - top : rows.stop - top, cols.start - left : cols.stop - left]
         return np.asarray(inside.mean(axis=(1, 2)))
 
 
-def _evened(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
+def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
     """A part of a frame, its phase still that of the whole, without what channels differ by in their shading; what all of
     them lose is about the same there, and stays."""
     shading = frame.shading
@@ -110,7 +110,7 @@ def _evened(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
 
 def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:
     """Mean signal (channel) in DN above black and dark current of a part of a frame, and why it is none of a grey, or ""."""
-    values, means = _evened(frame, where).values, np.zeros(len(table.channels))
+    values, means = _shading_corrected(frame, where).values, np.zeros(len(table.channels))
     clipped = float((values >= frame.white_level).mean())
     if clipped > MOST_CLIPPED:
         return means, f"is clipped in {clipped:.0%} of its pixels; give a darker grey"

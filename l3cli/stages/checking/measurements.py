@@ -125,15 +125,15 @@ def lines(measured: dict[str, Any], width: int | None) -> list[str]:
     """Return the sections as lines."""
     lines = [f"{measured['name']}: channels {', '.join(measured['channels'])}", "", *array_lines(measured["array"]), ""]
     for name, section in measured["sections"].items():
-        told = (
+        texts = (
             [counted(section["captures"], "capture"), counted(section["frames"], "frame")] if "captures" in section else []
         )
         if "exposure_s" in section:
-            told.append(" … ".join(dict.fromkeys(map(seconds_text, section["exposure_s"]))))
+            texts.append(" … ".join(dict.fromkeys(map(seconds_text, section["exposure_s"]))))
         if "wavelength_nm" in section:
-            told.append("{:g}…{:g} nm".format(*section["wavelength_nm"]))
-        told += [", ".join(section["illuminants"])] if "illuminants" in section else []
-        told += [section["file"]] if "file" in section else []
-        told += [f"well of {section['well_capacity_e']:g} e-"] if "well_capacity_e" in section else []
-        lines.append(f"[{name}] {', '.join(told)}")
+            texts.append("{:g}…{:g} nm".format(*section["wavelength_nm"]))
+        texts += [", ".join(section["illuminants"])] if "illuminants" in section else []
+        texts += [section["file"]] if "file" in section else []
+        texts += [f"well of {section['well_capacity_e']:g} e-"] if "well_capacity_e" in section else []
+        lines.append(f"[{name}] {', '.join(texts)}")
     return lines

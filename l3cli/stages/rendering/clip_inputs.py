@@ -27,8 +27,8 @@ def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output
     clips: list[Path] = []
     for each in inputs:
         inside = _clips_in(each, lambda: load(TransformTable, table), options) if each.is_dir() else []
-        here, there = (Path(os.path.realpath(path)) for path in (each, output))  # of a loop of links, too
-        if inside and (here in (there, *there.parents) or there in here.parents):
+        ours, theirs = (Path(os.path.realpath(path)) for path in (each, output))  # of a loop of links, too
+        if inside and (ours in (theirs, *theirs.parents) or theirs in ours.parents):
             raise RecipeError(f"{output} and {each} lie in one another; name an output elsewhere")
         clips += [path for path in inside if os.path.realpath(path) != os.path.realpath(table)] or [each]
     return tuple(clips)

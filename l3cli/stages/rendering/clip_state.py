@@ -94,7 +94,7 @@ class Standing:
         return self.same or self.is_file or self.checkpoint.is_file()  # else nothing says which pictures are of that run
 
     @property
-    def kept(self) -> bool:
+    def is_finished(self) -> bool:
         """Return whether the output is whole and of this content."""
         return self.ours and self.same and self.entry is not None and self.entry.made is not None
 

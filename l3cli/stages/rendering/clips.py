@@ -164,7 +164,7 @@ class ClipJob:
         reads: dict[str, list[Path]] = {}
         makes = []
         for standing in standings:
-            if standing.kept:
+            if standing.is_finished:
                 continue
             try:
                 force = self._options.force or standing.ours
@@ -196,7 +196,7 @@ class ClipJob:
         try:
             standing = self._standing(source)
             output, entry = standing.output, standing.entry
-            if standing.kept and entry:
+            if standing.is_finished and entry:
                 about = entry.frames, entry.left_out, entry.seconds, None, entry.frame_times
                 self.summary.add(ClipReport(str(source), str(output), KEPT, *about))
                 return

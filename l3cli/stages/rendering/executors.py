@@ -185,20 +185,20 @@ class Renderers:
     built of it stays in memory."""
 
     def __init__(self) -> None:
-        self._kept: dict[Any, Renderer] = {}
+        self._renderers: dict[Any, Renderer] = {}
 
     def of(self, setup: RenderSetup, table: "TransformTable") -> "Renderer":
         """The renderer of a run."""
         from l3cli.rendering.renderer import NoiseRenderer
 
         key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items()), setup.mix
-        if key not in self._kept:
-            self._kept = {key: NoiseRenderer(setup.backend, table, **setup.engine)}
-        return self._kept[key]
+        if key not in self._renderers:
+            self._renderers = {key: NoiseRenderer(setup.backend, table, **setup.engine)}
+        return self._renderers[key]
 
     def forget(self) -> None:
         """After an error: it may be in the middle of a frame."""
-        self._kept = {}
+        self._renderers = {}
 
 
 @contextlib.contextmanager

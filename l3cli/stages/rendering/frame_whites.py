@@ -37,10 +37,10 @@ class WhiteReport:
     def __init__(self, source: WhiteSource | None, stills: bool, console: Console) -> None:
         self._source, self._stills, self._console = source, stills, console
         self._last: tuple[str, SceneWhite] | None = None
-        self._said: SceneWhite | None = None
+        self._reported: SceneWhite | None = None
         self._warned = False
 
-    def tell(self, frame: RawFrame, white: SceneWhite | None) -> None:
+    def report_white(self, frame: RawFrame, white: SceneWhite | None) -> None:
         """Take note of a frame."""
         if self._source is None:
             return
@@ -49,8 +49,8 @@ class WhiteReport:
                 self._console.info(f"{frame.name}: nothing to tell its white by; the table's is taken")
             return
         self._last = frame.name, white
-        if self._stills or self._said is None:
-            self._say(frame.name, white)
+        if self._stills or self._reported is None:
+            self._report(frame.name, white)
         if not self._warned:
             self._warned = True
             doubts = [implausible(f"{frame.name}: its white, {self._source.about},", white)]
@@ -61,10 +61,10 @@ class WhiteReport:
 
     def report(self) -> None:
         """At the end."""
-        if self._last and self._last[1] is not self._said:
-            self._say(*self._last)
+        if self._last and self._last[1] is not self._reported:
+            self._report(*self._last)
 
-    def _say(self, name: str, white: SceneWhite) -> None:
+    def _report(self, name: str, white: SceneWhite) -> None:
         assert self._source is not None
-        self._said = white
+        self._reported = white
         self._console.info(f"{name}: white {self._source.about}: {white}")

@@ -52,8 +52,8 @@ def mix_of_first(
         return None, sequence
     mix = nearest_for(table, white.light.xyz)
     assert mix is not None
-    kept = "" if alone else ", for all frames"
-    console.info(f"{first.name}: white {source.about}: transforms of {described(table, mix)}{kept}")
+    extent = "" if alone else ", for all frames"
+    console.info(f"{first.name}: white {source.about}: transforms of {described(table, mix)}{extent}")
     return mix, sequence
 
 

@@ -70,7 +70,7 @@ def render(
         if not destination.linear or options.space is not None:
             transforms = transforms.pictured()
         if dark:
-            known = replace(known, dark=read_dark(_spared(find_frames(dark, transforms, known), claims)))
+            known = replace(known, dark=read_dark(_protected(find_frames(dark, transforms, known), claims)))
         model = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if options.hot == "auto" else None)
@@ -84,7 +84,7 @@ def render(
                 raise InputFileError(f"{inputs[0]} does not exist; give a folder, a pattern or a stack")
             sequence = replace(sequence, part=part_of(sequence, options.shard, options.temporal))
         destination = paged(destination, sequence)
-        _spared(sequence, claims)
+        _protected(sequence, claims)
         if not options.skip_bad:
             refuse_missing(sequence)
         plan(table, inputs, sequence, destination, options)
@@ -129,7 +129,7 @@ def _chunks(
         return Chunks(filters("reference", table))  # the devices are the workers'; all backends give the same
 
 
-def _spared(sequence: FrameSequence, claims: OutputGuard) -> FrameSequence:
+def _protected(sequence: FrameSequence, claims: OutputGuard) -> FrameSequence:
     """Frames whose files no output may replace; those of a stream, which may be endless, lie in one file."""
     if not sequence.is_stream:
         claims.protect(*(pending.source for pending in sequence.frames if pending.source))

@@ -78,7 +78,7 @@ class _Read:
     white: SceneWhite | None = None  # measured on it
     balance: WhiteBalance | None = None  # what it is shown with, if not the rendition's
     error: L3Error | None = None
-    kept: bool = False  # its picture is there already, or not to be made
+    is_finished: bool = False  # its picture is there already, or not to be made
     counted: bool = True  # whether it is among those to be rendered
     lost: int = 1  # number of missing frames, if there is an error
     place: int | None = None  # in the sequence, if it is to be filtered
@@ -110,7 +110,7 @@ def render_frames(
     sequence, options, console = job.sequence, job.options, job.options.console
     steady = SteadyExposure(job.choice.rate) if job.in_order and job.rendition.measures_exposure else None
     whites = FrameWhites(job.source, SteadyWhite(job.choice.rate) if job.in_order else None) if job.source else None
-    tally, warnings, told = Tally(), FrameWarnings(job.table), WhiteReport(job.source, sequence.stills, console)
+    tally, warnings, white_report = Tally(), FrameWarnings(job.table), WhiteReport(job.source, sequence.stills, console)
     for numbers in sequence.missing:
         tally.leave_out(sequence.absent(numbers), options, len(numbers))
     with _sink(job, checkpoint) as (write, threads), WriteBehind(write, DEPTH, threads) as writing:
@@ -119,7 +119,7 @@ def render_frames(
         if job.temporal:
             reading = prefetched(_filtered(reading, job.temporal), DEPTH)
         total = sequence.part.stop if sequence.part else sequence.count and sequence.count - sequence.lost
-        exposed = _exposed(console.progress(reading, total, "frames"), job, steady, tally, told)
+        exposed = _exposed(console.progress(reading, total, "frames"), job, steady, tally, white_report)
         for pending, made in executor.render(warnings.watched(exposed, sequence.stills)):
             if isinstance(made, L3Error):
                 tally.done -= 1
@@ -132,7 +132,7 @@ def render_frames(
         console.info(warnings.assumption)
     for text in warnings.lines():
         console.warn(text)
-    told.report()
+    white_report.report()
     report_times(job, tally)
     tally.seconds = max(time.monotonic() - start, 1e-9)
     if not sequence.stills:
@@ -178,11 +178,11 @@ class _Meters:
     def __bool__(self) -> bool:
         return bool(self.light or self.whites)
 
-    def measured(self, pending: FrameReference, frame: RawFrame, kept: bool) -> _Read:
+    def measured(self, pending: FrameReference, frame: RawFrame, is_finished: bool) -> _Read:
         white = self.whites.measured(frame) if self.whites else None
         balance = self.whites.balance if self.whites else None
         brightness = self.light.brightness(frame, balance) if self.light else 0.0
-        return _Read(pending, frame, brightness, white, balance, kept=kept)
+        return _Read(pending, frame, brightness, white, balance, is_finished=is_finished)
 
 
 @dataclass
@@ -203,22 +203,24 @@ class _Reading:
         """Each frame with its place, and whether its picture is known to be there already, before it is read."""
         sequence, destination = self.job.sequence, self.job.destination
         for place, pending in enumerate(itertools.islice(sequence.frames, sequence.part.stop if sequence.part else None)):
-            kept = not sequence.renders(place)
+            is_finished = not sequence.renders(place)
             if self.checkpoint:
                 pending = self.origins.of(pending)
                 file = destination.file(pending.number, pending.stem)
-                kept = kept or (pending.origin is not None and self.checkpoint.keeps(file, pending))
-            yield place, pending, kept
+                is_finished = is_finished or (pending.origin is not None and self.checkpoint.keeps(file, pending))
+            yield place, pending, is_finished
 
     def frames(self) -> Iterator[_Read]:
         sequence = self.job.sequence
         # A stream is not asked for what has not come yet, unless its length is known.
         looks_ahead = self.job.temporal is not None and (not sequence.is_stream or sequence.part is not None)
         asked, ahead = itertools.tee(self._asked()) if looks_ahead else (self._asked(), iter(()))
-        needs = needed((place, not kept) for place, _, kept in ahead)  # whether a picture depends on a frame in the filter
-        for place, pending, kept in asked:
-            need = next(needs) if looks_ahead else not kept
-            read = self._read(pending, kept, need)
+        needs = needed(
+            (place, not is_finished) for place, _, is_finished in ahead
+        )  # whether a picture depends on a frame in the filter
+        for place, pending, is_finished in asked:
+            need = next(needs) if looks_ahead else not is_finished
+            read = self._read(pending, is_finished, need)
             if read is None:
                 if rest := sequence.rest(pending.number):
                     yield _Read(pending, None, error=sequence.absent(rest), lost=len(rest))
@@ -228,30 +230,30 @@ class _Reading:
         if self.checkpoint:
             self.checkpoint.refuse_others()
 
-    def _read(self, pending: FrameReference, kept: bool, need: bool) -> _Read | None:
+    def _read(self, pending: FrameReference, is_finished: bool, need: bool) -> _Read | None:
         """Read a frame; None at the end of a stream."""
         job, destination = self.job, self.job.destination
         if not need and not (self.meters and job.in_order) and not job.sequence.is_stream:
-            return _Read(pending, None, kept=True)
+            return _Read(pending, None, is_finished=True)
         leaves = self.by_path and destination.one_by_one and not (self.meters or job.temporal)
         try:
             if leaves and pending.source and not self._is_first:
                 unread = Unread(pending.source.absolute(), sha256(pending.source))
-                return _Read(replace(pending, identity=file_identity(unread.digest)), unread, kept=kept)
+                return _Read(replace(pending, identity=file_identity(unread.digest)), unread, is_finished=is_finished)
             frame, self._is_first = pending.read(), False
             if frame is None:
                 return None
             if not destination.one_by_one:
                 self._require_size(frame)
-            read = self.meters.measured(pending, frame, kept)
+            read = self.meters.measured(pending, frame, is_finished)
         except (L3Error, OSError) as error:
             return _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
         if self.checkpoint and pending.origin is None:
             pending = self.origins.of_read(pending, frame)
-            kept = kept or self.checkpoint.keeps(destination.file(pending.number, pending.stem), pending)
-        if destination.pictures and not kept:
+            is_finished = is_finished or self.checkpoint.keeps(destination.file(pending.number, pending.stem), pending)
+        if destination.pictures and not is_finished:
             pending = replace(pending, identity=_identity(pending, frame))
-        return replace(read, pending=pending, kept=kept)
+        return replace(read, pending=pending, is_finished=is_finished)
 
     def _require_size(self, frame: RawFrame) -> None:
         """InputFileError unless a frame has the size of the first."""
@@ -281,7 +283,7 @@ def _identity(pending: FrameReference, frame: RawFrame) -> str:
 
 
 def _exposed(
-    reading: Iterable[_Read], job: SequenceJob, steady: SteadyExposure | None, tally: Tally, told: WhiteReport
+    reading: Iterable[_Read], job: SequenceJob, steady: SteadyExposure | None, tally: Tally, white_report: WhiteReport
 ) -> Iterator[Exposed]:
     """The frames to render, each with its scale (0: automatic exposure); what is broken is raised, or said and counted."""
     for each in reading:
@@ -293,8 +295,8 @@ def _exposed(
         if each.frame is not None:
             scale = job.rendition.exposure or (steady.scale(each.brightness) if steady else 0.0)
             if isinstance(each.frame, RawFrame) and each.counted:
-                told.tell(each.frame, each.white)
-            if not each.kept:
+                white_report.report_white(each.frame, each.white)
+            if not each.is_finished:
                 yield Exposed(each.pending, each.frame, scale, each.balance)
 
 

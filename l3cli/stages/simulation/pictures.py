@@ -13,7 +13,7 @@ CHANNELS = ("down", "right", "seen")  # of a file of motion
 WRITTEN = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # into the folders of pictures
 
 
-def write_beside(
+def write_pictures(
     run: SimulationRun, files: list[list[Path]], frames: Iterable[TrainingPair], options: SimulateOptions
 ) -> None:
     """The pictures and DNGs of all `frames`, as far as they are asked for; `files` are those of each source. Of clips it is

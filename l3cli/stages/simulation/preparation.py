@@ -65,13 +65,13 @@ def fitting(
         why = [str(error).partition("; ")[0] for error in bad]
         cure = "give scale, crop or (rgb) shrink, mend the files, or leave them out with ‹skip_bad›"
         raise InputFileError(f"{total}{listed(why)}; {cure}")
-    kept = [[path for path in paths if path not in errors] for paths, errors in zip(files, refused, strict=True)]
+    readable = [[path for path in paths if path not in errors] for paths, errors in zip(files, refused, strict=True)]
     synthetic = any(not isinstance(source, FileSource) for source in run.recipe.scene)
-    if not (any(kept) or synthetic or run.recipe.pair):
+    if not (any(readable) or synthetic or run.recipe.pair):
         raise InputFileError(f"{path}: no scene is left of {len(bad)}: {listed(map(str, bad))}")
     for error in bad:
         console.report(f"l3: {error}")
-    return kept, len(bad)
+    return readable, len(bad)
 
 
 def input_files(run: SimulationRun, files: list[list[Path]]) -> dict[str, list[Path]]:

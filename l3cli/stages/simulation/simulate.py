@@ -14,7 +14,7 @@ from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.plan import Made, before_work, is_dry
-from l3cli.stages.simulation.pictures import WRITTEN, write_beside
+from l3cli.stages.simulation.pictures import WRITTEN, write_pictures
 from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.stored_frames import StoredFrames, folder_of, is_of_run, key_of, remove_finished
@@ -70,11 +70,11 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
             if stands:
                 with open_training_set(output, unchanged=True) as frames:
                     total = len(frames)
-                    write_beside(run, files, frames, options)
+                    write_pictures(run, files, frames, options)
             else:
                 with stored.held(resume, force):
                     total = _simulate_frames(run, files, head, stored, options)
-                    write_beside(run, files, stored, options)
+                    write_pictures(run, files, stored, options)
                     _assemble(stored, head, output, console)  # last: whoever has the set has its pictures, too
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
         console.info(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}")

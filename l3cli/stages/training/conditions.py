@@ -15,8 +15,8 @@ from l3cli.artifacts.training_set import open_training_set
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.physics.correlated_lights import SAME_MIRED, mired_of
 from l3cli.physics.display import XYZ
-from l3cli.stages.training.later_layers import learn_refinement_layers
 from l3cli.stages.training.passes import Execution, first_pass, learn_first, pass_of
+from l3cli.stages.training.refinement_layers import learn_refinement_layers
 from l3cli.stages.training.run import TrainingRun, TrainingSource
 from l3cli.system.console import Silent
 from l3cli.training.recipe import TrainingRecipe

@@ -21,7 +21,7 @@ class HeldFrames:
         """The frame, if it is held."""
         return self._frames.get((digest, index))
 
-    def keep(self, digest: str, index: int, frame: TrainingPair) -> None:
+    def add(self, digest: str, index: int, frame: TrainingPair) -> None:
         """Hold a frame, if there is room for it."""
         size = sum(value.nbytes for value in vars(frame).values() if isinstance(value, np.ndarray))
         if self.bytes + size <= self.most:
@@ -34,7 +34,7 @@ class HeldFrames:
         self.bytes = 0
 
 
-HELD = HeldFrames()  # of this process
+FRAMES = HeldFrames()  # of this process
 
 
 @contextlib.contextmanager
@@ -43,4 +43,4 @@ def held_for_a_run() -> Iterator[None]:
     try:
         yield
     finally:
-        HELD.clear()
+        FRAMES.clear()

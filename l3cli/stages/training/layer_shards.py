@@ -10,8 +10,8 @@ from l3cli.artifacts.partial_sums import PartialLayerSums, PartialSumsReader, wr
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
 from l3cli.stages.training.conditions import by_noise, with_noises
-from l3cli.stages.training.later_layers import layer_mosaics, layer_pass, layer_rule, parts_of, summed_layer
 from l3cli.stages.training.passes import Execution
+from l3cli.stages.training.refinement_layers import layer_mosaics, layer_pass, layer_rule, parts_of, summed_layer
 from l3cli.stages.training.run import TrainingRun
 from l3cli.training.layers.learn import add_sums, learn_layer, no_sums
 from l3cli.training.recipe import TrainingRecipe

@@ -12,7 +12,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.options.pipeline import TrainOptions
 from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.toml import load_recipe, read_text
-from l3cli.stages.training.held_frames import HELD
+from l3cli.stages.training.held_frames import FRAMES
 from l3cli.system.files import require_same, sha256, stamp
 from l3cli.training.recipe import TrainingRecipe, for_camera
 from l3cli.training.training_pass import FIRST, spread_patches
@@ -49,7 +49,7 @@ class TrainingRun:
     stage: Stage
 
     @property
-    def has_later_layers(self) -> bool:
+    def has_refinement_layers(self) -> bool:
         """Return whether layers follow the first one: they read luminance and chroma, so for XYZ only."""
         return bool(self.recipe.layer) and len(self.head.outputs) == 3
 
@@ -59,7 +59,7 @@ class TrainingRun:
 
     def history_of_layers(self, count: int) -> tuple[Stage, ...]:
         """History of a table of so many layers."""
-        whole = 1 + len(self.recipe.layer) if self.has_later_layers else 1
+        whole = 1 + len(self.recipe.layer) if self.has_refinement_layers else 1
         return self.history(LAYERS[count - 1] if count < whole else "")
 
     def history(self, before: str = "") -> tuple[Stage, ...]:
@@ -96,17 +96,17 @@ def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool)
     that the run began with; `remote`: its bytes are compared with those of the machine that asks."""
     before = 0
     for source in training:
-        here = range(max(0, wanted.start - before), min(source.frames, wanted.stop - before))
+        part = range(max(0, wanted.start - before), min(source.frames, wanted.stop - before))
         before += source.frames
-        if not here:
+        if not part:
             continue
         if remote:  # for who knows how many runs: nothing is held
             require_same(source.path, source.digest)
             with open_training_set(source.path, unchanged=True) as reader:
-                yield from map(reader.frame, source.places(here))
+                yield from map(reader.frame, source.places(part))
             continue
         _require_in_place(source)
-        yield from _held_or_read(source, source.places(here))
+        yield from _held_or_read(source, source.places(part))
 
 
 def _require_in_place(source: TrainingSource) -> None:
@@ -118,14 +118,14 @@ def _held_or_read(source: TrainingSource, wanted: Iterable[int]) -> Iterator[Tra
     with contextlib.ExitStack() as opened:
         reader = None
         for index in wanted:
-            frame = HELD.get(source.digest, index)
+            frame = FRAMES.get(source.digest, index)
             if frame is None:
                 if reader is None:
                     # unchanged since _common_head read it
                     reader = opened.enter_context(open_training_set(source.path, unchanged=True))
                     _require_in_place(source)
                 frame = reader.frame(index)
-                HELD.keep(source.digest, index, frame)
+                FRAMES.add(source.digest, index, frame)
             yield frame
 
 

@@ -25,11 +25,11 @@ from l3cli.recipes.toml import parse_recipe
 from l3cli.stages.claims import OutputGuard
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.conditions import by_noise, passes_of, require_one_go, with_noises
-from l3cli.stages.training.later_layers import tell_what_is_left_out
 from l3cli.stages.training.layer_shards import merged_layer, write_layer_shard
 from l3cli.stages.training.passes import Execution, first_pass, pass_of, sum_unit, summed
+from l3cli.stages.training.refinement_layers import warn_of_left_out_layers
 from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun
-from l3cli.stages.training.whole import execution_of, say_table
+from l3cli.stages.training.whole import execution_of, report_table
 from l3cli.training.division import frame_blocks
 from l3cli.training.recipe import TrainingRecipe, check_layers
 from l3cli.training.sums import empty_sums
@@ -47,8 +47,8 @@ def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path
     with execution_of(training, output, options, f"partial sums, shard {shard[0]} of {shard[1]},") as (run, execution):
         require_one_go(run)
         table = load(TransformTable, first) if first else None
-        tell_what_is_left_out(run, options.console)
-        if table and run.has_later_layers and _is_of(run, table, LAYERS[len(table.later)]):
+        warn_of_left_out_layers(run, options.console)
+        if table and run.has_refinement_layers and _is_of(run, table, LAYERS[len(table.later)]):
             check_layers(run.recipe.layer)
             write_layer_shard(run, shard, table, output, execution)
         else:
@@ -80,7 +80,7 @@ def _write_shard(
         light=pass_.light,
     )
     write_partial_sums(output, head, *sets)
-    last = "layer 1" if run.has_later_layers else "last pass"
+    last = "layer 1" if run.has_refinement_layers else "last pass"
     what = "first pass" if pass_.number == FIRST else last
     execution.console.info(f"{output}: shard {index} of {count}, {what}")
 
@@ -105,7 +105,7 @@ def _is_of(run: TrainingRun, table: TransformTable, pass_: str) -> bool:
 def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
     """The pass after the one that made the table; InputFileError if that is of another run."""
     if not _is_of(run, table, FIRST_PASS):
-        layers = f", nor its {' or '.join(LAYERS[: len(run.recipe.layer)])}" if run.has_later_layers else ""
+        layers = f", nor its {' or '.join(LAYERS[: len(run.recipe.layer)])}" if run.has_refinement_layers else ""
         raise InputFileError(
             f"{path} is not the first pass of this run{layers}: other training sets, shares, recipe or seed; "
             'make it with "l3 train --merge" of the shards of the pass before'
@@ -121,7 +121,7 @@ def merge_shards(shards: tuple[Path, ...], output: Path, options: ShardOptions) 
         claims.claim_file(output, options.force)
         table = _merged(shards, output)
         save(table, output)
-        say_table(table, output, console)
+        report_table(table, output, console)
         if made := table.history[-1].options.get("pass"):
             console.info(f"this is the {NAMES[str(made)]}: go on with ‹shard› I/N ‹first› {output}")
         return table

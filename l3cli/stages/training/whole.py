@@ -14,8 +14,8 @@ from l3cli.stages.claims import OutputGuard
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.conditions import learn_conditions, runs_by_light
 from l3cli.stages.training.held_frames import held_for_a_run
-from l3cli.stages.training.later_layers import learn_refinement_layers
 from l3cli.stages.training.passes import Execution, first_pass, learn_first
+from l3cli.stages.training.refinement_layers import learn_refinement_layers
 from l3cli.stages.training.run import TrainingRun, open_run
 from l3cli.system.console import Console
 
@@ -26,7 +26,7 @@ def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> Tr
     with execution_of(training, output, options, "transform table") as (run, execution):
         table = _learn(run, execution)
         save(table, output)
-    say_table(table, output, options.console)
+    report_table(table, output, options.console)
     return table
 
 
@@ -61,7 +61,7 @@ def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
     return learn_conditions(run, table, execution)
 
 
-def say_table(table: TransformTable, output: Path, console: Console) -> None:
+def report_table(table: TransformTable, output: Path, console: Console) -> None:
     """State what has been learned, in a line."""
     for number, (classes, unfilled) in enumerate(filling(table), start=1):
         which = f", layer {number}" if table.later else ""

@@ -9,9 +9,9 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import PLANE_TOP, PlaneLayer
 from l3cli.classes.decide import labels as classes_of
-from l3cli.classes.later import label_planes, mirrored
 from l3cli.classes.level import unclipped_level
-from l3cli.classes.planes import COARSE, FixedPoint, coarse, later_fixed_point
+from l3cli.classes.planes import COARSE, FixedPoint, coarse, refined_fixed_point
+from l3cli.classes.refinement import label_planes, mirrored
 from l3cli.classes.statistics import mosaic_statistics, truncation
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.frames.frame import pad_mosaic
@@ -38,15 +38,15 @@ class FirstLayer:
 
     def __init__(self, camera: CameraModel, rule: ClassRule, fixed: FixedPoint) -> None:
         self.camera, self.rule, self.fixed = camera, rule, fixed
-        self._near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
+        self._neighbours = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
         self._apply = _Transforms(fixed)
 
     def see(self, mosaic: Mosaic) -> Seen:
         """Classes and planes of a mosaic."""
         camera, rule = self.camera, self.rule
-        statistics = mosaic_statistics(mosaic.values, rule, self._near, camera.cfa, (0, 0))
+        statistics = mosaic_statistics(mosaic.values, rule, self._neighbours, camera.cfa, (0, 0))
         within = classes_of(rule, statistics)
-        mean = (statistics.sums / self._near.count[statistics.site]).mean(axis=-1) * 2**rule.shift
+        mean = (statistics.sums / self._neighbours.count[statistics.site]).mean(axis=-1) * 2**rule.shift
         share = (mean + truncation(rule.shift) - camera.black_level) / (camera.white_level - camera.black_level)
         brightness = unclipped_level(share, camera.sensitivity)
         label = rule.on_site(within, statistics.site)
@@ -66,7 +66,7 @@ class PlaneStage:
 
     def __init__(self, layer: PlaneLayer, first: ClassRule, basis: NDArray[np.float64]) -> None:
         self.layer, self.first = layer, first
-        self._apply = _Transforms(later_fixed_point(layer, basis))
+        self._apply = _Transforms(refined_fixed_point(layer, basis))
 
     def see(self, seen: Seen) -> Seen:
         """The mosaic after one layer more."""

@@ -12,8 +12,8 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import RATIO_TAPS, PlaneLayer, PlaneRule, rule_fields
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.classes.later import label_planes
 from l3cli.classes.planes import FixedPoint
+from l3cli.classes.refinement import label_planes
 from l3cli.classes.windows import neighbourhoods
 from l3cli.training.layers.first import FirstLayer, PlaneStage, Seen
 from l3cli.training.layers.mosaics import Exposed, Mosaic, mosaics_of
@@ -92,8 +92,8 @@ class LayerPass:
         return self._turns()[1]
 
     def _turns(self):  # type: ignore[no-untyped-def]
-        near = neighbourhoods(self.camera.cfa, self.rule.patch, len(self.camera.channels))
-        maps = site_maps(near.channel, self.rule.patch, self.learning.symmetry)
+        neighbours = neighbourhoods(self.camera.cfa, self.rule.patch, len(self.camera.channels))
+        maps = site_maps(neighbours.channel, self.rule.patch, self.learning.symmetry)
         every = orientations(self.rule.patch)
         return maps, [next(k for k, turn in enumerate(every) if (turn == one.permutation).all()) for one in maps]
 

@@ -11,15 +11,15 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import PLANE_STEP, PlaneRule
 from l3cli.artifacts.partial_sums import LayerSums
-from l3cli.classes.later import mirrored, window_means
 from l3cli.classes.ratios import shaded_chroma
+from l3cli.classes.refinement import mirrored, window_means
 from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error
 from l3cli.training.accumulate import LARGEST_PIECE, TARGET_FLOOR
 from l3cli.training.layers.first import Floats, Seen, runs_of
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.row_weighting import ERROR_FLOOR, lab_error
-from l3cli.training.sums import EXACT, STEP, add_rounded, beside, intercept_scale, pairs, steps_of_columns, width_of
+from l3cli.training.sums import EXACT, STEP, add_rounded, intercept_scale, pairs, rounding_number, steps_of_columns, width_of
 
 MEAN_FLOOR = 1e-5  # squared error, in output units, below which mosaics count alike
 GATHERED = 64 << 20  # bytes of rows that are added up at once, from several mosaics of a frame
@@ -48,8 +48,8 @@ class Reading:
         """Taps (pixel, tap) of planes (plane, row, col) about pixels of a site, those of `ratios` (tap, row, col)
         behind them."""
         windows = windows_of(planes, pixels, self.order[site])
-        behind = ratios.reshape(len(ratios), planes[0].size)[:, pixels].T * PLANE_STEP
-        return np.concatenate([windows, behind.astype(np.float32)], axis=1)
+        ratio_columns = ratios.reshape(len(ratios), planes[0].size)[:, pixels].T * PLANE_STEP
+        return np.concatenate([windows, ratio_columns.astype(np.float32)], axis=1)
 
 
 def empty_sums(rule: PlaneRule, taps: int, outputs: int) -> LayerSums:
@@ -107,8 +107,8 @@ def row_weights(
         return np.asarray(weight * _of_mosaic(seen, basis) ** -recipe.error_power, np.float32)
     back = (np.linalg.inv(basis) * PLANE_STEP).astype(np.float32)
     clean, noisy = (np.moveaxis(planes, 0, -1).astype(np.float32) @ back for planes in (seen.clean, seen.noisy))
-    near = (seen.target, seen.brightness, white.astype(np.float32))
-    error = lab_error(clean - seen.target, *near) + _averaged(lab_error(noisy - clean, *near))
+    context = (seen.target, seen.brightness, white.astype(np.float32))
+    error = lab_error(clean - seen.target, *context) + _averaged(lab_error(noisy - clean, *context))
     return np.asarray(weight * (error + np.float32(ERROR_FLOOR)) ** np.float32(-recipe.error_power), np.float32)
 
 
@@ -161,11 +161,11 @@ class GatheredRows:
         ratios = [shaded_chroma(planes, reading.side)[: reading.ratio_taps] for planes in (seen.clean, seen.noisy)]
         target = seen.target.reshape(-1, seen.target.shape[-1]) @ self.basis
         for one in np.unique(site[pixels]).tolist():
-            here = pixels[site[pixels] == one]
-            clean, noisy = map(reading.taps_of, (seen.clean, seen.noisy), (here, here), (one, one), ratios)
-            weights = weight[here, None]
-            values = np.concatenate([clean * weights, weights, target[here] * weights], axis=1)
-            rows = Rows(within[here], values, (noisy - clean) * weights)
+            of_site = pixels[site[pixels] == one]
+            clean, noisy = map(reading.taps_of, (seen.clean, seen.noisy), (of_site, of_site), (one, one), ratios)
+            weights = weight[of_site, None]
+            values = np.concatenate([clean * weights, weights, target[of_site] * weights], axis=1)
+            rows = Rows(within[of_site], values, (noisy - clean) * weights)
             self._waiting[int(reading.canonical[one])].append(rows)
             self._bytes += rows.values.nbytes + rows.noise.nbytes
         if self._bytes > GATHERED:
@@ -183,7 +183,7 @@ class GatheredRows:
 def _add_classes(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64], rows: Rows) -> None:
     widths = rows.values.shape[1], rows.noise.shape[1]
     places, noise_places = (np.ravel_multi_index(pairs(width), (width, width)) for width in widths)
-    large, noise_large = beside(steps), beside(STEP)
+    large, noise_large = rounding_number(steps), rounding_number(STEP)
     runs = runs_of(rows.label)
     levels = rule.split(np.array([index for index, _ in runs])).level.tolist()
     for (index, run), level in zip(runs, levels, strict=True):

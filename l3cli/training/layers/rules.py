@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from l3cli.artifacts.plane_rules import FACTORS, MOST_SHIFT, GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes import structure
-from l3cli.classes.later import plane_evidence
 from l3cli.classes.planes import LUMINANCE
+from l3cli.classes.refinement import plane_evidence
 from l3cli.training.layers.learn import LayerPass
 from l3cli.training.layers.mosaics import mosaics_of
 from l3cli.training.layers.rows import inner_pixels, row_weights, windows_of
@@ -93,8 +93,8 @@ def sample_tree(
             inner = inner_pixels(seen.label.shape)
             free = inner[(layer.rule.lost(place.kind) == 0).ravel()[inner]]
             for canonical in np.unique(reading.canonical).tolist():
-                here = free[reading.canonical[site[free]] == canonical]
-                chosen = rng.choice(here, min(rows, here.size), replace=False)
+                of_site = free[reading.canonical[site[free]] == canonical]
+                chosen = rng.choice(of_site, min(rows, of_site.size), replace=False)
                 for one in np.unique(site[chosen]).tolist():
                     pixels = chosen[site[chosen] == one]
                     taps = windows_of(seen.noisy, pixels, reading.order[one])
@@ -102,14 +102,16 @@ def sample_tree(
                     parts.setdefault(canonical, []).append(
                         TreeSample(taps * weights, target[pixels] * weights, *turned_evidence(evidence, turns[one], pixels))
                     )
-        sampled.append({site: TreeSample.together(several) for site, several in parts.items()})
+        sampled.append({site: TreeSample.concatenated(several) for site, several in parts.items()})
     return sampled
 
 
 def tree_rule(layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSample]]) -> TreeRule:
     """Classes by the leaves of a tree grown on the samples of all frames in order."""
     sites = sorted({site for sample in samples for site in sample})
-    tree = grow([TreeSample.together([one[site] for one in samples if site in one]) for site in sites], layer.recipe.leaves)
+    tree = grow(
+        [TreeSample.concatenated([one[site] for one in samples if site in one]) for site in sites], layer.recipe.leaves
+    )
     return TreeRule(**vars(scale), **tree._asdict(), turns=np.array(layer.turns, np.uint8), cases=layer.rule.lost_cases)
 
 

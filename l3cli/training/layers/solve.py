@@ -53,8 +53,10 @@ def solve_layer(
             whole = [(moments + goal.plain * _plain_moments(moments, member), noise) for moments, noise in whole]
         for output, factor in enumerate(goal.noise):
             estimates = [_solution(moments, noise, factor, goal.ridge, output, member) for moments, noise in whole]
-            bent = _bent(estimates, member, copies, goal.white, output) if equal else [one[:, 0] for one in estimates]
-            for site, row in enumerate(bent):
+            constrained = (
+                _constrained(estimates, member, copies, goal.white, output) if equal else [one[:, 0] for one in estimates]
+            )
+            for site, row in enumerate(constrained):
                 rows[site][index, :taps, output] = row
     if not solved.any():
         raise L3Error("no class of the second layer has training rows of every site; train on more, or larger, frames")
@@ -82,7 +84,7 @@ def _solution(moments: Array, noise: Array, factor: float, ridge: float, output:
     return solve_positive(system, np.column_stack([moments[:taps, taps + 1 + output], member]))[0]
 
 
-def _bent(estimates: list[Array], member: Array, copies: list[int], white: Array, output: int) -> list[Array]:
+def _constrained(estimates: list[Array], member: Array, copies: list[int], white: Array, output: int) -> list[Array]:
     """Rows (tap) of the sites with one flat response, of all that answer white with white the one of least squared error."""
     stiff = [np.linalg.pinv(member.T @ one[:, 1:]) for one in estimates]
     response = [member.T @ one[:, 0] for one in estimates]
@@ -109,8 +111,8 @@ class _Parents:
             whole = cases.sum(axis=0) / np.maximum(many.sum(axis=0), 1)
             around = sum(np.roll(np.pad(cases, ((1, 1), (0, 0), (0, 0))), step, 0)[1:-1] for step in (-1, 0, 1))
             crowd = sum(np.roll(np.pad(many, ((1, 1), (0, 0), (0, 0))), step, 0)[1:-1] for step in (-1, 0, 1))
-            near = np.where(crowd > 0, around / np.maximum(crowd, 1), whole)
-            return mixed, 0.8 * near + 0.2 * whole
+            smoothed = np.where(crowd > 0, around / np.maximum(crowd, 1), whole)
+            return mixed, 0.8 * smoothed + 0.2 * whole
 
         self.moments, self.case_moments = means(sums.moments)
         self.noise, self.case_noise = means(sums.noise)

@@ -39,7 +39,7 @@ class TreeSample:
     denominators: Floats  # (denominator, row)
 
     @classmethod
-    def together(cls, parts: Sequence["TreeSample"]) -> "TreeSample":
+    def concatenated(cls, parts: Sequence["TreeSample"]) -> "TreeSample":
         taps, target = (np.concatenate([getattr(part, name) for part in parts]) for name in ("taps", "target"))
         numerators, denominators = (
             np.concatenate([getattr(part, name) for part in parts], axis=1) for name in ("numerators", "denominators")
@@ -106,13 +106,13 @@ def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
             break
         _, node, split, rows = heapq.heappop(waiting)
         test[node], threshold[node], branch[node] = split.test, split.threshold, len(test)
-        above = [one.above(split.test, split.threshold, here) for one, here in zip(samples, rows, strict=True)]
+        above = [one.above(split.test, split.threshold, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)]
         for side in (False, True):
             test.append(0)
             threshold.append(np.float32(0))
             branch.append(0)
             depth.append(depth[node] + 1)
-            look(len(test) - 1, [here[up == side] for here, up in zip(rows, above, strict=True)])
+            look(len(test) - 1, [of_leaf[up == side] for of_leaf, up in zip(rows, above, strict=True)])
     return Tree(np.array(test, np.uint8), np.array(threshold, np.float32), np.array(branch, np.int32))
 
 
@@ -123,18 +123,18 @@ def _best_split(samples: Sequence[TreeSample], rows: list[Indices]) -> _Split | 
         return None
     best = None
     before = [
-        float(_error(*(each[-1:] for each in _sums(one, here, [here.size])))[0])
-        for one, here in zip(samples, rows, strict=True)
+        float(_error(*(each[-1:] for each in _sums(one, of_leaf, [of_leaf.size])))[0])
+        for one, of_leaf in zip(samples, rows, strict=True)
     ]
-    noise = np.array([error / here.size for error, here in zip(before, rows, strict=True)])
+    noise = np.array([error / of_leaf.size for error, of_leaf in zip(before, rows, strict=True)])
     chance = SURE * np.sqrt(2 * taps * np.square(noise).sum())
     for test in range(TESTS):
-        quotients = np.concatenate([one.quotient(test, here) for one, here in zip(samples, rows, strict=True)])
+        quotients = np.concatenate([one.quotient(test, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)])
         cuts = np.quantile(quotients, np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
         cuts = np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
         gain = np.zeros(len(cuts))
-        for one, here, error in zip(samples, rows, before, strict=True):
-            gain += _gains(one, here, test, cuts, error)
+        for one, of_leaf, error in zip(samples, rows, before, strict=True):
+            gain += _gains(one, of_leaf, test, cuts, error)
         if gain.max() > (best.gain if best else chance):
             best = _Split(float(gain.max()), test, cuts[gain.argmax()])
     return best

@@ -38,9 +38,9 @@ def learn_refinement_layers(
     run: TrainingRun, table: TransformTable, execution: Execution, like: TransformTable | None = None
 ) -> TransformTable:
     """The table with the layers that the recipe wants after the first; `like`: whose classes these have."""
-    if not run.has_later_layers:
+    if not run.has_refinement_layers:
         if like is None:
-            tell_what_is_left_out(run, execution.console)
+            warn_of_left_out_layers(run, execution.console)
         return table
     while len(table.later) < len(run.recipe.layer):
         layer = layer_pass(table, run.recipe, layer_mosaics(run, len(table.later)), run.seed)
@@ -50,9 +50,9 @@ def learn_refinement_layers(
     return table
 
 
-def tell_what_is_left_out(run: TrainingRun, console: Console) -> None:
+def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
     """Say that layers the recipe asks for are not learned, if that is so."""
-    if run.recipe.layer and not run.has_later_layers:
+    if run.recipe.layer and not run.has_refinement_layers:
         outputs = ", ".join(run.head.outputs)
         console.report(
             f"one layer is learned for the outputs {outputs}; later ones read three, the second of them luminance"
