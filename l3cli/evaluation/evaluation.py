@@ -1,6 +1,7 @@
 """A table judged frame by frame beside pipelines that learn nothing, and what comes out of it all as one document."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -14,8 +15,8 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, light_of, merges
 from l3cli.evaluation.classes import ClassErrors
 from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
-from l3cli.evaluation.quality import VIEWING, band_figures, band_quality, cropped, quality, spectral_angle
-from l3cli.physics.display import XYZ, displayed, displayed_delta_e, white_luminance
+from l3cli.evaluation.quality import VIEWING, Target, band_figures, cropped, judge_bands
+from l3cli.physics.display import XYZ
 
 Array = NDArray[np.floating]
 FORMAT = 2  # of the document; a change of its keys raises it
@@ -75,14 +76,12 @@ class Evaluation:
         """ "ours" first, then the baselines (none where the outputs are neither XYZ nor the camera's bands), then rivals."""
         return (OURS, *self._baselines, *self._rivals)
 
-    def add(
-        self, frame: TrainingPair, outputs: Array, labels: NDArray[np.integer], rivals: Mapping[str, Array] | None = None
-    ) -> dict[str, Array]:
-        """Count a frame whose raw the table rendered to `outputs` (output, row, col) by the classes `labels` (row, col), and
-        every rival to XYZ planes (3, row, col) in the target's unit.
+    def planes(self, frame: TrainingPair, outputs: Array, rivals: Mapping[str, Array] | None = None) -> dict[str, Array]:
+        """Return the planes (output, row, col) of every pipeline in the target's unit, for a frame whose raw the table
+        rendered to `outputs` (output, row, col), and every rival to XYZ planes (3, row, col) in that unit.
 
-        Returns the planes (output, row, col) of every pipeline in the target's unit. InputFileError if the frame is too
-        small to have pixels whose neighbourhood lies inside it, if its light is dark, or if `outputs` are no colours.
+        InputFileError if the frame is too small to have pixels whose neighbourhood lies inside it, if its light is dark, or
+        if `outputs` are no colours.
         """
         border = self._border
         if min(frame.raw.shape) <= 2 * border:
@@ -102,7 +101,11 @@ class Evaluation:
                 planes[name] = develop(frame, self._camera, self._colour(frame), demosaic, self._merges.get(name))
             else:
                 planes[name] = develop_bands(frame, self._camera, self._wanted is not None, demosaic)
-        planes |= rivals or {}
+        return planes | (rivals or {})
+
+    def add(self, frame: TrainingPair, planes: dict[str, Array], labels: NDArray[np.integer]) -> None:
+        """Count a frame by the `planes` of every pipeline, and the classes `labels` (row, col) of the table's."""
+        border = self._border
         black_level = self._camera.black_level + self._camera.dark_signal(frame.dark_time)
         level = float(frame.raw.mean() - black_level) / (self._camera.white_level - self._camera.black_level)
         about = {
@@ -110,14 +113,16 @@ class Evaluation:
             "exposure": frame.exposure, "clipped": float((frame.raw >= self._camera.white_level).mean()),
             "shown": frame.shown and {"scene": frame.shown.scene.tolist(), "light": frame.shown.light},
         }  # fmt: skip
-        figures = {name: self._quality(of, frame, border) for name, of in planes.items()}
-        self._frames.append({**about, **figures})
+        if self._pictures:
+            judge: Callable[[Array], tuple[Any, Array]] = Target(frame.target, frame.white, border, self._viewing).judge
+        else:
+            judge = functools.partial(judge_bands, target=frame.target, white=frame.white, border=border)
+        judged = {name: judge(of) for name, of in planes.items()}
+        self._frames.append({**about, **{name: dataclasses.asdict(figures) for name, (figures, _) in judged.items()}})
         if not self._pictures:
             self._bands.append({name: band_figures(of, frame.target, frame.white, border) for name, of in planes.items()})
-        errors = {name: cropped(self._errors(of, frame), border) for name, of in planes.items()}
-        judged = np.isfinite(errors[OURS])  # the target alone decides
-        self._classes.add(cropped(labels, border)[judged], {name: error[judged] for name, error in errors.items()})
-        return planes
+        counted = np.isfinite(judged[OURS][1])  # the target alone decides
+        self._classes.add(cropped(labels, border)[counted], {name: errors[counted] for name, (_, errors) in judged.items()})
 
     def document(self) -> dict[str, Any]:
         """Return all figures, ready for JSON. The keys are those of `l3 evaluate --json`:
@@ -161,19 +166,6 @@ class Evaluation:
         if key not in self._colours:
             self._colours[key] = fit_colour(self._camera, light, self._wanted)
         return self._colours[key]
-
-    def _quality(self, planes: Array, frame: TrainingPair, border: int) -> dict[str, float]:
-        if self._pictures:
-            return dataclasses.asdict(quality(planes, frame.target, frame.white, border, self._viewing))
-        return dataclasses.asdict(band_quality(planes, frame.target, frame.white, border))
-
-    def _errors(self, planes: Array, frame: TrainingPair) -> Array:
-        """Return ΔE00 as displayed, or spectral angle in degrees, of every pixel (row, col); NaN where the target has no
-        angle."""
-        if not self._pictures:
-            return spectral_angle(planes, frame.target)
-        scale = white_luminance(frame.target[1])
-        return displayed_delta_e(*(displayed(of, frame.white, scale) for of in (planes, frame.target)))
 
     def _mean(self, frames: Iterable[dict[str, Any]]) -> dict[str, dict[str, float]]:
         frames = list(frames)

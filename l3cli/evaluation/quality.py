@@ -13,7 +13,6 @@ from l3cli.physics.display import (
     daylight,
     delta_e_2000,
     displayed,
-    displayed_delta_e,
     displayed_xyz,
     lab,
     srgb_curve,
@@ -63,33 +62,51 @@ class BandQuality:
     ssim: float  # mean over the outputs, each as for psnr before rounding
 
 
+class Target:
+    """The target of a frame as displayed, XYZ planes (3, row, col) of the light `white` (3), to which pictures of it are
+    compared; a margin of `border` is left out. `viewing` is the samples a degree of S-CIELAB."""
+
+    def __init__(self, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> None:
+        self._white, self._border, self._viewing = white, border, viewing
+        self._scale = white_luminance(target[1])
+        # Deep red has no Z at all.
+        self._peaks = self._scale * np.where(white > 0, white, white[1])[:, None, None] / white[1]
+        self._target = cropped(target, border)
+        linear = displayed(self._target, white, self._scale)
+        self._curve, self._labs = srgb_curve(linear), self._labs_of(linear)
+
+    def _labs_of(self, linear: Array) -> tuple[Array, Array]:
+        """L*a*b* (row, col, 3) as displayed, and after the eye's blur."""
+        xyz = displayed_xyz(linear)
+        return lab(xyz, daylight()), _blurred_lab(xyz, daylight(), self._viewing)
+
+    def judge(self, rendered: Array) -> tuple[Quality, Array]:
+        """Return the figures of XYZ planes (3, row, col), and their ΔE00 as displayed (row, col) within the border."""
+        rendered = cropped(rendered, self._border)
+        linear = displayed(rendered, self._white, self._scale)
+        curve = srgb_curve(linear)
+        difference, seen = map(delta_e_2000, self._labs_of(linear), self._labs)
+        return Quality(
+            mean_delta_e=float(difference.mean()),
+            median_delta_e=float(np.median(difference)),
+            p95_delta_e=float(np.percentile(difference, 95)),
+            scielab=float(seen.mean()),
+            psnr=psnr(curve, self._curve),
+            output_psnr=psnr(rendered / self._peaks, self._target / self._peaks),
+            ssim=ssim(curve @ LUMA, self._curve @ LUMA),
+        ), difference
+
+
 def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> Quality:
-    """Compare XYZ planes (3, row, col) in one unit; `white` (3) is the frame's light; a margin of `border` is left out.
-
-    `viewing` is the samples a degree of S-CIELAB.
-    """
-    scale = white_luminance(target[1])
-    rendered, target = cropped(rendered, border), cropped(target, border)
-    ours, ideal = (displayed(planes, white, scale) for planes in (rendered, target))
-    difference = displayed_delta_e(ours, ideal)
-    seen = scielab(displayed_xyz(ours), displayed_xyz(ideal), daylight(), viewing)
-    our_curve, ideal_curve = srgb_curve(ours), srgb_curve(ideal)
-    peaks = scale * np.where(white > 0, white, white[1])[:, None, None] / white[1]  # deep red has no Z at all
-    return Quality(
-        mean_delta_e=float(difference.mean()),
-        median_delta_e=float(np.median(difference)),
-        p95_delta_e=float(np.percentile(difference, 95)),
-        scielab=float(seen.mean()),
-        psnr=psnr(our_curve, ideal_curve),
-        output_psnr=psnr(rendered / peaks, target / peaks),
-        ssim=ssim(our_curve @ LUMA, ideal_curve @ LUMA),
-    )
+    """Compare XYZ planes (3, row, col) with a target; arguments as of Target."""
+    return Target(target, white, border, viewing).judge(rendered)[0]
 
 
-def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:
-    """Compare planes of any outputs (output, row, col) in one unit; `white` (output) and `border` as in `quality`."""
-    angle = spectral_angle(cropped(rendered, border), cropped(target, border))
-    angle = angle[np.isfinite(angle)] if np.isfinite(angle).any() else np.zeros(1)  # all of the target is black
+def judge_bands(rendered: Array, target: Array, white: Array, border: int = 0) -> tuple[BandQuality, Array]:
+    """Return the figures of planes of any outputs (output, row, col) in one unit, and their spectral angle in degrees (row,
+    col) within the border, NaN where the target has none; `white` (output) and `border` as of Target."""
+    angles = spectral_angle(cropped(rendered, border), cropped(target, border))
+    angle = angles[np.isfinite(angles)] if np.isfinite(angles).any() else np.zeros(1)  # all of the target is black
     linear, shares = _linear_and_shares(rendered, target, white, border)
     return BandQuality(
         mean_angle=float(angle.mean()),
@@ -98,7 +115,12 @@ def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) 
         psnr=psnr(*map(_rounded, shares)),
         output_psnr=psnr(*linear),
         ssim=float(np.mean([ssim(*of_band) for of_band in zip(*shares, strict=True)])),
-    )
+    ), angles
+
+
+def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:
+    """Compare planes of any outputs (output, row, col) in one unit; arguments as of `judge_bands`."""
+    return judge_bands(rendered, target, white, border)[0]
 
 
 def band_figures(rendered: Array, target: Array, white: Array, border: int = 0) -> list[dict[str, float]]:
@@ -187,10 +209,13 @@ def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) ->
     them odd, and returns maps displaced by a pixel; here pictures are mirrored at their edges and stay in place.
     RecipeError unless `viewing` is within VIEWED.
     """
+    return delta_e_2000(*(_blurred_lab(picture, white, viewing) for picture in (one, other)))
+
+
+def _blurred_lab(xyz: Array, white: Array, viewing: float) -> Array:
     if not VIEWED[0] <= viewing <= VIEWED[1]:
         raise RecipeError(f"‹viewing› {viewing:g} is not within {VIEWED[0]}…{VIEWED[1]} samples a degree")
-    labs = [lab(np.maximum(blurred(picture, viewing), 0.0), white) for picture in (one, other)]
-    return delta_e_2000(*labs)
+    return lab(np.maximum(blurred(xyz, viewing), 0.0), white)
 
 
 def blurred(xyz: Array, viewing: float) -> Array:

@@ -8,8 +8,10 @@ Weights are those of the first classes of the head, as many as its `held`. All n
 """
 
 import base64
+import functools
 import json
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,23 +77,25 @@ def crop_of(
     the smallest; then the table's other classes, the most frequent first, in at most `more` letters. `labels` (row, col)
     are the classes of the frame in each layer."""
     sites = Sites(table.cfa, table.channels, tuple(hex_colour(each) for each in channel_light(camera)))
+    words = [_words(table, layer) for layer in table.layers]
     for size in SIZES:
         corner = richest(labels[0], size)
         area = tuple(slice(start, start + length) for start, length in zip(corner, size, strict=True))
-        crop = _crop(table, labels, area)
+        crop = _crop(table, words, labels, area)
         text = packed(crop, sites, table.outputs)
         if len(text) <= limit:
             break
     for others in ("all", "frame"):
-        left = len(text) + more - len(packed(_crop(table, labels, area, others), sites, table.outputs))
+        left = len(text) + more - len(packed(_crop(table, words, labels, area, others), sites, table.outputs))
         if left >= 0:
-            crop = _crop(table, labels, area, others, left // len(labels))
+            crop = _crop(table, words, labels, area, others, left // len(labels))
             return crop, packed(crop, sites, table.outputs)
     return crop, text
 
 
 def _crop(
     table: TransformTable,
+    words: list[Callable[[int], dict[str, str]]],
     labels: list[NDArray[np.integer]],
     area: tuple[slice, ...],
     others: str = "none",
@@ -100,7 +104,7 @@ def _crop(
     """Return part of a frame, with the classes that do not occur there, those of most pixels of the frame first: "none",
     those of the "frame" or "all", with as many of their weights as `letters` for each layer hold."""
     layers = []
-    for layer, of in zip(table.layers, labels, strict=True):
+    for layer, worded, of in zip(table.layers, words, labels, strict=True):
         side, planes = (layer.rule.patch, ("mosaic",)) if isinstance(layer, MosaicLayer) else (layer.side, PLANES)
         taps = side**2 * len(planes)
         pixels = np.bincount(of.ravel(), minlength=len(layer.weights))
@@ -114,7 +118,7 @@ def _crop(
                 side=side,
                 planes=planes,
                 labels=indices.reshape(of[area].shape),
-                words=tuple(_words(table, layer, index) for index in classes.tolist()),
+                words=tuple(map(worded, classes.tolist())),
                 patches=layer.samples[classes],
                 pixels=pixels[classes],
                 weights=layer.weights[classes[: len(seen) + room], :, :taps],
@@ -123,13 +127,22 @@ def _crop(
     return Crop((area[0].start, area[1].start), labels[0].shape, tuple(layers))
 
 
-def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer, index: int) -> dict[str, str]:
-    row, col = divmod(layer.rule.split(index).site, table.cfa.shape[1])
-    return {
-        "class": f"{index} of {len(layer.weights)}",
-        "site": f"({row}, {col}) {table.channels[table.cfa[row, col]]}",
-        **(class_words(table, index) if isinstance(layer, MosaicLayer) else plane_class_words(table, layer, index)),
-    }
+def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[int], dict[str, str]]:
+    """Return a function of a class of the layer that describes it in words."""
+
+    @functools.cache
+    def place(index: int) -> dict[str, str]:
+        return class_words(table, index) if isinstance(layer, MosaicLayer) else plane_class_words(table, layer, index)
+
+    @functools.cache
+    def words(index: int) -> dict[str, str]:
+        row, col = divmod(layer.rule.split(index).site, table.cfa.shape[1])
+        # In the first layer a class has the same words at every site.
+        where = place(layer.rule.within_site(index) if isinstance(layer, MosaicLayer) else index)
+        site = f"({row}, {col}) {table.channels[table.cfa[row, col]]}"
+        return {"class": f"{index} of {len(layer.weights)}", "site": site, **where}
+
+    return words
 
 
 def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, int]:

@@ -140,14 +140,17 @@ def evaluate_frame(
     reader: TrainingSetReader,
     index: int,
     rivals: Mapping[str, Path] | None = None,
+    counted: bool = True,
 ) -> tuple[TrainingPair, dict[str, NDArray]]:
-    """Count a frame of a training set and the pictures of it by `rivals`; the frame and the planes of every pipeline, as
-    `Evaluation.add` gives them."""
+    """Return a frame of a training set and the planes of every pipeline, as `Evaluation.planes` gives them, with the
+    pictures of it by `rivals`; unless it is not to be `counted` it is added to the evaluation."""
     frame = reader.frame(index)
     theirs = {name: _planes(path, frame) for name, path in (rivals or {}).items()}
-    raw = raw_of(frame, index, reader.head.camera)
-    renderer = renderers.of(frame)
-    return frame, evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw), theirs)
+    raw, renderer = raw_of(frame, index, reader.head.camera), renderers.of(frame)
+    planes = evaluation.planes(frame, renderer.outputs(raw), theirs)
+    if counted:
+        evaluation.add(frame, planes, renderer.labels(raw))
+    return frame, planes
 
 
 def _planes(path: Path, frame: TrainingPair) -> NDArray[np.floating]:

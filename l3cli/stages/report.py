@@ -14,8 +14,11 @@ from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, TrainingSetReader, open_training_set
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.evaluation.evaluation import Evaluation
+from l3cli.evaluation.pictures import frame_pictures, holds_chart, patch_colours
 from l3cli.io.pictures.openimageio import jpeg
 from l3cli.options.tools import ReportOptions
+from l3cli.physics.display import XYZ
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
@@ -305,9 +308,6 @@ class Judged:
 
 def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], backend: str, console: Console) -> Judged:
     """Evaluate a table; `limits` in bytes are those of its pictures, of pixels that can be looked into, of other classes."""
-    from l3cli.evaluation.evaluation import Evaluation
-    from l3cli.physics.display import XYZ
-
     warning = warn_if_unlike((pair.table.name, pair.transforms), (pair.frames.name, pair.head.camera), console)
     renderers = FrameRenderers(backend, pair.transforms, console)
     with open_training_set(pair.frames.path, unchanged=True) as reader:
@@ -319,7 +319,7 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], backend: str, 
                 chart = chart_subsection(frame, index, planes, pair.head)
         figures = judgement.document()
         if pictures:
-            shown = {index: _pictures(pair, reader, renderers, index) for index in shown_frames(figures)}
+            shown = {index: _pictures(judgement, renderers, reader, index) for index in shown_frames(figures)}
             pixels = _pixels(reader, renderers, anchor, *next(iter(shown.items())), limits)
             below = (*([chart] if chart else []), pixels)
             title = f"Pictures: {pair.table.name} on {pair.frames.name}"
@@ -327,11 +327,8 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], backend: str, 
     return Judged(pair, figures, front, warning)
 
 
-def _pictures(pair: Pair, reader: TrainingSetReader, renderers: FrameRenderers, index: int) -> dict[str, Pixels]:
-    from l3cli.evaluation.evaluation import Evaluation
-    from l3cli.evaluation.pictures import frame_pictures
-
-    return frame_pictures(*evaluate_frame(Evaluation(pair.transforms, reader.head), renderers, reader, index))
+def _pictures(evaluation: Evaluation, renderers: FrameRenderers, reader: TrainingSetReader, index: int) -> dict[str, Pixels]:
+    return frame_pictures(*evaluate_frame(evaluation, renderers, reader, index, counted=False))
 
 
 def _pixels(
@@ -355,8 +352,6 @@ def _pixels(
 def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray], head: TrainingSet) -> Subsection | None:
     """Return the patches of the ColorChecker in frame `number` of a training set and in `planes`, those of every pipeline;
     None where its target shows none."""
-    from l3cli.evaluation.pictures import holds_chart, patch_colours
-
     light = head.target_light or frame.light
     size = frame.raw.shape[0], frame.raw.shape[1]
     regions = next((each for each in chart_places(size) if holds_chart(frame, light, each)), None)
@@ -376,5 +371,5 @@ def _side_by_side(judged: list[Judged], limit: int, backend: str) -> Section:
     for each, index in zip(judged, shared_frame(sides) or (), strict=False):
         with open_training_set(each.pair.frames.path, unchanged=True) as reader:
             renderers = FrameRenderers(backend, each.pair.transforms, Silent())  # each has been judged before
-            pictures.append(_pictures(each.pair, reader, renderers, index))
+            pictures.append(_pictures(Evaluation(each.pair.transforms, reader.head), renderers, reader, index))
     return side_by_side_section(sides, pictures, limit, jpeg)

@@ -277,7 +277,8 @@ def test_an_evaluation_needs_no_file(trained: Path) -> None:
         evaluation, frame = Evaluation(table, reader.head), reader.frame(0)
     labels = label_mosaic(frame.raw, table.first.rule, table.cfa, len(table.channels))
     perfect = frame.target * frame.exposure / table.output_unit
-    planes = evaluation.add(frame, perfect, labels)
+    planes = evaluation.planes(frame, perfect)
+    evaluation.add(frame, planes, labels)
     assert planes["ours"] == pytest.approx(np.asarray(frame.target), rel=1e-5)
     document = evaluation.document()
     assert document["mean"]["ours"]["mean_delta_e"] < 1e-3
@@ -292,6 +293,6 @@ def test_errors_are_laid_to_the_class_of_their_pixel(trained: Path) -> None:
     level = labels % table.first.rule.classes_per_site // (table.first.rule.contrasts * table.first.rule.kinds)
     spoilt = np.bincount(level[2:-2, 2:-2].ravel()).argmax()
     planes = frame.target * np.where(level == spoilt, 0.7, 1.0)
-    evaluation.add(frame, planes * frame.exposure / table.output_unit, labels)
+    evaluation.add(frame, evaluation.planes(frame, planes * frame.exposure / table.output_unit), labels)
     for entry in evaluation.document()["by_class"]["level"]:
         assert (entry["ours"]["mean_delta_e"] > 1) == (entry["level"] == spoilt)
