@@ -101,7 +101,7 @@ class Evaluation:
                 planes[name] = develop(frame, self._camera, self._colour(frame), demosaic, self._merges.get(name))
             else:
                 planes[name] = develop_bands(frame, self._camera, self._wanted is not None, demosaic)
-        return planes | (rivals or {})
+        return planes | dict(rivals or {})
 
     def add(self, frame: TrainingPair, planes: dict[str, Array], labels: NDArray[np.integer]) -> None:
         """Count a frame by the `planes` of every pipeline, and the classes `labels` (row, col) of the table's."""
