@@ -15,16 +15,18 @@ from l3cli.training.goal import Goal
 from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, steps_back, white_channels
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.single_bands import output_gains, single_bands, teaches
-from l3cli.training.sums import moment_matrix, symmetric_places
+from l3cli.training.sums import moment_matrix, turned_places, width_of
+from l3cli.training.symmetry import Turn
 from l3cli.training.thin_classes import parent_of, parents_of, shrunk
 
 Array = NDArray[np.float64]
 PLAIN = 0.2  # plain patches, a patch of a textured class, on which a difference between sites counts as an error
 NOISE_FADES = 1000.0  # what plain areas are taught fades with noise over signal, in power: it hides what a surface is …
 WHITE_FADES = 2000.0  # … and with its square for what may be a grey, as the chromas nearest to white
+AT_ONCE = 64  # classes that are solved together
 
 
-class Equations(NamedTuple):
+class OutputKind(NamedTuple):
     """Differences of an output's equations from those of the others."""
 
     noise: float  # how much noise weighs against bias (docs/method.md#noise-weights)
@@ -45,7 +47,7 @@ class Solution:
     compliance: Array  # (class, equations, tap + 1, channel + 1)
     compliance_response: Array  # (class, equations, channel + 1, channel + 1): the response of the compliance
     solved: NDArray[np.bool_]  # (class)
-    samples: Array  # (class) patches of its own
+    samples: Array  # (class) patches of its own, a mean over the turns
     condition: Array  # (class) of the equations for the least noisy row; 0: not solved
     colours: Array  # (channel, channel) second moments of the channels' means over plain patches, of trace 1
     white: Array | None  # (channel) signals of white, if the training patches bear them out
@@ -67,19 +69,19 @@ def solve(
     sums: ClassSums,
     rule: ClassRule,
     window: NDArray[np.int64],
-    stabilisers: list[NDArray[np.int64]],
+    turns: list[Turn],
     recipe: LearningRecipe,
     goal: Goal,
 ) -> Solution:
     """Solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin classes
-    helped by their neighbours; `window` (tap) names the channel of each tap, and `stabilisers` (tap) are the orientations
-    that leave it as it is, over which sums are averaged. Raises L3Error if no class has any patches."""
+    helped by their neighbours; `window` (tap) names the channel of each tap, and `turns` are the orientations that leave it
+    as it is, over which sums are averaged. Raises L3Error if no class has any patches."""
     parents = parents_of(sums, rule)
     parent = parent_of(np.arange(sums.count.size), rule)
-    solved = parents.count[parent] > 0 if recipe.parent_patches else sums.count > 0
+    samples = np.mean([sums.count[turn.classes] for turn in turns], axis=0)
+    solved = parents.count[parent] > 0 if recipe.parent_patches else samples > 0
     if not solved.any():
         raise L3Error("no class has training patches; simulate more frames")
-    places = symmetric_places(stabilisers, window.size + 1 + len(goal.outputs))
     groups = np.append(window, window.max() + 1)  # every channel, and the intercept as one more
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
     equations = _equations(recipe, goal, rule)
@@ -97,33 +99,49 @@ def solve(
     condition, power = np.zeros(solved.size), np.zeros(solved.size)
     means = member[:-1, :-1] / member[:-1, :-1].sum(axis=1, keepdims=True)
     columns = {one: [column for column, each in enumerate(equations) if each == one] for one in sorted(set(equations))}
-    for index in np.flatnonzero(solved).tolist():
-        packed, noise = shrunk(sums, parents, index, rule, recipe)
-        moments = moment_matrix(packed[places].mean(axis=0), groups.size + len(goal.outputs))
-        noise = noise[np.array(stabilisers)].mean(axis=0)
-        taught = moments
-        if index in greys:
-            taught = moments + (sums.count[index] + recipe.parent_patches) * greys[index]
-        elif gains is not None and teaches(rule, index):
-            taught = moments + single_bands(moments, window, gains)
-        elif (plain := surfaces.get(index)) is not None:
-            noisy = noise[: window.size].sum() / moments.diagonal()[: window.size].sum()
-            count = (sums.count[index] + recipe.parent_patches) / (
-                1.0 + NOISE_FADES * noisy + (near_white[index] * noisy) ** 2
-            )
-            taught = moments + recipe.plain_surfaces * count * plain
-        power[index] = (means @ taught[: window.size, : window.size] * means).sum()
-        used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
-        for number, ((factor, is_taught), wanted) in enumerate(columns.items()):
-            of = taught if is_taught else moments
-            right = np.concatenate([of[:used, groups.size :] @ basis[:, wanted], member.T[:used]], axis=1)
-            equation = systems.Equation(of[:used, :used], noise, factor, right)
-            solution, worst = systems.solve_within(equation, recipe.ridge, member[:, :used], goal.integers)
-            rows[index, :used, wanted] = solution[:, : len(wanted)].T
-            compliance[index, number, :used] = solution[:, len(wanted) :]
-            condition[index] = max(condition[index], worst)
-    about = solved, sums.count, condition, plain_colours(sums, rule, window), white, power
+    saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
+    for clips in (False, True):
+        used = groups.size if clips else groups.size - 1  # an intercept if saturated
+        every = np.flatnonzero(solved & (saturated == clips))
+        for first in range(0, every.size, AT_ONCE):
+            batch = every[first : first + AT_ONCE]
+            moments, noise = _averaged(sums, parents, batch, turns, rule, recipe)
+            taught = moments.copy()
+            for row, index in enumerate(batch.tolist()):
+                count = samples[index] + recipe.parent_patches
+                if index in greys:
+                    taught[row] += count * greys[index]
+                elif gains is not None and teaches(rule, index):
+                    taught[row] += single_bands(moments[row], window, gains)
+                elif (plain := surfaces.get(index)) is not None:
+                    noisy = noise[row].sum() / moments[row].diagonal()[: window.size].sum()
+                    fades = 1.0 + NOISE_FADES * noisy + (near_white[index] * noisy) ** 2
+                    taught[row] += recipe.plain_surfaces * (count / fades) * plain
+            power[batch] = (means @ taught[:, : window.size, : window.size] * means).sum(axis=(1, 2))
+            for number, ((factor, is_taught), wanted) in enumerate(columns.items()):
+                of = taught if is_taught else moments
+                flat = np.broadcast_to(member.T[:used], (batch.size, used, len(member)))
+                right = np.concatenate([of[:, :used, groups.size :] @ basis[:, wanted], flat], axis=2)
+                system = systems.Equations(of[:, :used, :used], noise, factor, right)
+                solution, worst = systems.solve_within(system, recipe.ridge, member[:, :used], goal.integers)
+                rows[batch[:, None, None], np.arange(used)[:, None], wanted] = solution[..., : len(wanted)]
+                compliance[batch, number, :used] = solution[..., len(wanted) :]
+                condition[batch] = np.maximum(condition[batch], worst)
+    about = solved, samples, condition, plain_colours(sums, rule, window), white, power
     return Solution(rows, member @ rows, compliance, member @ compliance, *about)
+
+
+def _averaged(
+    sums: ClassSums, parents: ClassSums, batch: NDArray[np.intp], turns: list[Turn], rule: ClassRule, recipe: LearningRecipe
+) -> tuple[Array, Array]:
+    """Moments (class, column, column) and noise (class, tap) of the classes of a batch with help, averaged over `turns`."""
+    width = width_of(sums.moments)
+    moments, noise = np.zeros((batch.size, sums.moments.shape[1])), np.zeros((batch.size, sums.noise.shape[1]))
+    for turn in turns:
+        turned_moments, turned_noise = shrunk(sums, parents, turn.classes[batch], rule, recipe)
+        moments += turned_moments[:, turned_places(turn.taps, width)] / len(turns)
+        noise += turned_noise[:, turn.taps] / len(turns)
+    return moment_matrix(moments, width), noise
 
 
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
@@ -179,7 +197,7 @@ def _constrained(
     rule: ClassRule,
     solved: NDArray[np.bool_],
     goal: Goal,
-    equations: list[Equations],
+    equations: list[OutputKind],
 ) -> list[Array]:
     """Rows (class, tap + 1, output) of the sites. Of all common responses the one of least total squared error is taken."""
     constrained = [solution.rows.copy() for solution in solutions]
@@ -243,13 +261,13 @@ def _colour_compliance(solutions: list[Solution], copies: list[int]) -> Array:
     return np.asarray(colour_compliance)
 
 
-def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[Equations]:
+def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[OutputKind]:
     """Return the equations of each row of the opponent basis."""
-    unseen = Equations(min(recipe.luminance_noise, 1.0), True)  # what is no picture has no eyes to please
+    unseen = OutputKind(min(recipe.luminance_noise, 1.0), True)  # what is no picture has no eyes to please
     if goal.outputs[:3] != XYZ:
         return [unseen] * len(goal.outputs)
-    chroma = Equations(recipe.chroma_noise, True)
-    return [chroma, Equations(recipe.luminance_noise, rule.contrasts > 1), chroma] + [unseen] * (len(goal.outputs) - 3)
+    chroma = OutputKind(recipe.chroma_noise, True)
+    return [chroma, OutputKind(recipe.luminance_noise, rule.contrasts > 1), chroma] + [unseen] * (len(goal.outputs) - 3)
 
 
 def _opponent_basis(goal: Goal) -> Array:

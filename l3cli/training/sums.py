@@ -88,20 +88,19 @@ def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
         raise L3Error("a class has more patches than can be added exactly; lower learning.patches or learning.draws")
 
 
-def symmetric_places(stabilisers: list[NDArray[np.int64]], width: int) -> NDArray[np.intp]:
-    """Return the place of each pair of columns after each of the orientations that leave the site's window as it is
-    (orientation, pair). The mean over them gives every class more data."""
+def turned_places(turn: NDArray[np.integer], width: int) -> NDArray[np.intp]:
+    """Return the place (pair) that each pair of columns has after the first of them, the taps, are turned (tap)."""
     row, col = pairs(width)
     place = np.empty((width, width), dtype=np.intp)
     place[row, col] = place[col, row] = np.arange(row.size)
-    every = [np.append(turn, np.arange(turn.size, width)) for turn in stabilisers]
-    return np.array([place[turn[row], turn[col]] for turn in every])
+    order = np.append(turn, np.arange(turn.size, width))
+    return np.asarray(place[order[row], order[col]])
 
 
 def moment_matrix(packed: Array, width: int) -> Array:
-    """The symmetric matrix (column, column) of packed moments (pair)."""
-    matrix = np.empty((width, width))
+    """The symmetric matrices (…, column, column) of packed moments (…, pair)."""
+    matrix = np.empty((*packed.shape[:-1], width, width))
     row, col = pairs(width)
-    matrix[row, col] = packed
-    matrix[col, row] = packed
+    matrix[..., row, col] = packed
+    matrix[..., col, row] = packed
     return matrix

@@ -1,6 +1,7 @@
 """Symmetry of a colour filter array: sites whose neighbourhoods are rotations or mirror images share their training."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,15 @@ def turned_classes(rule: ClassRule, permutation: Indices) -> Indices:
     return rule.join(place.level, place.contrast, place.kind, further=further)
 
 
-def class_stabilisers(rule: ClassRule, window: Indices) -> list[Indices]:
-    """The orientations that leave the layout of one window (tap) and the class of every patch as they are."""
-    every = np.arange(rule.classes_per_site)
-    return [turn for turn in stabilisers(window, rule.patch) if np.array_equal(turned_classes(rule, turn), every)]
+class Turn(NamedTuple):
+    """An orientation that leaves a site's window as it is: what its patches are when they are turned."""
+
+    taps: Indices  # (tap) permutation
+    classes: Indices  # (class) whose patches become patches of each class
+
+
+def turns_of(rule: ClassRule, window: Indices, shared: bool = True) -> list[Turn]:
+    """The orientations that leave the layout of one window (tap) as it is, the identity first; it alone unless training is
+    `shared`."""
+    every = stabilisers(window, rule.patch) if shared else orientations(rule.patch)[:1]
+    return [Turn(turn, np.argsort(turned_classes(rule, turn))) for turn in every]

@@ -21,25 +21,29 @@ class Integers(NamedTuple):
     white_level: float  # DN
 
 
-class Equation(NamedTuple):
-    """The normal equations of a class for outputs that noise weighs alike."""
+class Equations(NamedTuple):
+    """The normal equations of classes for outputs that noise weighs alike."""
 
-    power: Array  # (tap, tap) X Xᵀ, the intercept last if there is one
-    noise: Array  # (tap) Λ, without the intercept
+    power: Array  # (class, tap, tap) X Xᵀ, the intercept last if there is one
+    noise: Array  # (class, tap) Λ, without the intercept
     factor: float  # of the noise
-    right: Array  # (tap, output, then channel) Y Xᵀ, and which taps belong to a channel
+    right: Array  # (class, tap, output, then channel) Y Xᵀ, and which taps belong to a channel
 
 
-def solve_within(equation: Equation, ridge: float, member: Array, integers: Integers | None) -> tuple[Array, float]:
-    """The solution (tap, as `right`) and its condition number: with `ridge`, or, if transforms or what bends them to another
-    response of the channels, whose taps `member` (channel, tap) tells, are too large, with the least of its multiples by
-    ten that makes them small enough."""
+def solve_within(equations: Equations, ridge: float, member: Array, integers: Integers | None) -> tuple[Array, Array]:
+    """The solutions (class, tap, as `right`) and their condition numbers (class): with `ridge`, or, if transforms or what
+    bends them to another response of the channels, whose taps `member` (channel, tap) tells, are too large, with the least
+    of its multiples by ten that makes them small enough."""
+    solutions, conditions = np.empty_like(equations.right), np.empty(len(equations.right))
+    left = np.arange(len(solutions))
     for step in range(STEPS + 1):
-        system = _system(equation.power, equation.noise, equation.factor, ridge * 10**step)
-        solution, condition = solve_positive(system, equation.right)
-        if integers is None or _moderate(solution, member, len(equation.noise), integers):
+        systems = _systems(equations, left, ridge * 10**step)
+        for index, system in zip(left.tolist(), systems, strict=True):
+            solutions[index], conditions[index] = solve_positive(system, equations.right[index])
+        if integers is None:
             break
-    return solution, condition
+        left = left[~_moderate(solutions[left], member, equations.noise.shape[1], integers)]
+    return solutions, conditions
 
 
 def fits(rows: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
@@ -54,25 +58,24 @@ def fits_between(rows: Array) -> NDArray[np.bool_]:
     return room_between(planes[..., :-1], planes[..., -1]) > ROUNDED
 
 
-def _moderate(solution: Array, member: Array, taps: int, integers: Integers) -> bool:
-    """Return whether transforms, and their change for a response that is one larger in a channel, fit SPARE times."""
-    outputs = solution.shape[1] - len(member)
-    used = member.any(axis=1)
-    compliance = solution[:, outputs:][:, used]
+def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) -> NDArray[np.bool_]:
+    """Return whether transforms (class), and their change for a response one larger in a channel, fit SPARE times."""
+    outputs, used = solutions.shape[2] - len(member), member.any(axis=1)
+    compliance = solutions[..., outputs:][..., used]
     bends = compliance @ np.linalg.pinv(member[used] @ compliance)
-    rows = np.concatenate([solution[:, :outputs], bends], axis=1).T
-    intercept = rows[:, taps:].sum(axis=1)
-    return bool(room_for(rows[None, :, :taps], intercept[None], *integers)[0] > SPARE)
+    rows = np.concatenate([solutions[..., :outputs], bends], axis=2).swapaxes(1, 2)
+    return np.asarray(room_for(rows[..., :taps], rows[..., taps:].sum(axis=2), *integers) > SPARE)
 
 
-def _system(power: Array, noise: Array, factor: float, ridge: float) -> Array:
-    """X Xᵀ + factor · Λ + ridge over taps and, if `power` has it, the intercept."""
-    taps = noise.size
-    system = power.copy()
-    diagonal = system.reshape(-1)[:: len(system) + 1]
-    diagonal[taps:] += 1e-9
-    diagonal[:taps] += factor * noise + ridge * diagonal[:taps].mean() + 1e-12
-    return system
+def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Array:
+    """X Xᵀ + factor · Λ + ridge over taps and, if there is one, the intercept, of the `chosen` classes (class, tap, tap)."""
+    taps = equations.noise.shape[1]
+    systems = equations.power[chosen]
+    diagonal = np.einsum("cii->ci", systems)  # a view
+    diagonal[:, taps:] += 1e-9
+    mean = diagonal[:, :taps].mean(axis=1, keepdims=True)
+    diagonal[:, :taps] += equations.factor * equations.noise[chosen] + ridge * mean + 1e-12
+    return systems
 
 
 def solve_positive(system: Array, right: Array) -> tuple[Array, float]:

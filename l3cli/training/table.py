@@ -27,7 +27,7 @@ from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.solve import Solution, equal_responses, solve
 from l3cli.training.stripes import false_colours, stripe_shares
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
-from l3cli.training.symmetry import class_stabilisers, orientations, site_maps, turned_classes
+from l3cli.training.symmetry import site_maps, turned_classes, turns_of
 from l3cli.training.training_pass import TrainingPass, brightness_of
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
@@ -144,8 +144,7 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
     sums = add_up(pass_, parts)
     camera, rule = pass_.head.camera, pass_.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
-    alike = class_stabilisers(rule, window) if pass_.recipe.symmetry else orientations(rule.patch)[:1]
-    return solve(sums, rule, window, alike, pass_.recipe, pass_.goal)
+    return solve(sums, rule, window, turns_of(rule, window, pass_.recipe.symmetry), pass_.recipe, pass_.goal)
 
 
 # Long: a table has many fields, and each is named.

@@ -15,24 +15,26 @@ CASE_SHARE = 0.1  # of the pseudo-patches come from all levels of a case …
 THIN_PARENT = 100.0  # … and half of the others, where a level of the case has so few patches
 
 
-def shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, recipe: LearningRecipe) -> tuple[Array, Array]:
-    """Moments (pair) and noise (tap) of a class with help (docs/method.md#thin-classes): unsaturated, sums of the levels
-    beside it, which add since sums are relative to the level; and pseudo-patches of its parent."""
-    (_, level, contrast, further, kind), parent = rule.split(index), parent_of(index, rule)
-    moments, noise, count = sums.moments[index].copy(), sums.noise[index], sums.count[index]
-    pool = recipe.level_pool if count > 0 and not rule.case(kind) else ()
-    for distance, weight in enumerate(pool, start=1):
+def shrunk(
+    sums: ClassSums, parents: ClassSums, classes: NDArray[np.intp], rule: ClassRule, recipe: LearningRecipe
+) -> tuple[Array, Array]:
+    """Moments (class, pair) and noise (class, tap) of `classes`, all of them saturated or none, with help
+    (docs/method.md#thin-classes): unsaturated, sums of the levels beside each, which add since sums are relative to the
+    level; and pseudo-patches of its parent."""
+    _, level, contrast, further, kind = rule.split(classes)
+    moments, noise, count = sums.moments[classes], sums.noise[classes], sums.count[classes]
+    own = np.maximum(count, 1e-9)
+    for distance, weight in enumerate(() if rule.case(kind).any() else recipe.level_pool, start=1):
         for other in (level - distance, level + distance):
-            if 0 <= other < rule.levels:
-                neighbour = rule.join(other, contrast, kind, further=further)
-                moments += weight * sums.moments[neighbour]
-                count += weight * sums.count[neighbour]
-    if count > 0:
-        noise = noise * (count / sums.count[index])  # of the class, scaled to the new number of patches
-    return (
-        moments + recipe.parent_patches * parents.moments[parent],
-        noise + recipe.parent_patches * parents.noise[parent],
-    )
+            helped = np.flatnonzero((own >= 1) & (other >= 0) & (other < rule.levels))
+            neighbour = rule.join(other, contrast, kind, further=further)[helped]
+            moments[helped] += weight * sums.moments[neighbour]
+            count[helped] += weight * sums.count[neighbour]
+    noise *= (count / own)[:, None]  # of the class, scaled to the new number of patches
+    parent = parent_of(classes, rule)
+    moments += recipe.parent_patches * parents.moments[parent]
+    noise += recipe.parent_patches * parents.noise[parent]
+    return moments, noise
 
 
 def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
