@@ -170,16 +170,6 @@ def test_options_have_names_types_and_ranges(tmp_path: Path) -> None:
     )
 
 
-def test_an_artifact_of_a_known_kind_has_its_type(pipeline: Path) -> None:
-    """mypy, which reads this file, too, takes what is loaded where the kind is asked for."""
-    table: TransformTable = l3.load_table(pipeline / "table.h5")
-    assert l3.Renderer(l3.load_table(pipeline / "table.h5")).table.channels == table.channels
-    camera: CameraModel = l3.load_camera(pipeline / "camera.h5")
-    named: CameraModel = l3.load_camera("bayer")
-    training: TrainingSet = l3.load_training_set(pipeline / "training.h5")
-    assert (camera.channels, named.channels) == (training.camera.channels, ("r", "g", "b"))
-
-
 @pytest.mark.parametrize(
     ("wrong", "described"),
     [
@@ -260,36 +250,3 @@ def test_the_interface_is_imported_when_it_is_used() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
     assert set(l3.__all__) <= set(dir(l3))
     assert (Path(l3.__file__).parent / "py.typed").is_file()
-
-
-@pytest.mark.parametrize("name", l3.__all__)
-def test_everything_is_documented_and_typed(name: str) -> None:
-    offered = getattr(l3, name)
-    assert inspect.getdoc(offered)
-    public = [offered, *(value for key, value in vars(offered).items() if not key.startswith("_") and callable(value))] \
-        if inspect.isclass(offered) else [offered]  # fmt: skip
-    for each in public:
-        assert inspect.getdoc(each)
-        if not inspect.isclass(each):
-            assert "return" in each.__annotations__
-
-
-def test_the_example_runs(pipeline: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The lines of the module's docstring, on files of the pipeline in the place of those that they name."""
-    from l3cli import api
-
-    text = inspect.getdoc(api)
-    assert text is not None
-    lines = [line[4:] for line in text.splitlines() if line.startswith("    ")]
-    assert len(lines) == 5
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "lab").symlink_to(pipeline / "lab")
-    assert l3.simulate(pipeline / "unseen.toml", pipeline / "camera.toml", tmp_path / "u.h5", dng=tmp_path / "dng")
-    next((tmp_path / "dng").glob("*.dng")).rename(tmp_path / "frame.dng")
-    source = "\n".join(lines).replace('"default"', repr(str(pipeline / "scenes.toml")))
-    source = source.replace('"table.h5"', f'"table.h5", classes={str(pipeline / "classes.toml")!r}').replace(
-        "jobs=2", "jobs=1"
-    )
-    names: dict = {}
-    exec(compile(source, "example", "exec"), names)
-    assert names["picture"].shape[2] == 3

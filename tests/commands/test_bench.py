@@ -38,14 +38,6 @@ def test_json_states_what_was_measured_how(l3: L3) -> None:
     assert all(result["stages_sum_ms"] > 0 for result in document["results"][:2])
 
 
-def test_one_variant_alone_is_timed(l3: L3) -> None:
-    code, out, _ = l3("bench", "--variant", "processor", "--device", "0", "--quiet")
-    assert code == 0
-    (line,) = [line for line in out.splitlines() if "80×50" in line]
-    assert "processor" in line
-    assert "graphics" not in out
-
-
 def test_stages_of_two_layers_stand_next_to_those_of_one(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     cases = benchmark.FULL[0], benchmark.Case(80, 50, 5, "bayer", "default")
     monkeypatch.setattr(benchmark, "FULL", cases)

@@ -16,14 +16,13 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.classes.rule import make_rule
 from l3cli.errors import L3Error
-from l3cli.recipes.builtin import known_benchmarks
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.lab import plan
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.light import automatic_exposure, make_light
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.stages.checking.check import judge
-from l3cli.stages.checking.kinds import KINDS, kind_of, names
+from l3cli.stages.checking.kinds import KINDS, names
 from l3cli.stages.simulation.preparation import fitting, prepare
 from l3cli.system.console import Silent
 from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
@@ -218,13 +217,6 @@ def test_a_folder_of_init_is_checked_with_its_camera(tmp_path: Path, l3: L3) -> 
     assert "larger than the sensor of 1080×1920" in out
 
 
-def test_a_benchmark_wants_its_pictures(l3: L3) -> None:
-    code, out, _ = l3("check", "benchmark-bayer")
-    assert code == 3
-    assert {Path(path).name for path, _, _ in noted(out)} == {"test.toml", "training.toml"}
-    assert known_benchmarks()
-
-
 # ------------------------------------------------------------------------------------------------------ meaning
 
 
@@ -378,16 +370,6 @@ def test_wrong_measurements_of_a_known_camera(old: str, new: str, line: int, wha
     code, out, _ = l3("check", path)
     assert code == 3
     assert [found[1] for found in noted(out) if what in found[2]] == [line]
-
-
-def test_a_file_with_a_base_is_of_the_kind_of_its_other_keys() -> None:
-    kinds = {
-        "camera": ({"base": "a.toml"}, {"base": "a.toml", "phase": [0, 1]}, {"base": "a.toml", "name": "x"}),
-        "measurements": ({"base": "a.h5", "dark": []}, {"base": "a.h5", "dark": [{}], "white": [{}]}),
-    }
-    assert {kind: {kind_of(content) for content in contents} for kind, contents in kinds.items()} == {
-        kind: {KINDS[kind]} for kind in kinds
-    }
 
 
 def test_a_hundred_faults_are_listed_and_the_others_counted(tmp_path: Path, l3: L3) -> None:

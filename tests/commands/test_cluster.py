@@ -21,6 +21,7 @@ from l3cli.parallel import cluster as elsewhere
 from l3cli.parallel import workers
 from l3cli.parallel.cluster import Scheduler
 from l3cli.system.limits import ONE_BLAS_THREAD
+from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import ROOT
 from tests.helpers.tasks import PATIENCE, refusing, squared
 
@@ -137,23 +138,21 @@ def _content(folder: Path) -> dict[str, bytes]:
 # ------------------------------------------------------------------------------------------------- the same bytes
 
 
-def test_simulate_gives_the_same_bytes(
-    cluster: Cluster, made: Path, bayer_recipe: Path, tmp_path: Path, l3: Callable
-) -> None:
+def test_simulate_gives_the_same_bytes(cluster: Cluster, made: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
     command = ("simulate", made / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "training.h5")
     assert l3(*command, "--quiet", "--scheduler", cluster.address) == (0, "", "")
     assert (tmp_path / "training.h5").read_bytes() == (made / "training.h5").read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["training.h5"]
 
 
-def test_train_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+def test_train_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: L3) -> None:
     command = ("train", made / "training.h5", "--classes", made / "classes.toml", "-o", tmp_path / "table.h5")
     code, _, err = l3(*command, "--scheduler", cluster.address)
     assert code == 0, err
     assert (tmp_path / "table.h5").read_bytes() == (made / "table.h5").read_bytes()
 
 
-def test_a_shard_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+def test_a_shard_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: L3) -> None:
     (tmp_path / "classes.toml").write_text(CLASSES)
     command = ("train", made / "training.h5", "--classes", tmp_path / "classes.toml", "--shard", "2/2")
     for name, where in (("place", ()), ("there", ("--scheduler", cluster.address))):
@@ -161,7 +160,7 @@ def test_a_shard_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Pa
     assert (tmp_path / "place").read_bytes() == (tmp_path / "there").read_bytes()
 
 
-def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: L3) -> None:
     """Files that workers read, and frames that are sent to them because their exposure or white follows those before."""
     where = ("--scheduler", cluster.address)
     assert l3("render", *frames(made), "--exposure", 1, "-o", tmp_path / "pictures", *where)[0] == 0
@@ -182,7 +181,7 @@ def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Pat
     assert _content(tmp_path / "filtered") == _content(tmp_path / "filtered_there")
 
 
-def test_a_broken_frame_is_named_or_left_out(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+def test_a_broken_frame_is_named_or_left_out(cluster: Cluster, made: Path, tmp_path: Path, l3: L3) -> None:
     shutil.copytree(made / "frames", tmp_path / "frames")
     (tmp_path / "frames/0003.raw").write_bytes(b"short")
     command = ("render", made / "table.h5", *frames(tmp_path)[1:], "--exposure", 1, "--scheduler", cluster.address)
@@ -195,7 +194,7 @@ def test_a_broken_frame_is_named_or_left_out(cluster: Cluster, made: Path, tmp_p
     assert _content(tmp_path / "pictures") == whole
 
 
-def test_what_a_frame_cannot_be_is_reported_of_the_first(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+def test_what_a_frame_cannot_be_is_reported_of_the_first(cluster: Cluster, made: Path, tmp_path: Path, l3: L3) -> None:
     shutil.copytree(made / "frames", tmp_path / "frames")
     (tmp_path / "frames/0000.raw").write_bytes(bytes([255]) * (2 * ROWS * COLS))
     call = ("render", made / "table.h5", *frames(tmp_path)[1:], "--exposure", 1, "-o", tmp_path / "pictures")
@@ -204,9 +203,7 @@ def test_what_a_frame_cannot_be_is_reported_of_the_first(cluster: Cluster, made:
     assert "its values reach 65535 DN" in err
 
 
-def test_a_killed_worker_changes_nothing(
-    cluster: Cluster, made: Path, bayer_recipe: Path, tmp_path: Path, l3: Callable
-) -> None:
+def test_a_killed_worker_changes_nothing(cluster: Cluster, made: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
     """One is killed while it works and holds results; dask has others do its work again."""
     output = tmp_path / "training.h5"
     (tmp_path / "picture.png").write_bytes((made / "picture.png").read_bytes())
@@ -314,7 +311,7 @@ def _there(cluster: Cluster, *tls: Path) -> Scheduler:
 # ------------------------------------------------------------------------------------------- doors and their keys
 
 
-def test_tls_opens_to_those_with_a_certificate(tmp_path: Path, bayer_recipe: Path, made: Path, l3: Callable) -> None:
+def test_tls_opens_to_those_with_a_certificate(tmp_path: Path, bayer_recipe: Path, made: Path, l3: L3) -> None:
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed")
     ca, certificate, key = (tmp_path / name for name in ("ca.pem", "certificate.pem", "key.pem"))
@@ -330,7 +327,7 @@ def test_tls_opens_to_those_with_a_certificate(tmp_path: Path, bayer_recipe: Pat
 
 
 def test_wrong_doors_are_one_line(
-    made: Path, bayer_recipe: Path, tmp_path: Path, refused: Callable, monkeypatch: pytest.MonkeyPatch
+    made: Path, bayer_recipe: Path, tmp_path: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pem = tmp_path / "ca.pem"
     pem.write_text("no certificate")

@@ -1,7 +1,6 @@
 """`l3 render -o a.dng`: frames of any array that LibRaw takes for a camera's own, with the colours of our pictures."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from l3cli.io.raw.files import read_raw
 from l3cli.physics.display import daylight, delta_e_2000, displayed_xyz, lab, scene_white, srgb_decoded
 from l3cli.physics.spaces import REC2020, SRGB, adaptation_matrix
 from l3cli.rendering.reference import ReferenceRenderer
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import random_table, with_first
@@ -82,7 +82,7 @@ def difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("recipe", RECIPES)
-def test_any_array_opens_with_our_colours(l3: Callable, tmp_path: Path, recipe: str) -> None:
+def test_any_array_opens_with_our_colours(l3: L3, tmp_path: Path, recipe: str) -> None:
     cfa = load_camera(CONFIGS / f"cameras/{recipe}.toml").cfa
     save(mixing_table(cfa), tmp_path / "table.h5")
     np.save(tmp_path / "frame.npy", patches(cfa))
@@ -104,7 +104,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_values_are_linear_and_exposure_is_stated(l3: Callable, desk: Path) -> None:
+def test_values_are_linear_and_exposure_is_stated(l3: L3, desk: Path) -> None:
     options = ("--backend", "reference", "--white", "A", "--exposure", 3)
     assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "l.dng", *options)[0] == 0
     assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "m.dng", "--remosaic", "bayer", *options)[0] == 0
@@ -119,7 +119,7 @@ def test_values_are_linear_and_exposure_is_stated(l3: Callable, desk: Path) -> N
     assert stated(desk / "l.dng", BASELINE_EXPOSURE) == pytest.approx(np.log2(3 * HEADROOM))
 
 
-def test_a_mosaic_is_a_raw_frame_and_a_developed_one_is_none(l3: Callable, refused: Callable, desk: Path) -> None:
+def test_a_mosaic_is_a_raw_frame_and_a_developed_one_is_none(l3: L3, refused: Refused, desk: Path) -> None:
     for name, further in (("c.dng", ()), ("d.dng", ("--remosaic", "bayer"))):
         call = ("render", desk / "table.h5", desk / "frame.npy", "-o", desk / name, "--backend", "reference", *further)
         assert l3(*call)[0] == 0
@@ -128,7 +128,7 @@ def test_a_mosaic_is_a_raw_frame_and_a_developed_one_is_none(l3: Callable, refus
     assert "already demosaicked" in refused(3, "render", desk / "table.h5", desk / "c.dng", "-o", desk / "e.png")
 
 
-def test_frames_of_a_sequence_become_files_each_with_its_exposure(l3: Callable, desk: Path) -> None:
+def test_frames_of_a_sequence_become_files_each_with_its_exposure(l3: L3, desk: Path) -> None:
     frames = np.stack([np.load(desk / "frame.npy") // share for share in (1, 2)])
     np.save(desk / "stack.npy", frames)
     call = ("render", desk / "table.h5", desk / "stack.npy", "-o", desk / "out/####.dng", "--backend", "reference")
@@ -140,7 +140,7 @@ def test_frames_of_a_sequence_become_files_each_with_its_exposure(l3: Callable, 
     assert [path.read_bytes() for path in made] == before
 
 
-def test_a_developed_frame_names_its_makers_not_its_camera(l3: Callable, desk: Path) -> None:
+def test_a_developed_frame_names_its_makers_not_its_camera(l3: L3, desk: Path) -> None:
     """A developer that knows the camera would take its matrix for these channels."""
     assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "n.dng", "--backend", "reference")[0] == 0
     assert (stated(desk / "n.dng", 271), stated(desk / "n.dng", 305)) == ("l3cli", f"l3cli {__version__}")
@@ -159,12 +159,12 @@ def test_a_developed_frame_names_its_makers_not_its_camera(l3: Callable, desk: P
     ],
 )
 def test_what_a_dng_cannot_hold_is_refused(
-    refused: Callable, desk: Path, output: str, options: tuple[str, ...], words: str
+    refused: Refused, desk: Path, output: str, options: tuple[str, ...], words: str
 ) -> None:
     assert words in refused(2, "render", desk / "table.h5", desk / "frame.npy", "-o", desk / output, *options)
     assert not (desk / output).exists()
 
 
-def test_other_outputs_than_xyz_are_refused(refused: Callable, desk: Path) -> None:
+def test_other_outputs_than_xyz_are_refused(refused: Refused, desk: Path) -> None:
     save(random_table(BAYER, bits=12, patch=5, outputs=("nir",)), desk / "nir.h5")
     assert "X, Y, Z" in refused(2, "render", desk / "nir.h5", desk / "frame.npy", "-o", desk / "y.dng")

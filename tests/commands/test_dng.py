@@ -80,7 +80,7 @@ def files(made: Path) -> list[Path]:
     return sorted((made / "d").iterdir())
 
 
-def test_one_file_a_frame_rendered_to_the_same_pixels(l3: Callable, made: Path, frames: list[np.ndarray]) -> None:
+def test_one_file_a_frame_rendered_to_the_same_pixels(l3: L3, made: Path, frames: list[np.ndarray]) -> None:
     names = [path.stem for path in files(made)]
     assert names == [path.name.removesuffix("_raw.tif") for path in sorted((made / "p").glob("*_raw.tif"))]
     for name in names:
@@ -189,7 +189,7 @@ def test_the_matrix_meets_white_and_surfaces(recipe: str) -> None:
         assert np.abs(xyz @ matrix.T - channels).mean() < 0.02
 
 
-def test_what_exists_already_is_refused(refused: Callable, made: Path, tmp_path: Path) -> None:
+def test_what_exists_already_is_refused(refused: Refused, made: Path, tmp_path: Path) -> None:
     call = ("simulate", made / "scenes.toml", "--camera", made / "camera.toml", "-o", tmp_path / "t.h5", "--dng")
     (tmp_path / "file").write_bytes(b"")
     assert "name a folder" in refused(1, *call, tmp_path / "file")

@@ -13,10 +13,11 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, open_training_set, write_training_set
 from l3cli.classes.chroma import chroma_centres
 from l3cli.classes.decide import label_mosaic
-from l3cli.cli import quality_tables, run
+from l3cli.cli import run
 from l3cli.evaluation.classes import ClassErrors
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.io.images import read_image
+from tests.helpers.calls import L3, Refused
 
 QUALITY = {"mean_delta_e", "median_delta_e", "p95_delta_e", "scielab", "psnr", "output_psnr", "ssim"}
 
@@ -59,7 +60,7 @@ def rewritten(source: Path, path: Path, outputs: tuple[str, ...], frames: Callab
                 writer.append(frames(frame))
 
 
-def test_json_holds_the_keys_it_promises(trained: Path, l3: Callable) -> None:
+def test_json_holds_the_keys_it_promises(trained: Path, l3: L3) -> None:
     code, out, err = l3("evaluate", trained / "table.h5", trained / "training.h5", "--json", "--quiet")
     assert (code, err) == (0, "")
     document = json.loads(out)
@@ -99,40 +100,14 @@ def test_json_holds_the_keys_it_promises(trained: Path, l3: Callable) -> None:
     assert document["better"]["basic"]["psnr"] == better > 0
 
 
-def test_every_backend_gives_the_same_figures(trained: Path, l3: Callable) -> None:
-    files = (trained / "table.h5", trained / "training.h5", "--json")
-    by_backend = [json.loads(l3("evaluate", *files, "--backend", name)[1]) for name in ("opencl", "reference")]
-    for figure, value in by_backend[0]["mean"]["ours"].items():
-        assert value == pytest.approx(by_backend[1]["mean"]["ours"][figure], rel=1e-4)
-    assert by_backend[0]["mean"]["basic"] == by_backend[1]["mean"]["basic"]
-
-
-def test_further_away_less_is_seen(trained: Path, l3: Callable) -> None:
+def test_further_away_less_is_seen(trained: Path, l3: L3) -> None:
     files = (trained / "table.h5", trained / "training.h5", "--json")
     close, far = (json.loads(l3("evaluate", *files, "--viewing", viewing)[1])["mean"]["ours"] for viewing in (15, 120))
     assert far.pop("scielab") < close.pop("scielab")
     assert far == close
 
 
-def test_tables_name_everything_that_is_compared(trained: Path, l3: Callable) -> None:
-    code, out, _ = l3("evaluate", trained / "table.h5", trained / "training.h5")
-    assert code == 0
-    for word in ("S-CIELAB", "basic", "by light level", "by illuminant", "by class: chroma", "worst classes", "dead leaves"):
-        assert word in out, word
-
-
-def test_classes_that_differ_in_a_further_feature_are_distinguished(capsys: pytest.CaptureFixture[str]) -> None:
-    of = {"mean_delta_e": 3.0}
-    about = {"level": 6, "from": 0.1, "to": 0.2, "contrast": 0, "chroma": 5, "case": 0, "pixels": 91, "ours": of}
-    worst = [about | {"direction": 1, "varies": "along 0°"}, about | {"direction": 2, "varies": "along 45°"}, about]
-    quality_tables._print_classes({"pipelines": ["ours"], "by_class": {}, "worst_classes": worst}, "mean_delta_e")
-    out = capsys.readouterr().out
-    assert "contrast 0 · direction 1: along 0° · chroma 5" in out
-    assert "contrast 0 · direction 2: along 45° · chroma 5" in out
-    assert "contrast 0 · chroma 5" in out
-
-
-def test_pictures_of_every_frame(trained: Path, l3: Callable, refused: Callable, tmp_path: Path) -> None:
+def test_pictures_of_every_frame(trained: Path, l3: L3, refused: Refused, tmp_path: Path) -> None:
     folder = tmp_path / "pictures"
     arguments = ("evaluate", trained / "table.h5", trained / "training.h5", "--quiet", "--json", "--pictures", folder)
     code, out, _ = l3(*arguments)
@@ -149,7 +124,7 @@ def test_pictures_of_every_frame(trained: Path, l3: Callable, refused: Callable,
     assert l3(*arguments, "--force")[0] == 0
 
 
-def test_bands_are_judged_as_spectra(trained: Path, l3: Callable, refused: Callable, tmp_path: Path) -> None:
+def test_bands_are_judged_as_spectra(trained: Path, l3: L3, refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "classes.toml").write_text(CLASSES)
     rewritten(trained / "training.h5", tmp_path / "bands.h5", ("450 nm", "550 nm", "650 nm"), lambda frame: frame)
     arguments = ("--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5", "--quiet")
@@ -167,7 +142,7 @@ def test_bands_are_judged_as_spectra(trained: Path, l3: Callable, refused: Calla
     assert "X, Y, Z" in refused(2, "evaluate", tmp_path / "table.h5", tmp_path / "bands.h5", *pictures)
 
 
-def test_black_areas_have_no_angle_and_no_class(trained: Path, l3: Callable, tmp_path: Path) -> None:
+def test_black_areas_have_no_angle_and_no_class(trained: Path, l3: L3, tmp_path: Path) -> None:
     def half_black(frame: TrainingFrame) -> TrainingFrame:
         return dataclasses.replace(frame, target=frame.target * (np.arange(frame.target.shape[2]) < 28))
 
@@ -197,7 +172,7 @@ size = [64, 72]
 
 
 @pytest.mark.parametrize("relit", [False, True])
-def test_bands_of_the_camera_have_baselines(relit: bool, bayer_recipe: Path, l3: Callable, tmp_path: Path) -> None:
+def test_bands_of_the_camera_have_baselines(relit: bool, bayer_recipe: Path, l3: L3, tmp_path: Path) -> None:
     light = 'target.illuminant = "FL2"\n' if relit else ""
     (tmp_path / "scenes.toml").write_text(light + BAND_SCENES)
     (tmp_path / "classes.toml").write_text(CLASSES)
@@ -219,7 +194,7 @@ def test_bands_of_the_camera_have_baselines(relit: bool, bayer_recipe: Path, l3:
     assert "bilinear" in out
 
 
-def test_wrong_calls_are_one_line(trained: Path, refused: Callable, l3: Callable, tmp_path: Path) -> None:
+def test_wrong_calls_are_one_line(trained: Path, refused: Refused, l3: L3, tmp_path: Path) -> None:
     table, frames = trained / "table.h5", trained / "training.h5"
     five = load(TransformTable, table)
     save(dataclasses.replace(five, cfa=five.cfa[::-1], camera=None), tmp_path / "other.h5")

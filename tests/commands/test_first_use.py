@@ -1,10 +1,6 @@
 """What a first-time user meets: l3 alone, recipes by name, recipes that explain themselves, pictures of any size."""
 
-import os
 import shutil
-import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +12,8 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import l3 as program
 from l3cli.io.pictures.registry import write_picture
+from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
-from tests.helpers.readme import PAGES, commands, sessions
 
 ASKED = {  # every place where a recipe is asked for: what goes before it ← what goes after, kind, parameter
     ("lab",): (("-o", "x"), "cameras", "camera"),
@@ -44,7 +40,7 @@ def parsed(place: tuple[str, ...], word: str) -> Path:
 # ---------------------------------------------------------------------------------------------------------- l3 alone
 
 
-def test_l3_alone_explains_itself_and_is_a_wrong_call(l3: Callable) -> None:
+def test_l3_alone_explains_itself_and_is_a_wrong_call(l3: L3) -> None:
     helped = l3("--help")
     assert helped[0] == 0
     assert len(helped[1].splitlines()) > 15
@@ -70,7 +66,7 @@ def test_a_recipe_is_opened_by_its_name(place: tuple[str, ...], tmp_path: Path, 
 
 @places
 def test_a_misspelt_name_brings_the_one_that_was_meant(
-    place: tuple[str, ...], refused: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    place: tuple[str, ...], refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     after, kind, _ = ASKED[place]
@@ -80,7 +76,7 @@ def test_a_misspelt_name_brings_the_one_that_was_meant(
     assert parsed(place, "mine/nothing.toml") == Path("mine/nothing.toml")  # whoever opens it says so
 
 
-def test_a_name_gives_the_bytes_of_its_file(l3: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_gives_the_bytes_of_its_file(l3: L3, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     calls = {"names": ("small", "bayer"), "files": (CONFIGS / "scenes/small.toml", CONFIGS / "cameras/bayer.toml")}
     for output, (scenes, camera) in calls.items():
@@ -89,28 +85,6 @@ def test_a_name_gives_the_bytes_of_its_file(l3: Callable, tmp_path: Path, monkey
     assert (tmp_path / "names").read_bytes() == (tmp_path / "files").read_bytes()
     with open_training_set(tmp_path / "names") as reader:
         assert (CONFIGS / "scenes/small.toml").read_text() in reader.head.history[-1].recipe
-
-
-def test_the_worked_example_finds_its_recipes_in_an_installed_wheel(tmp_path: Path) -> None:
-    package = tmp_path / "site/l3cli"
-    shutil.copytree(CONFIGS.parent / "l3cli", package, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(CONFIGS, package / "configs")
-    asked = [words for line, _ in sessions(PAGES["tutorial.md"])[0] for words in commands(line)]
-    code = (
-        "import click, pathlib\nfrom l3cli.cli import l3\n"
-        f"for name, *words in {asked!r}:\n"
-        "    given = l3.get_command(click.Context(l3), name).make_context(name, words).params\n"
-        "    print(*(v for v in given.values() if isinstance(v, pathlib.Path) and v.suffix == '.toml'), sep='\\n')\n"
-    )
-    environment = {**os.environ, "PYTHONPATH": str(package.parent)}
-    run = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=True
-    )
-    recipes = {Path(line) for line in run.stdout.split()} - {Path("lab/MEASUREMENTS.toml")}
-    assert recipes == {
-        package / "configs" / name
-        for name in ("cameras/fiveband.toml", "scenes/default.toml", "classes/default.toml", "scenes/demo_unseen.toml")
-    }
 
 
 def test_the_shell_is_offered_names_next_to_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,7 +126,7 @@ def pictures(tmp_path: Path) -> Path:
 
 
 def test_all_pictures_that_do_not_fit_are_named_before_any_work(
-    pictures: Path, bayer_recipe: Path, refused: Callable, monkeypatch: pytest.MonkeyPatch
+    pictures: Path, bayer_recipe: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from l3cli.stages.simulation import simulate as stage
 
@@ -174,7 +148,7 @@ def test_all_pictures_that_do_not_fit_are_named_before_any_work(
 
 
 def test_pictures_that_do_not_fit_are_left_out_if_asked(
-    pictures: Path, bayer_recipe: Path, l3: Callable, refused: Callable
+    pictures: Path, bayer_recipe: Path, l3: L3, refused: Refused
 ) -> None:
     folder = pictures.parent
     call = ("simulate", pictures, "--camera", bayer_recipe, "-o")

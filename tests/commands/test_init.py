@@ -1,7 +1,6 @@
 """l3 init: what it makes, and every camera recipe from its folder to a picture, small."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from l3cli.evaluation.quality import psnr
 from l3cli.io.images import read_image
 from l3cli.recipes.builtin import known_benchmarks, known_recipes
 from l3cli.stages.starting import CLASSES, COMMON
+from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import SMALL
 
@@ -31,12 +31,7 @@ def array(name: str) -> np.ndarray:
     return np.array(camera.channels)[camera.cfa]
 
 
-def shares(cfa: np.ndarray) -> dict[str, int]:
-    names, counts = np.unique(cfa, return_counts=True)
-    return dict(zip(names.tolist(), counts.tolist(), strict=True))
-
-
-def small_folder(name: str, folder: Path, l3: Callable) -> Path:
+def small_folder(name: str, folder: Path, l3: L3) -> Path:
     """The folder that l3 init makes, with small scenes and classes put in."""
     assert l3("init", name, folder)[0] == 0
     patch = "patch = 7" if name == "nona_bayer_hdr" else "patch = 5"  # which must reach every channel
@@ -48,7 +43,7 @@ def small_folder(name: str, folder: Path, l3: Callable) -> Path:
 # ------------------------------------------------------------------------------------------------------ l3 init
 
 
-def test_without_arguments_the_recipes_are_listed(l3: Callable) -> None:
+def test_without_arguments_the_recipes_are_listed(l3: L3) -> None:
     code, out, err = l3("init")
     assert code == 0
     assert [line.split()[0] for line in out.splitlines()] == [*NAMES, *known_benchmarks()]
@@ -57,11 +52,11 @@ def test_without_arguments_the_recipes_are_listed(l3: Callable) -> None:
 
 
 @pytest.mark.parametrize(("typo", "meant"), [("quadbayer", '"quad_bayer"'), ("X-Trans", '"xtrans"'), ("rgb-ir", '"rgbir"')])
-def test_a_typo_brings_the_recipe_that_was_meant(typo: str, meant: str, refused: Callable, tmp_path: Path) -> None:
+def test_a_typo_brings_the_recipe_that_was_meant(typo: str, meant: str, refused: Refused, tmp_path: Path) -> None:
     assert meant in refused(2, "init", typo, tmp_path / "demo").partition("or")[0]
 
 
-def test_wrong_calls(refused: Callable, tmp_path: Path, l3: Callable) -> None:
+def test_wrong_calls(refused: Refused, tmp_path: Path, l3: L3) -> None:
     assert "fiveband, from_curves, monno" in refused(2, "init", "zzz", tmp_path / "demo")
     assert '"l3 init bayer bayer"' in refused(2, "init", "bayer")
     (tmp_path / "full").mkdir()
@@ -72,7 +67,7 @@ def test_wrong_calls(refused: Callable, tmp_path: Path, l3: Callable) -> None:
     assert "is a file" in refused(1, "init", "bayer", tmp_path / "full/mine.toml")
 
 
-def test_a_folder_holds_the_recipes_as_they_are(tmp_path: Path, l3: Callable) -> None:
+def test_a_folder_holds_the_recipes_as_they_are(tmp_path: Path, l3: L3) -> None:
     code, out, err = l3("init", "xtrans", tmp_path / "demo")
     assert (code, out) == (0, "")
     assert f"make -C {tmp_path}/demo" in err
@@ -82,7 +77,7 @@ def test_a_folder_holds_the_recipes_as_they_are(tmp_path: Path, l3: Callable) ->
     assert (tmp_path / "demo/slurm.sh").stat().st_mode & 0o777 == 0o755
 
 
-def test_a_camera_of_curves_needs_no_lab_and_states_where_they_go(tmp_path: Path, l3: Callable) -> None:
+def test_a_camera_of_curves_needs_no_lab_and_states_where_they_go(tmp_path: Path, l3: L3) -> None:
     code, _, err = l3("init", "from_curves", tmp_path / "a camera")
     assert code == 0
     assert "next: put your curves into from_curves.csv" in err
@@ -90,7 +85,7 @@ def test_a_camera_of_curves_needs_no_lab_and_states_where_they_go(tmp_path: Path
     assert "CAMERA ?= camera.toml\n" in (tmp_path / "a camera/Makefile").read_text()
 
 
-def test_arrays_with_classes_of_their_own_get_them(tmp_path: Path, l3: Callable) -> None:
+def test_arrays_with_classes_of_their_own_get_them(tmp_path: Path, l3: L3) -> None:
     assert set(CLASSES) <= {path.stem for path in (CONFIGS / "cameras").glob("*.toml")}
     for camera in CLASSES:
         assert l3("init", camera, tmp_path / camera)[0] == 0
@@ -98,7 +93,7 @@ def test_arrays_with_classes_of_their_own_get_them(tmp_path: Path, l3: Callable)
         assert made == (CONFIGS / f"classes/{CLASSES[camera]}.toml").read_bytes()
 
 
-def test_a_phase_comes_with_its_base(tmp_path: Path, l3: Callable) -> None:
+def test_a_phase_comes_with_its_base(tmp_path: Path, l3: L3) -> None:
     code, _, err = l3("init", "bayer_bggr", tmp_path / "demo")
     assert code == 0
     assert "2×2,  3 channels  A Bayer array, BGGR" in err
@@ -122,46 +117,11 @@ def test_the_bayer_recipes_are_the_phases_of_one_array() -> None:
     np.testing.assert_array_equal(array("quad_bayer"), bayer.repeat(2, axis=0).repeat(2, axis=1))
 
 
-def test_xtrans_has_all_colours_in_every_row_and_column() -> None:
-    cfa = array("xtrans")
-    assert cfa.shape == (6, 6)
-    assert shares(cfa) == {"b": 8, "g": 20, "r": 8}
-    assert all(set(line) == {"r", "g", "b"} for line in (*cfa, *cfa.T))
-    green = cfa == "g"
-    blocks = green & np.roll(green, 1, axis=0) & np.roll(green, 1, axis=1) & np.roll(green, (1, 1), axis=(0, 1))
-    assert blocks.sum() == 4
-    np.testing.assert_array_equal(np.roll(cfa == "r", 3, axis=0), cfa == "b")
-
-
-@pytest.mark.parametrize("name", ["fiveband", "monno"])
-def test_five_bands_have_green_on_every_other_site_and_an_eighth_of_each_other_band(name: str) -> None:
-    cfa = array(name)
-    row, col = np.nonzero(cfa == "g")
-    assert len(row) == 8
-    assert len(set((row + col) % 2)) == 1
-    others = shares(cfa)
-    del others["g"]
-    assert sorted(others.values()) == [2, 2, 2, 2]
-    for band in others:
-        row, col = np.nonzero(cfa == band)
-        assert (abs(row[0] - row[1]), abs(col[0] - col[1])) == (2, 2)
-
-
-def test_arrays_with_other_than_red_green_blue() -> None:
-    assert shares(array("rgbw")) == {"b": 1, "g": 1, "r": 1, "w": 1}
-    assert shares(array("rgbir")) == {"b": 1, "g": 1, "ir": 1, "r": 1}
-    assert shares(array("cmy")) == {"c": 1, "m": 1, "y": 2}
-    cfa = array("rgbw4x4")
-    assert shares(cfa) == {"b": 2, "g": 4, "r": 2, "w": 8}
-    assert set(np.add(*np.nonzero(cfa == "w")) % 2) == {0}
-    assert len(shares(array("snapshot16"))) == array("snapshot16").size == 16
-
-
 # ----------------------------------------------------------------------------------------------- recipes at work
 
 
 @pytest.mark.parametrize("name", [name if name in KINDS else pytest.param(name, marks=pytest.mark.soak) for name in NAMES])
-def test_a_recipe_leads_to_a_better_picture_than_a_basic_pipeline(name: str, tmp_path: Path, l3: Callable) -> None:
+def test_a_recipe_leads_to_a_better_picture_than_a_basic_pipeline(name: str, tmp_path: Path, l3: L3) -> None:
     folder = small_folder(name, tmp_path / "demo", l3)
     camera = ("--camera", folder / "camera.toml", "--quiet")
     assert l3("simulate", folder / "scenes.toml", *camera, "-o", folder / "training.h5")[0] == 0
@@ -181,7 +141,7 @@ def test_a_recipe_leads_to_a_better_picture_than_a_basic_pipeline(name: str, tmp
 
 
 @pytest.mark.parametrize("name", ["rgbir", "snapshot16"])
-def test_all_bands_come_out_better_than_interpolated(name: str, tmp_path: Path, l3: Callable) -> None:
+def test_all_bands_come_out_better_than_interpolated(name: str, tmp_path: Path, l3: L3) -> None:
     folder = small_folder(name, tmp_path / "demo", l3)
     camera = ("--camera", folder / "camera.toml", "--quiet")
     assert 'outputs = "camera"' in (folder / "bands_scenes.toml").read_text()

@@ -15,7 +15,6 @@ from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as program
 from l3cli.recipes.schema import RESULTS
 from l3cli.stages.checking.kinds import OUTPUT, schema
-from l3cli.system.ledger import close_ledger, note_output, open_ledger, outputs_of
 from tests.helpers.calls import L3
 
 jsonschema = pytest.importorskip("jsonschema")
@@ -159,19 +158,6 @@ def test_what_changes_during_it_has_no_digest(
     assert run["inputs"]["artifact"][0] == {"path": str(table), "bytes": None, "sha256": None}
     assert "has changed" in err
     assert "has changed" in run["warnings"][0]
-
-
-def test_only_outputs_of_the_command_are_listed(tmp_path: Path) -> None:
-    ledger = open_ledger()
-    ledger.places[tmp_path / "out/####.png"] = None
-    for path in (tmp_path / "out/1.png", tmp_path / "cache/kernel", tmp_path / "out/gone.png"):
-        path.parent.mkdir(exist_ok=True)
-        path.write_text("")
-        note_output(path)
-    (tmp_path / "out/gone.png").unlink()
-    close_ledger()
-    note_output(tmp_path / "out/2.png")
-    assert outputs_of(ledger) == [tmp_path / "out/1.png"]
 
 
 def test_every_command_speaks_alike_and_help_is_no_json(l3: L3) -> None:

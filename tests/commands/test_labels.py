@@ -2,7 +2,6 @@
 
 import hashlib
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,6 +18,7 @@ from l3cli.io.images import read_image
 from l3cli.io.raw.files import read_raw
 from l3cli.io.tags import believable_shot
 from l3cli.system.files import sha256
+from tests.helpers.calls import L3
 from tests.helpers.cameras import BAYER
 from tests.helpers.dng_files import BYTE, RATIONAL, SHORT, Tags, write_dng
 from tests.helpers.tables import random_table
@@ -66,7 +66,7 @@ def test_raw_files_state_how_they_were_taken(desk: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif", "jpg", "exr"])
-def test_pictures_carry_it_on(l3: Callable, desk: Path, suffix: str) -> None:
+def test_pictures_carry_it_on(l3: L3, desk: Path, suffix: str) -> None:
     path = desk / f"a.{suffix}"
     assert l3("render", desk / "table.h5", desk / "frame.dng", "-o", path, "--backend", "reference")[0] == 0
     spec = words(path)
@@ -78,7 +78,7 @@ def test_pictures_carry_it_on(l3: Callable, desk: Path, suffix: str) -> None:
     assert spec.getattribute("ImageDescription") == made_from
 
 
-def test_jpeg_xl_holds_it_as_xmp(l3: Callable, desk: Path) -> None:
+def test_jpeg_xl_holds_it_as_xmp(l3: L3, desk: Path) -> None:
     path = desk / "a.jxl"
     assert l3("render", desk / "table.h5", desk / "frame.dng", "-o", path, "--backend", "reference")[0] == 0
     content, at, boxes = path.read_bytes(), 0, {}
@@ -94,7 +94,7 @@ def test_jpeg_xl_holds_it_as_xmp(l3: Callable, desk: Path) -> None:
     assert read_image(path)[0].shape == (24, 30, 3)
 
 
-def test_exif_is_read_by_others(l3: Callable, desk: Path) -> None:
+def test_exif_is_read_by_others(l3: L3, desk: Path) -> None:
     path = desk / "b.jpg"
     assert l3("render", desk / "table.h5", desk / "frame.dng", "-o", path, "--backend", "reference")[0] == 0
     exif = Image.open(path).getexif()
@@ -104,7 +104,7 @@ def test_exif_is_read_by_others(l3: Callable, desk: Path) -> None:
     assert 306 not in exif  # no clock
 
 
-def test_frames_of_a_stack_are_known_by_their_values(l3: Callable, desk: Path) -> None:
+def test_frames_of_a_stack_are_known_by_their_values(l3: L3, desk: Path) -> None:
     frames = np.random.default_rng(6).integers(60, 3000, (2, 24, 30)).astype(np.uint16)
     np.save(desk / "stack.npy", frames)
     assert l3("render", desk / "table.h5", desk / "stack.npy", "-o", desk / "out", "--backend", "reference")[0] == 0
@@ -113,7 +113,7 @@ def test_frames_of_a_stack_are_known_by_their_values(l3: Callable, desk: Path) -
         assert text.endswith(f"raw values SHA-256 {hashlib.sha256(frame.astype('<u2').tobytes()).hexdigest()}")
 
 
-def test_neither_name_nor_place_is_in_a_picture(l3: Callable, desk: Path, tmp_path: Path) -> None:
+def test_neither_name_nor_place_is_in_a_picture(l3: L3, desk: Path, tmp_path: Path) -> None:
     shutil.copy(desk / "table.h5", tmp_path / "other.h5")
     shutil.copy(desk / "frame.dng", tmp_path / "renamed.dng")
     options = ("--backend", "reference")

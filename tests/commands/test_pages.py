@@ -223,7 +223,7 @@ def desk(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("bits", [8, 16, 32])
-def test_pages_are_the_pictures_of_a_folder(l3: Callable, desk: Path, bits: int) -> None:
+def test_pages_are_the_pictures_of_a_folder(l3: L3, desk: Path, bits: int) -> None:
     for source in (("stack.npy",), tuple(f"f_{number}.npy" for number in range(PAGES))):
         inputs = [desk / name for name in source]
         for output in ("a.tif", "out"):
@@ -241,7 +241,7 @@ def test_pages_are_the_pictures_of_a_folder(l3: Callable, desk: Path, bits: int)
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_an_orientation_that_tiff_does_not_know_is_refused(refused: Callable, desk: Path, count: int) -> None:
+def test_an_orientation_that_tiff_does_not_know_is_refused(refused: Refused, desk: Path, count: int) -> None:
     with tifffile.TiffWriter(desk / "a.tif") as file:
         for number in range(count):
             file.write(np.load(desk / "stack.npy")[number], extratags=[(274, 3, 1, 9 - 3 * (number < count - 1), True)])
@@ -249,7 +249,7 @@ def test_an_orientation_that_tiff_does_not_know_is_refused(refused: Callable, de
     assert "a.tif: its orientation is 9, TIFF knows 1…8; mend the tag Orientation" in words
 
 
-def test_pages_state_what_they_are(l3: Callable, desk: Path) -> None:
+def test_pages_state_what_they_are(l3: L3, desk: Path) -> None:
     call = ("render", desk / "table.h5", desk / "stack.npy", "--space", "rec2020", "--backend", "reference")
     for name in ("a.tif", "b.tif"):
         assert l3(*call, "-o", desk / name)[0] == 0
@@ -260,7 +260,7 @@ def test_pages_state_what_they_are(l3: Callable, desk: Path) -> None:
             assert profile.profile_description == "Rec. 2020"
 
 
-def test_pages_are_of_one_size_and_there_or_not(l3: Callable, refused: Callable, desk: Path) -> None:
+def test_pages_are_of_one_size_and_there_or_not(l3: L3, refused: Refused, desk: Path) -> None:
     np.save(desk / "f_1.npy", np.zeros((20, 30), np.uint16))
     inputs = [desk / f"f_{number}.npy" for number in range(PAGES)]
     err = refused(3, "render", desk / "table.h5", *inputs, "-o", desk / "a.tif", "--backend", "reference")
@@ -271,7 +271,7 @@ def test_pages_are_of_one_size_and_there_or_not(l3: Callable, refused: Callable,
     assert "a .tif" in refused(2, "render", desk / "table.h5", desk / "stack.npy", "-o", desk / "c.png")
 
 
-def test_a_full_disk_is_named(l3: Callable, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_named(l3: L3, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """numpy's error says how much of an array has been written, and no more."""
 
     def write(*_: object, **__: object) -> None:

@@ -3,13 +3,11 @@
 Every block of a page starts in a folder of its own. A command that cannot be run here says why (NOT_HERE).
 """
 
-import html
 import os
 import re
 import shutil
 import subprocess
 import tomllib
-from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 
@@ -29,13 +27,12 @@ from l3cli.recipes import builtin
 from l3cli.recipes.toml import Recipe, load_recipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.simulation.sensor import expose
-from tests.helpers.browser import Browser
 from tests.helpers.calls import L3
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.dng_files import write_dng
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.photos import chart_mosaic
-from tests.helpers.readme import PAGES, README, blocks, commands, shown
+from tests.helpers.readme import PAGES, README, blocks, commands
 from tests.helpers.recipes import FEW_CLASSES, SMALL
 from tests.helpers.sequences import write_raw_video
 
@@ -125,7 +122,7 @@ def raw_files(folder: Path, mosaic: np.ndarray, chart: np.ndarray) -> None:
 
 @pytest.mark.parametrize(("block", "name"), SHELL.items(), ids=lambda value: value.split("\n")[0][:40])
 def test_the_commands_of_a_block_run(
-    name: str, block: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, l3: Callable
+    name: str, block: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, l3: L3
 ) -> None:
     monkeypatch.setattr(builtin, "recipe_folder", lambda: desk / "configs")
     shutil.copytree(desk, tmp_path, copy_function=os.link, dirs_exist_ok=True)
@@ -186,27 +183,7 @@ def test_the_keys_of_a_page_are_keys(name: str, block: str, tmp_path: Path) -> N
     load_recipe(tmp_path / "a.toml", kind)
 
 
-def test_lines_of_code_are_whole_on_a_telephone(tab: Browser, tmp_path: Path) -> None:
-    style = (ROOT / "docs/site/static/style.css").read_text()
-    longest = max((block for _, block in BLOCKS), key=lambda block: max(map(len, block.splitlines())))
-    page = f"<meta charset=utf-8><style>pre {{ overflow: auto }}\n{style}</style><article><pre>{html.escape(longest)}</pre>"
-    (tmp_path / "page.html").write_text(page)
-    tab.open(tmp_path / "page.html", width=390)
-    assert tab.run("(e => e.scrollWidth <= e.clientWidth)(document.querySelector('pre'))")
-
-
-def test_no_block_is_left_out() -> None:
-    """Every line of a block with `l3` is run above, is a session, or says why it is not."""
-    run = {line for block in SHELL for line in block.splitlines()}
-    for name, text in PROSE.items():
-        for line in shown(text):
-            if re.match(r"(.*\| )?l3 ", line):
-                assert line in run or any(word in line for word in NOT_RUN), f"{name}: {line}"
-    assert (len(PYTHON), len(TABLES)) >= (2, 3)
-    assert all(any(word in line for _, block in BLOCKS for line in block.splitlines()) for word in NOT_RUN)
-
-
-def test_the_session_of_check_prints_what_is_shown(l3: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_session_of_check_prints_what_is_shown(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     (session,) = [block for name, block in BLOCKS if name == "commands.md" and "$ l3 check" in block]
     printed = [" ".join(line.split()) for line in l3("check", "from_curves")[1].replace(f"{ROOT}/", "").splitlines()]
@@ -214,7 +191,7 @@ def test_the_session_of_check_prints_what_is_shown(l3: Callable, monkeypatch: py
         assert line.strip() == "…" or " ".join(line.split()) in printed, line
 
 
-def test_the_session_of_verify_prints_what_is_shown(desk: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_session_of_verify_prints_what_is_shown(desk: Path, l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(desk)
     (session,) = [block for name, block in BLOCKS if name == "artifacts.md" and "$ l3 info" in block]
     given = [

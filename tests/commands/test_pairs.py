@@ -1,7 +1,6 @@
 """Real pairs: a raw file and its picture enter a training set, and training takes them at their CFA phase only."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from l3cli.simulation.pairs import make_pair
 from l3cli.simulation.recipe import Pair
 from l3cli.training.patches import expose_patches, noise_share, sample_pair
 from l3cli.training.symmetry import site_maps
+from tests.helpers.calls import L3, Refused
 
 PAIR = Pair(raw="a.tif", picture="a.png", scale=0.5)
 
@@ -105,7 +105,7 @@ def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> N
 
 
 @pytest.fixture
-def pair_recipe(l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path) -> str:
+def pair_recipe(l3: L3, bayer_recipe: Path, tmp_path: Path) -> str:
     """The [[pair]] tables of simulated frames that were written as raw files and pictures."""
     (tmp_path / "leaves.toml").write_text(
         'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [160, 200]\ncount = 4\nseed = 3\n'
@@ -119,9 +119,7 @@ def pair_recipe(l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp
     )
 
 
-def test_pairs_and_frames_train_one_table(
-    l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path, pair_recipe: str
-) -> None:
+def test_pairs_and_frames_train_one_table(l3: L3, bayer_recipe: Path, tmp_path: Path, pair_recipe: str) -> None:
     import json
 
     (tmp_path / "both.toml").write_text(
@@ -153,9 +151,7 @@ def test_pairs_and_frames_train_one_table(
     assert max(error.values()) < 8
 
 
-def test_a_picture_is_turned_upright_by_its_tag(
-    l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path, pair_recipe: str
-) -> None:
+def test_a_picture_is_turned_upright_by_its_tag(l3: L3, bayer_recipe: Path, tmp_path: Path, pair_recipe: str) -> None:
     first = pair_recipe.split("[[pair]]")[1]
     ideal = min((tmp_path / "p").glob("*_ideal.png"))
     pixels, _ = read_image(ideal)
@@ -170,8 +166,8 @@ def test_a_picture_is_turned_upright_by_its_tag(
 
 
 def test_a_wrong_pair_is_one_line(
-    l3: Callable[..., tuple[int, str, str]],
-    refused: Callable[..., str],
+    l3: L3,
+    refused: Refused,
     bayer_recipe: Path,
     tmp_path: Path,
     pair_recipe: str,

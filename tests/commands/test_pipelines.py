@@ -8,7 +8,7 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from l3cli.cli import run
 from l3cli.io.images import read_image
 from l3cli.io.pictures.registry import write_picture
 from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder
+from tests.helpers.calls import L3
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.hostile_names import Pipelines
 from tests.helpers.paths import CONFIGS, ROOT
@@ -271,7 +272,7 @@ def test_make_clean_leaves_the_recipes_and_what_is_the_users(workplace: Workplac
     assert not left & {*MADE, "virtual_lab", "unseen", ".asked"}
 
 
-def test_a_benchmark_learns_from_pictures_and_judges_on_others(workplace: Workplace, tmp_path: Path, l3: Callable) -> None:
+def test_a_benchmark_learns_from_pictures_and_judges_on_others(workplace: Workplace, tmp_path: Path, l3: L3) -> None:
     folder = tmp_path / "benchmark"
     code, _, err = l3("init", "benchmark-bayer", folder)
     assert code == 0

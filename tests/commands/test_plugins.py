@@ -4,7 +4,7 @@ import json
 import shutil
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from l3cli.io.images import read_image
 from l3cli.io.pictures.registry import write_picture
 from l3cli.physics.display import daylight, srgb_codes, srgb_from_xyz_matrix
 from l3cli.simulation import sensor
+from tests.helpers.calls import L3, Refused
 from tests.helpers.readme import PAGES, blocks
 
 BLOCKS = blocks(PAGES["python.md"])
@@ -42,14 +43,14 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     sensor.noise_plugin.cache_clear()
 
 
-def test_the_baseline_of_the_page_is_compared(installed: Path, pipeline: Path, l3: Callable) -> None:
+def test_the_baseline_of_the_page_is_compared(installed: Path, pipeline: Path, l3: L3) -> None:
     code, out, _ = l3("evaluate", pipeline / "table.h5", pipeline / "unseen.h5", "--json")
     assert code == 0
     mean = json.loads(out)["mean"]
     assert mean["basic"]["psnr"] - 3 < mean["boxes"]["psnr"] < mean["malvar"]["psnr"]
 
 
-def test_the_noise_model_of_the_page_is_simulated(installed: Path, pipeline: Path, l3: Callable, tmp_path: Path) -> None:
+def test_the_noise_model_of_the_page_is_simulated(installed: Path, pipeline: Path, l3: L3, tmp_path: Path) -> None:
     text, raws = (pipeline / "unseen.toml").read_text(), {}
     for name, recipe in {"own": text, "other": f"{text}\n{RECIPE}\n", "again": f"{text}\n{RECIPE}\n"}.items():
         (tmp_path / f"{name}.toml").write_text(recipe)
@@ -81,7 +82,7 @@ def test_the_noise_model_of_the_page_is_simulated(installed: Path, pipeline: Pat
     ],
 )
 def test_a_function_that_fails_is_named(
-    old: str, new: str, words: str, installed: Path, pipeline: Path, refused: Callable, tmp_path: Path
+    old: str, new: str, words: str, installed: Path, pipeline: Path, refused: Refused, tmp_path: Path
 ) -> None:
     (installed / "my_l3.py").write_text(PYTHON.replace(old, new))
     sys.dont_write_bytecode, before = True, sys.dont_write_bytecode
@@ -98,7 +99,7 @@ def test_a_function_that_fails_is_named(
 
 
 def test_names_that_are_taken_or_unknown_are_refused(
-    installed: Path, pipeline: Path, refused: Callable, tmp_path: Path
+    installed: Path, pipeline: Path, refused: Refused, tmp_path: Path
 ) -> None:
     entries = installed / "my_l3-1.0.dist-info/entry_points.txt"
     text = entries.read_text()
@@ -117,7 +118,7 @@ def test_names_that_are_taken_or_unknown_are_refused(
     assert "leave it or noise_model out" in refused(2, "simulate", recipe, *arguments)
 
 
-def test_pictures_of_a_rival_are_judged_like_ours(pipeline: Path, l3: Callable, tmp_path: Path) -> None:
+def test_pictures_of_a_rival_are_judged_like_ours(pipeline: Path, l3: L3, tmp_path: Path) -> None:
     """The target has no error, however bright it is shown; ideal pictures of 8 bits, cut at white, have a small one."""
     half, ideal, table = tmp_path / "half", pipeline / "unseen", pipeline / "table.h5"
     with open_training_set(pipeline / "unseen.h5") as reader:
@@ -141,7 +142,7 @@ def test_pictures_of_a_rival_are_judged_like_ours(pipeline: Path, l3: Callable, 
     assert l3_api.evaluate(table, pipeline / "unseen.h5", rivals=[half])["mean"]["half"] == document["mean"]["half"]
 
 
-def test_pictures_that_are_not_of_the_frames_are_refused(pipeline: Path, refused: Callable, tmp_path: Path) -> None:
+def test_pictures_that_are_not_of_the_frames_are_refused(pipeline: Path, refused: Refused, tmp_path: Path) -> None:
     mine, files = tmp_path / "mine", ("evaluate", pipeline / "table.h5", pipeline / "unseen.h5", "--rival")
     shutil.copytree(pipeline / "unseen", mine)
     assert "two rivals have one name" in refused(2, *files, mine, "--rival", mine)

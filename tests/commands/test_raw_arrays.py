@@ -184,12 +184,6 @@ def test_saturation_survives_levelling() -> None:
     assert with_one_black_level(values, np.array([[64.5]]), np.array(900.0))[1:] == (64.5, 900.0)
 
 
-def test_linearisation_table_is_applied(tmp_path: Path, mosaic: np.ndarray) -> None:
-    curve = (np.arange(4096) ** 2 // 256).tolist()
-    path = write_dng(tmp_path / "a.dng", mosaic, PATTERN, 12, tags={50712: (SHORT, curve), 50717: (LONG, [65000])})
-    np.testing.assert_array_equal(read_bayer(path).values, np.array(curve)[mosaic])
-
-
 @pytest.mark.parametrize(
     ("tags", "word"),
     [

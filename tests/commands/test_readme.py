@@ -3,7 +3,6 @@
 import glob
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -19,8 +18,9 @@ from l3cli.recipes.toml import TELLING, Recipe
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.training.recipe import TrainingRecipe
+from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
-from tests.helpers.readme import ALL, PAGES, README, commands, sessions
+from tests.helpers.readme import ALL, PAGES, commands, sessions
 from tests.helpers.readme import shown as code_of
 
 ROOT = CONFIGS.parent
@@ -46,24 +46,6 @@ def test_every_command_shown_is_complete(line: str, tmp_path: Path, monkeypatch:
     assert calls, line
     for name, *arguments in calls:
         command(name).make_context(name, arguments)  # a click.UsageError says what is wrong or missing
-
-
-def test_every_command_is_shown() -> None:
-    assert {name for line in LINES for name, *_ in commands(line)} >= {*COMMANDS} - {"compare", "bench"}
-
-
-@pytest.mark.parametrize("page", [README, PAGES["commands.md"]], ids=["README", "commands"])
-def test_the_table_of_commands_has_all_of_them_in_order(page: str) -> None:
-    listed = re.findall(r"^\| `l3 ([a-z]+)[ `]", page, re.MULTILINE)
-    assert listed == list(COMMANDS)
-    for first, *cells in (row.split("|")[1:] for row in page.splitlines() if row.startswith("| `l3 ")):
-        _require_options(first, " ".join(cells))
-
-
-def _require_options(call: str, cells: str) -> None:
-    name = re.findall(r"l3 ([a-z]+)", call)[0]
-    for option in re.findall(r"--[a-z][a-z-]+", call + cells):
-        assert option in options_of(name), f"l3 {name} has no {option}"
 
 
 def options_of(name: str) -> set[str]:
@@ -111,7 +93,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_worked_example_prints_what_is_shown(small: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_worked_example_prints_what_is_shown(small: Path, l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(small)
     monkeypatch.setattr(builtin, "recipe_folder", lambda: small / "configs")
     session, *_ = sessions(PAGES["tutorial.md"])
@@ -132,51 +114,6 @@ def test_the_worked_example_prints_what_is_shown(small: Path, l3: Callable, monk
 
 
 # ------------------------------------------------------------------------------------------------- files and links
-
-
-def anchors(page: str) -> set[str]:
-    """The anchor that GitHub gives each heading of a page."""
-    headings = re.findall(r"^#+ (.+)$", re.sub(r"^```.*?^```$", "", page, flags=re.MULTILINE | re.DOTALL), re.MULTILINE)
-    return {re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
-
-
-def cited_page(citing: Path, name: str) -> Path:
-    """The page that is meant: pages link relative to themselves, all else cites from the top."""
-    if (ROOT / "docs/site") in citing.parents:  # what makes pages of docs/reference
-        return ROOT / "docs" / Path(name).name
-    return (citing.parent / name).resolve() if citing.suffix == ".md" and (citing.parent / name).exists() else ROOT / name
-
-
-def test_links_and_citations_lead_somewhere() -> None:
-    front = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")]
-    known = {page: anchors(page.read_text()) for page in (*front, *(ROOT / "docs").glob("*.md"))}
-    code = [path for name in ("l3cli", "opencl", "configs", "docs") for path in (ROOT / name).rglob("*")]
-    for path in (*known, *(path for path in code if path.suffix in (".py", ".cl", ".c", ".toml", ".sh"))):
-        text = path.read_text(encoding="utf-8")
-        for page, anchor in re.findall(r"(?<![\w/.:-])((?:docs/|\.\./)?[\w-]+\.md)#([\w-]*)", text):
-            assert anchor in known.get(cited_page(path, page), set()), f"{path}: {page}#{anchor}"
-        for link, anchor in re.findall(r"\]\(([^)#\s]*)(#[^)]*)?\)", text) if path in known else ():
-            assert "://" in link or (path.parent / link).exists(), f"{path}: {link}"
-            assert link or anchor[1:] in known[path], f"{path}: {anchor}"
-
-
-def test_the_headline_figures_of_readme_are_those_of_the_benchmarks() -> None:
-    table = README.partition("## Figures")[2].partition("\n## ")[0]
-    rows = [row.split("|")[2:4] for row in table.splitlines() if row[:1] == "|"][2:]
-    assert rows
-    for ours, rival in rows:
-        for figure in re.findall(r"\d+(?:\.\d+)?", re.sub(r"\(\d{4}\)", "", ours + rival)):
-            assert re.search(rf"(?<![\d.]){re.escape(figure)}(?![\d.]*\d)", PAGES["benchmarks.md"]), figure
-
-
-def test_files_and_make_targets_named_exist() -> None:
-    named = set(re.findall(r"(?<![\w/.])((?:configs|tests|opencl|l3cli|\.ci)/[\w./-]*\w)", ALL))
-    assert named
-    assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
-    makefiles = (ROOT / "Makefile").read_text() + (CONFIGS / "pipelines/Makefile").read_text()
-    targets = set(re.findall(r"^([a-z-]+):", makefiles, re.MULTILINE))
-    asked = set(re.findall(r"`make ([a-z]+)`", ALL)) | set(re.findall(r"^    make ([a-z]+)", ALL, re.MULTILINE))
-    assert {"demo", "test", "bench"} <= asked <= targets
 
 
 # -------------------------------------------------------------------------------------------------------- recipes

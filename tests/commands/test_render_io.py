@@ -338,11 +338,6 @@ def test_real_headerless_raw(l3: L3, l3_data: Path, tmp_path: Path, table: Path)
     assert read_image(tmp_path / "a.jpg")[0].shape == (1080, 1920, 3)
 
 
-def test_linear_dng_is_refused(refused: Refused, l3_data: Path, tmp_path: Path, table: Path) -> None:
-    line = refused(3, "render", table, l3_data / "raw" / "canon_eos_6d.dng", "-o", tmp_path / "a.png")
-    assert "demosaicked" in line
-
-
 def test_device_and_variant_are_chosen_for_one_run(l3: L3, refused: Refused, tmp_path: Path, table: Path, raw: Path) -> None:
     for variant in ("processor", "graphics"):
         output = tmp_path / f"{variant}.png"

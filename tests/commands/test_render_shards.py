@@ -1,6 +1,5 @@
 """l3 render --shard: parts of a sequence, each by itself, are the pictures of one run."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.temporal import chunks
 from l3cli.stages.rendering import shards
-from tests.helpers.calls import Refused
+from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import FAST
 from tests.helpers.still_scene import COUNT, mosaics
 
@@ -20,7 +19,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("exposure", ["auto", "0.8"])
 def test_shards_are_the_pictures_of_one_run(
-    l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path, monkeypatch: pytest.MonkeyPatch, exposure: str
+    l3: L3, tmp_path: Path, still_table: Path, still_frames: Path, monkeypatch: pytest.MonkeyPatch, exposure: str
 ) -> None:
     """Filtered in time, into one folder; each shard filters its frames and those that they depend on, and no others."""
     monkeypatch.setattr(chunks, "CHUNK", 4)
@@ -42,7 +41,7 @@ def test_shards_are_the_pictures_of_one_run(
     assert files(tmp_path / "out") == files(tmp_path / "whole")
 
 
-def test_a_shard_goes_on_where_it_was_stopped(l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path) -> None:
+def test_a_shard_goes_on_where_it_was_stopped(l3: L3, tmp_path: Path, still_table: Path, still_frames: Path) -> None:
     call = ("render", still_table, still_frames, "-o", tmp_path / "out", "--temporal", *FAST)
     content = (still_frames / "frame_7.tif").read_bytes()
     (still_frames / "frame_7.tif").write_bytes(b"")
@@ -57,9 +56,7 @@ def test_a_shard_goes_on_where_it_was_stopped(l3: Callable, tmp_path: Path, stil
     assert files(tmp_path / "out") == files(tmp_path / "whole")
 
 
-def test_broken_frames_of_other_shards_are_theirs(
-    l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path
-) -> None:
+def test_broken_frames_of_other_shards_are_theirs(l3: L3, tmp_path: Path, still_table: Path, still_frames: Path) -> None:
     (still_frames / "frame_2.tif").write_bytes(b"")
     call = ("render", still_table, still_frames, "-o", tmp_path / "out", "--temporal", "--skip-bad", *FAST, "--shard")
     code, _, err = l3(*call, "2/2")
@@ -69,7 +66,7 @@ def test_broken_frames_of_other_shards_are_theirs(
     assert len(files(tmp_path / "out")) == COUNT - 1
 
 
-def test_streams_of_a_known_length_and_videos_are_divided(l3: Callable, tmp_path: Path, still_table: Path) -> None:
+def test_streams_of_a_known_length_and_videos_are_divided(l3: L3, tmp_path: Path, still_table: Path) -> None:
     np.save(tmp_path / "stack.npy", mosaics())
     call = ("render", still_table, tmp_path / "stack.npy", "--exposure", "0.8", *FAST)
     for name, options in (("whole", ()), ("one", ("--shard", "1/2")), ("two", ("--shard", "2/2"))):
@@ -80,9 +77,7 @@ def test_streams_of_a_known_length_and_videos_are_divided(l3: Callable, tmp_path
     assert whole[:head] == two[:head]
 
 
-def test_wrong_shards_are_one_line(
-    l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path, refused: Refused
-) -> None:
+def test_wrong_shards_are_one_line(l3: L3, tmp_path: Path, still_table: Path, still_frames: Path, refused: Refused) -> None:
     call = ("render", still_table, still_frames, "-o", tmp_path / "out", *FAST)
     assert "9 frames, too few for 10 shards" in refused(2, *call, "--shard", "1/10")
     assert "shards count from 1/2 to 2/2" in refused(2, *call, "--shard", "3/2")

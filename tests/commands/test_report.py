@@ -1,7 +1,6 @@
 """`l3 report`: which artifacts it takes, what it says of each, and what it refuses."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.training_set import open_training_set, write_training_set
 from l3cli.physics import spectra
 from tests.helpers.browser import Browser
-from tests.helpers.calls import L3
+from tests.helpers.calls import L3, Refused
 
 
 @pytest.mark.parametrize(
@@ -33,7 +32,7 @@ from tests.helpers.calls import L3
     ],
 )
 def test_a_report_shows_what_it_is_given(
-    names: list[str], sections: list[str], lead: str, pipeline: Path, tmp_path: Path, l3: Callable
+    names: list[str], sections: list[str], lead: str, pipeline: Path, tmp_path: Path, l3: L3
 ) -> None:
     out = tmp_path / "report.html"
     assert l3("report", *(pipeline / f"{name}.h5" for name in names), "-o", out)[0] == 0
@@ -42,7 +41,7 @@ def test_a_report_shows_what_it_is_given(
     assert lead in text
 
 
-def test_a_described_camera_and_odd_outputs_are_shown(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_a_described_camera_and_odd_outputs_are_shown(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     save(bayer, tmp_path / "camera.h5")
     bands = 'exposure_share = [0.5]\n[target]\noutputs = "camera"\n[[scene]]\nsource = "dead leaves"\nsize = [96, 96]\n'
     (tmp_path / "bands.toml").write_text(bands)
@@ -54,7 +53,7 @@ def test_a_described_camera_and_odd_outputs_are_shown(bayer: CameraModel, tmp_pa
     assert "there are no pictures to show" in text
 
 
-def test_a_table_of_bands_is_judged_by_angles(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
+def test_a_table_of_bands_is_judged_by_angles(pipeline: Path, tmp_path: Path, l3: L3) -> None:
     scenes = '[target]\noutputs = "camera"\n[[scene]]\nsource = "dead leaves"\nsize = [96, 96]\ncount = 2\nseed = {}\n'
     for name in ("training", "unseen"):
         (tmp_path / "scenes.toml").write_text("exposure_share = [0.5]\n" + scenes.format(len(name)))
@@ -66,7 +65,7 @@ def test_a_table_of_bands_is_judged_by_angles(pipeline: Path, tmp_path: Path, l3
     assert "Mean spectral angle (°) over 2 frames: ours " in (tmp_path / "report.html").read_text()
 
 
-def test_a_camera_that_was_accepted_although_it_falls_short_states_it(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
+def test_a_camera_that_was_accepted_although_it_falls_short_states_it(pipeline: Path, tmp_path: Path, l3: L3) -> None:
     camera = load(CameraModel, pipeline / "camera.h5")
     assert camera.fit is not None
     assert camera.fit.chart is not None
@@ -89,7 +88,7 @@ def test_a_camera_that_was_accepted_although_it_falls_short_states_it(pipeline: 
 # ------------------------------------------------------------------------------------------------------- refusals
 
 
-def test_what_is_no_report_is_refused(pipeline: Path, tmp_path: Path, refused: Callable, l3: Callable) -> None:
+def test_what_is_no_report_is_refused(pipeline: Path, tmp_path: Path, refused: Refused, l3: L3) -> None:
     out, camera = tmp_path / "report.html", pipeline / "camera.h5"
     assert "ARTIFACT.h5" in refused(2, "report", "-o", out)
     assert "ends in .html" in refused(2, "report", camera, "-o", tmp_path / "report.pdf")
@@ -105,7 +104,7 @@ def test_what_is_no_report_is_refused(pipeline: Path, tmp_path: Path, refused: C
     assert l3("report", camera, "-o", out, "--force")[0] == 0
 
 
-def test_a_table_and_frames_of_different_outputs_are_refused(pipeline: Path, tmp_path: Path, refused: Callable) -> None:
+def test_a_table_and_frames_of_different_outputs_are_refused(pipeline: Path, tmp_path: Path, refused: Refused) -> None:
     with open_training_set(pipeline / "unseen.h5") as reader:
         head, frame = replace(reader.head, outputs=("a", "b", "c")), reader.frame(0)
     with write_training_set(tmp_path / "bands.h5", head) as writer:
@@ -177,16 +176,6 @@ def test_a_page_states_what_to_rely_on(bayer: CameraModel, tmp_path: Path, l3: L
     bands = re.findall(r"\b([rgb])\s+(\d\.\d+|\d)\s+(0\.\d)\b", plain[plain.index("Half widths") :])
     assert [(name, colours) for name, _, colours in bands] == [("r", "0.4"), ("g", "0.5"), ("b", "0.6")]
     assert "Figures of each channel" not in plain
-
-
-def test_several_photos_and_a_guessed_light(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
-    text = page(photographed(bayer, ("one.dng", "two.dng"), guessed=True, deficit=0.0), tmp_path, l3)
-    assert "Estimated from 2 photos of a chart" in text
-    assert text.count("its light was guessed") == 2
-    assert "A (guessed)" in text
-    assert text.count("<h4>Patches of ") == 2
-    again = page(photographed(bayer, ("one.dng", "two.dng"), guessed=True, deficit=0.0), tmp_path, l3)
-    assert again == text
 
 
 def test_it_is_painted_without_complaint(bayer: CameraModel, tmp_path: Path, l3: L3, tab: Browser) -> None:

@@ -3,7 +3,6 @@
 import itertools
 import os
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,6 +18,7 @@ from l3cli.artifacts.training_set import open_training_set, write_training_set
 from l3cli.cli import run
 from l3cli.system.text import tidy
 from tests.helpers.browser import Browser, painted
+from tests.helpers.calls import L3
 from tests.helpers.pages import Tags, csv_rows
 from tests.helpers.recipes import CLASSES
 
@@ -107,39 +107,6 @@ def test_drawings_and_pictures_state_what_they_find(page: Path) -> None:
     assert {control["id"] for control in tags.all("input", "select")} == named
 
 
-def test_labels_lie_on_nothing_that_is_drawn(page: Path) -> None:
-    """Boxes of the labels inside plots against every stroke of the same plot and against each other."""
-    count = 0
-    for inner in re.findall(r'<svg x="\d[^>]*>(.*?)</svg>', page.read_text(), re.DOTALL):
-        strokes = [line for path in re.findall(r'<path d="([^"]+)"', inner) for line in polylines(path)]
-        labels = re.findall(r'<text class="mark" x="([\d.]+)" y="([\d.]+)" text-anchor="(\w+)">([^<]*)', inner)
-        boxes = [box_of(float(x), float(y), anchor, text) for x, y, anchor, text in labels]
-        assert not any(crossed(line, box) for line in strokes for box in boxes), labels
-        for one, other in itertools.combinations(boxes, 2):
-            assert one[2] <= other[0] or other[2] <= one[0] or one[3] <= other[1] or other[3] <= one[1], labels
-        count += len(boxes)
-    assert count > 10
-
-
-def polylines(path: str) -> list[np.ndarray]:
-    """The lines (point, 2) of a path; of its dots and boxes where they begin."""
-    return [np.array([point.split(",") for point in line.split("L")], float) for line in re.findall(r"M([-\d.,L]+)", path)]
-
-
-def box_of(x: float, y: float, anchor: str, text: str) -> tuple[float, float, float, float]:
-    """About what 12 px letters cover."""
-    width = 6.8 * len(text)
-    left = x - {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor] * width
-    return left, y - 9, left + width, y + 2
-
-
-def crossed(line: np.ndarray, box: tuple[float, float, float, float]) -> bool:
-    """Whether a line (point, 2) enters a box."""
-    shares = np.linspace(0, 1, 400)[:, None]
-    x, y = np.concatenate([line, *(one + shares * (other - one) for one, other in itertools.pairwise(line))]).T
-    return bool(((x > box[0]) & (x < box[2]) & (y > box[1]) & (y < box[3])).any())
-
-
 def test_every_plot_can_be_taken_from_the_page(page: Path, stages: Path) -> None:
     tags = Tags(page)
     links = [link for link in tags.all("a") if "download" in link]
@@ -156,7 +123,7 @@ def test_every_plot_can_be_taken_from_the_page(page: Path, stages: Path) -> None
     assert np.allclose([float(row[2]) for row in rows[1:]], camera.responsivity.ravel(), rtol=1e-8)
 
 
-def test_figures_are_those_of_the_artifacts(page: Path, stages: Path, l3: Callable) -> None:
+def test_figures_are_those_of_the_artifacts(page: Path, stages: Path, l3: L3) -> None:
     text = Tags(page).text
     camera = load(CameraModel, stages / "camera.h5")
     assert f"{tidy(camera.gain, 5)} DN/e⁻" in text
@@ -170,7 +137,7 @@ def test_figures_are_those_of_the_artifacts(page: Path, stages: Path, l3: Callab
     assert CLASSES.strip() in text
 
 
-def test_the_same_artifacts_give_the_same_bytes(page: Path, stages: Path, tmp_path: Path, l3: Callable) -> None:
+def test_the_same_artifacts_give_the_same_bytes(page: Path, stages: Path, tmp_path: Path, l3: L3) -> None:
     code, out, err = l3("report", *artifacts(stages), "-o", tmp_path / "deep/again.html")
     assert (code, out) == (0, "")
     assert "again.html: " in err

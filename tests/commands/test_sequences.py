@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -28,7 +27,7 @@ from tests.helpers.tables import random_table, with_first
 
 
 @pytest.fixture
-def truth(l3: Callable, tmp_path: Path, table: Path, folder: Path) -> list[np.ndarray]:
+def truth(l3: L3, tmp_path: Path, table: Path, folder: Path) -> list[np.ndarray]:
     """Each frame rendered alone, at one exposure."""
     rendered = []
     for path in sorted(folder.iterdir()):

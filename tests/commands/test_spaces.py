@@ -1,7 +1,6 @@
 """Pictures say what they are: colour spaces, checked against colour-science; profiles, read by Little CMS."""
 
 import io
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from l3cli.physics.spaces import D65, SPACES, SRGB, adaptation_matrix, chromatic
 from l3cli.physics.spectra import colour_science
 from l3cli.rendering.display import encode, make_display
 from l3cli.rendering.reference import ReferenceRenderer
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table
 
@@ -113,7 +113,7 @@ def test_whoever_follows_the_profile_sees_the_same_colours(name: str, suffix: st
     ("name", "bits", "backend"),
     [("rec2020", 8, "opencl"), ("rec2020", 16, "opencl"), *((name, 16, "reference") for name in ENCODED)],
 )
-def test_codes_are_those_of_the_reference(l3: Callable, desk: Path, name: str, bits: int, backend: str) -> None:
+def test_codes_are_those_of_the_reference(l3: L3, desk: Path, name: str, bits: int, backend: str) -> None:
     options = ("--exposure", 0.7, "--white", "A", "--bits", bits, "--backend", backend, "--force", "--quiet")
     assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "a.tif", "--space", name, *options)[0] == 0
     truth = encode(outputs(desk), make_display(scene_white("A"), 0.7, bits, SPACES[name]))
@@ -122,7 +122,7 @@ def test_codes_are_those_of_the_reference(l3: Callable, desk: Path, name: str, b
 
 @pytest.mark.parametrize("file", ["a.exr", "a.tif"])
 @pytest.mark.parametrize("name", SPACES)
-def test_floating_point_is_linear_and_whole(l3: Callable, desk: Path, name: str, file: str) -> None:
+def test_floating_point_is_linear_and_whole(l3: L3, desk: Path, name: str, file: str) -> None:
     options = ("--bits", 32, "--exposure", 2, "--white", "A", "--force", "--quiet")
     assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / file, "--space", name, *options)[0] == 0
     pixels, channels = read_image(desk / file)
@@ -138,7 +138,7 @@ def test_floating_point_is_linear_and_whole(l3: Callable, desk: Path, name: str,
 
 
 @pytest.mark.parametrize(("stops", "times"), [("+1EV", 2.0), ("-1.5 ev", 2**-1.5)])
-def test_stops_are_from_the_automatic_exposure(l3: Callable, desk: Path, tmp_path: Path, stops: str, times: float) -> None:
+def test_stops_are_from_the_automatic_exposure(l3: L3, desk: Path, tmp_path: Path, stops: str, times: float) -> None:
     frame = np.load(desk / "frame.npy")
     np.save(tmp_path / "still.npy", frame)
     np.save(tmp_path / "clip.npy", np.stack([frame, frame // 2]))
@@ -152,7 +152,7 @@ def test_stops_are_from_the_automatic_exposure(l3: Callable, desk: Path, tmp_pat
             np.testing.assert_allclose(other, usual * times, rtol=1e-5, atol=1e-6)
 
 
-def test_stops_of_a_picture_and_of_what_a_raw_file_states(l3: Callable, desk: Path) -> None:
+def test_stops_of_a_picture_and_of_what_a_raw_file_states(l3: L3, desk: Path) -> None:
     call = ("render", desk / "table.h5", desk / "frame.npy", "--backend", "reference", "--quiet")
     stated = []
     for exposure in ("auto", "+1EV"):
@@ -164,7 +164,7 @@ def test_stops_of_a_picture_and_of_what_a_raw_file_states(l3: Callable, desk: Pa
     assert read_image(desk / "+1EV.png")[0].mean() > 1.1 * read_image(desk / "auto.png")[0].mean()
 
 
-def test_outputs_as_they_are_state_their_white(l3: Callable, desk: Path) -> None:
+def test_outputs_as_they_are_state_their_white(l3: L3, desk: Path) -> None:
     for name in ("o.exr", "o.tif"):
         assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / name, "--bits", 32)[0] == 0
         np.testing.assert_allclose(np.moveaxis(read_image(desk / name)[0], -1, 0), outputs(desk), atol=1e-5)
@@ -175,7 +175,7 @@ def test_outputs_as_they_are_state_their_white(l3: Callable, desk: Path) -> None
     assert profile.profile.profile_description == "CIE XYZ"
 
 
-def test_exr_has_the_chromaticities_of_its_space(l3: Callable, desk: Path) -> None:
+def test_exr_has_the_chromaticities_of_its_space(l3: L3, desk: Path) -> None:
     assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "c.exr", "--space", "acescg")[0] == 0
     spec = words(desk / "c.exr")
     np.testing.assert_allclose(
@@ -196,7 +196,7 @@ def test_exr_has_the_chromaticities_of_its_space(l3: Callable, desk: Path) -> No
     ],
 )
 def test_spaces_that_cannot_be_are_refused(
-    refused: Callable, desk: Path, output: str, options: tuple[str, ...], words: str
+    refused: Refused, desk: Path, output: str, options: tuple[str, ...], words: str
 ) -> None:
     assert words in refused(2, "render", desk / "table.h5", desk / "frame.npy", "-o", desk / output, *options)
     assert not (desk / output).exists()

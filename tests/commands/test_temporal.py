@@ -1,7 +1,6 @@
 """l3 render --temporal: sequences, videos and stills, resumed runs, frames that do not go together."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from l3cli.rendering.conditions import with_edges_for
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.temporal import chunks
 from l3cli.rendering.temporal.reference import ReferenceFilter
+from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import FAST, pictures
 from tests.helpers.still_scene import BLACK, CAMERA, COLS, COUNT, ROWS, TABLE, mosaics
 from tests.helpers.tables import with_low_noise
@@ -22,9 +22,7 @@ from tests.helpers.tables import with_low_noise
 LINEAR = (*FAST, "--bits", 32, "--format", "tif")
 
 
-def test_a_picture_is_that_of_its_filtered_mosaic(
-    l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path
-) -> None:
+def test_a_picture_is_that_of_its_filtered_mosaic(l3: L3, tmp_path: Path, still_table: Path, still_frames: Path) -> None:
     """The noise of a still scene falls; the first frame is as without; classes go by the noise that is left."""
     assert l3("render", still_table, still_frames, "-o", tmp_path / "out", "--temporal", *LINEAR) == (0, "", "")
     assert l3("render", still_table, still_frames, "-o", tmp_path / "plain", *LINEAR) == (0, "", "")
@@ -41,7 +39,7 @@ def test_a_picture_is_that_of_its_filtered_mosaic(
     assert (shares[0], shares[-1]) == (1.0, 0.5)
 
 
-def test_pixels_of_little_noise_are_rendered_by_their_transforms(l3: Callable, tmp_path: Path, still_frames: Path) -> None:
+def test_pixels_of_little_noise_are_rendered_by_their_transforms(l3: L3, tmp_path: Path, still_frames: Path) -> None:
     two = with_low_noise(TABLE)
     save(two, tmp_path / "two.h5")
     assert l3("render", tmp_path / "two.h5", still_frames, "-o", tmp_path / "out", "--temporal", *LINEAR) == (0, "", "")
@@ -56,7 +54,7 @@ def test_pixels_of_little_noise_are_rendered_by_their_transforms(l3: Callable, t
 
 
 def test_stacks_and_files_named_one_by_one_are_sequences_too(
-    l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path
+    l3: L3, tmp_path: Path, still_table: Path, still_frames: Path
 ) -> None:
     np.save(tmp_path / "stack.npy", mosaics())
     assert l3("render", still_table, still_frames, "-o", tmp_path / "out", "--temporal", *LINEAR)[0] == 0
@@ -70,7 +68,7 @@ def test_stacks_and_files_named_one_by_one_are_sequences_too(
 
 @pytest.mark.parametrize("broken", [3, 5, 8])
 def test_resuming_reads_what_it_needs_and_gives_the_same_bytes(
-    l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path, monkeypatch: pytest.MonkeyPatch, broken: int
+    l3: L3, tmp_path: Path, still_table: Path, still_frames: Path, monkeypatch: pytest.MonkeyPatch, broken: int
 ) -> None:
     monkeypatch.setattr(chunks, "CHUNK", 4)
     monkeypatch.setattr(chunks, "LEAD", 1)
@@ -99,9 +97,7 @@ def test_resuming_reads_what_it_needs_and_gives_the_same_bytes(
     assert ours == theirs
 
 
-def test_one_frame_is_rendered_as_it_is_with_a_word(
-    l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path
-) -> None:
+def test_one_frame_is_rendered_as_it_is_with_a_word(l3: L3, tmp_path: Path, still_table: Path, still_frames: Path) -> None:
     still = still_frames / "frame_3.tif"
     code, _, err = l3("render", still_table, still, "-o", tmp_path / "a.png", "--temporal", "--backend", "reference")
     assert code == 0
@@ -110,7 +106,7 @@ def test_one_frame_is_rendered_as_it_is_with_a_word(
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_frames_of_another_size_start_anew(l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path) -> None:
+def test_frames_of_another_size_start_anew(l3: L3, tmp_path: Path, still_table: Path, still_frames: Path) -> None:
     for number in (4, 5, 6):
         write_mosaic(still_frames / f"frame_{number}.tif", mosaics(ROWS - 7)[number])
     assert l3("render", still_table, still_frames, "-o", tmp_path / "out", "--temporal", *LINEAR)[0] == 0
@@ -120,7 +116,7 @@ def test_frames_of_another_size_start_anew(l3: Callable, tmp_path: Path, still_t
     assert same == [number in (0, 4, 7) for number in range(COUNT)]
 
 
-def test_a_gap_is_no_frame(l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path) -> None:
+def test_a_gap_is_no_frame(l3: L3, tmp_path: Path, still_table: Path, still_frames: Path) -> None:
     (still_frames / "frame_4.tif").unlink()
     call = ("render", still_table, still_frames / "frame_%d.tif", "--temporal", *LINEAR)
     code, _, err = l3(*call, "-o", tmp_path / "out")
@@ -129,7 +125,7 @@ def test_a_gap_is_no_frame(l3: Callable, tmp_path: Path, still_table: Path, stil
     assert len(pictures(tmp_path / "out", "*.tif")) == COUNT - 1
 
 
-def test_dark_current_and_dark_frames_stay_what_they_are(l3: Callable, tmp_path: Path, still_frames: Path) -> None:
+def test_dark_current_and_dark_frames_stay_what_they_are(l3: L3, tmp_path: Path, still_frames: Path) -> None:
     camera = dataclasses.replace(CAMERA, noise=dataclasses.replace(CAMERA.noise, dark_current=400.0))
     save(dataclasses.replace(TABLE, camera=camera), tmp_path / "warm.h5")
     write_mosaic(tmp_path / "dark.tif", np.full((ROWS, COLS), round(BLACK) + 20, np.uint16))
@@ -142,7 +138,7 @@ def test_dark_current_and_dark_frames_stay_what_they_are(l3: Callable, tmp_path:
         assert np.stack([*ours.values()]).mean() == pytest.approx(np.stack([*plain.values()]).mean(), rel=0.02)
 
 
-def test_a_table_without_its_camera_is_one_line(refused: Callable, tmp_path: Path, still_frames: Path) -> None:
+def test_a_table_without_its_camera_is_one_line(refused: Refused, tmp_path: Path, still_frames: Path) -> None:
     save(dataclasses.replace(TABLE, camera=None), tmp_path / "old.h5")
     call = ("render", tmp_path / "old.h5", still_frames, "-o", tmp_path / "out", "--temporal", *FAST)
     assert "--temporal needs the camera's noise" in refused(2, *call)

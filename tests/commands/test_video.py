@@ -315,7 +315,7 @@ def test_a_reader_that_goes_away_ends_the_run(tmp_path: Path, table: Path) -> No
         assert writing.stderr.read() == b""
 
 
-def test_the_opencl_device_feeds_the_encoder(l3: Callable, tmp_path: Path, table: Path, stack: Path) -> None:
+def test_the_opencl_device_feeds_the_encoder(l3: L3, tmp_path: Path, table: Path, stack: Path) -> None:
     assert l3("render", table, stack, "-o", tmp_path / "a.mkv", "--exposure", 0.8, "--quiet") == (0, "", "")
     assert l3("render", table, stack, "-o", tmp_path / "out", "--exposure", 0.8, "--quiet") == (0, "", "")
     np.testing.assert_array_equal(decoded(tmp_path / "a.mkv"), list(pictures(tmp_path / "out").values()))

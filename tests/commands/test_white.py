@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +17,13 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.charts import locate
 from l3cli.charts.locate import Located
-from l3cli.charts.patches import corner_cells, homography
-from l3cli.frames.frame import RawFrame, as_taken, upright
 from l3cli.io.images import read_image
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
 from l3cli.physics import spectra
-from l3cli.physics.display import daylight, display_white, displayed_xyz, lab, srgb_decoded
+from l3cli.physics.display import daylight, displayed_xyz, lab, srgb_decoded
 from l3cli.rendering.conditions import Mix, mixed
-from l3cli.rendering.white.balance import adaptation
-from l3cli.rendering.white.scene_white import Whites
 from l3cli.rendering.white.source import CAMERA
-from l3cli.stages.rendering.chart_white import _greys, _place
+from tests.helpers.calls import L3, Refused
 from tests.helpers.photos import FIRST, PITCH, chart_mosaic
 from tests.helpers.tables import colorimetric_table
 
@@ -78,7 +74,7 @@ def cast(picture: Path) -> int:
     return int(np.ptp(grey(picture), axis=2).max())
 
 
-def test_the_white_that_the_file_states(l3: Callable, table: Path, warm: Path, tmp_path: Path) -> None:
+def test_the_white_that_the_file_states(l3: L3, table: Path, warm: Path, tmp_path: Path) -> None:
     code, _, err = l3("render", table, warm, "--white", CAMERA, "-o", tmp_path / "a.png", *FAST)
     assert code == 0
     line, *warnings = err.splitlines()
@@ -92,7 +88,7 @@ def test_the_white_that_the_file_states(l3: Callable, table: Path, warm: Path, t
 
 @pytest.mark.parametrize("white", ["30,40", "30,40,24", "3200K"])
 def test_a_grey_of_the_picture_or_a_name_shows_it_neutral(
-    l3: Callable, table: Path, warm: Path, tmp_path: Path, white: str
+    l3: L3, table: Path, warm: Path, tmp_path: Path, white: str
 ) -> None:
     """Exposure means the same whatever the white: the grey has half of white's luminance, white half of full scale."""
     code, _, err = l3("render", table, warm, "--white", white, "--exposure", 1, "-o", tmp_path / "a.png", *FAST)
@@ -103,9 +99,7 @@ def test_a_grey_of_the_picture_or_a_name_shows_it_neutral(
     assert abs(grey(tmp_path / "a.png")[..., 1].mean() - grey(tmp_path / "b.png")[..., 1].mean()) < 4
 
 
-def test_automatic_white_is_reported_and_takes_most_of_a_cast_away(
-    l3: Callable, table: Path, warm: Path, tmp_path: Path
-) -> None:
+def test_automatic_white_is_reported_and_takes_most_of_a_cast_away(l3: L3, table: Path, warm: Path, tmp_path: Path) -> None:
     code, _, err = l3("render", table, warm, "--white", "auto", "-o", tmp_path / "a.png", *FAST)
     assert code == 0
     assert "white estimated on the frame: x,y = 0." in err
@@ -127,13 +121,13 @@ def test_automatic_white_is_reported_and_takes_most_of_a_cast_away(
     ],
 )
 def test_whites_that_cannot_be(
-    refused: Callable, table: Path, warm: Path, tmp_path: Path, code: int, white: str, why: str
+    refused: Refused, table: Path, warm: Path, tmp_path: Path, code: int, white: str, why: str
 ) -> None:
     assert why in refused(code, "render", table, warm, "--white", white, "-o", tmp_path / "a.png", *FAST)
 
 
 def test_frames_whose_white_cannot_be_taken(
-    refused: Callable, table: Path, bayer: CameraModel, tmp_path: Path, l3: Callable
+    refused: Refused, table: Path, bayer: CameraModel, tmp_path: Path, l3: L3
 ) -> None:
     raw, picture = mosaic(bayer, "A"), tmp_path / "a.png"
     np.save(tmp_path / "plain.npy", raw)
@@ -155,7 +149,7 @@ def test_frames_whose_white_cannot_be_taken(
 
 
 def test_a_neutral_that_no_light_gives_and_another_camera_are_warned_of(
-    l3: Callable, table: Path, bayer: CameraModel, tmp_path: Path
+    l3: L3, table: Path, bayer: CameraModel, tmp_path: Path
 ) -> None:
     other = dataclasses.replace(bayer, name="Canon EOS 550D")
     colour = dict.fromkeys(LIGHT_CODES, np.eye(3))
@@ -169,21 +163,8 @@ def test_a_neutral_that_no_light_gives_and_another_camera_are_warned_of(
     assert "it was taken by Canon EOS 550D, the table is for small Bayer" in err
 
 
-def test_an_implausible_neutral_makes_greys_neutral_and_corrects_nothing_else(table: Path) -> None:
-    """As the warning says."""
-    transforms = load(TransformTable, table)
-    whites = Whites(transforms)
-    for neutral in ([1.0, 0.2, 1.0], [0.2, 1.0, 0.2], [1.0, 0.25, 0.1]):
-        white = whites.of_neutral(np.array(neutral))
-        assert not white.plausible
-        shown = whites.grey.outputs_of(0.4 * (white.balance.gains * neutral)[None] / max(white.balance.gains * neutral))[0]
-        made = white.balance.adaptation @ shown
-        np.testing.assert_allclose(made / made[1], display_white(), rtol=1e-4)
-        np.testing.assert_array_equal(white.balance.adaptation, adaptation(shown))
-
-
 def test_an_array_that_a_file_misstates_is_warned_of_with_the_phase(
-    l3: Callable, table: Path, bayer: CameraModel, tmp_path: Path
+    l3: L3, table: Path, bayer: CameraModel, tmp_path: Path
 ) -> None:
     raw = dng(tmp_path / "shifted.dng", bayer, "D65", mosaic(bayer, "D65")[:, 1:].copy())
     err = l3("render", table, raw, "-o", tmp_path / "a.png", *FAST)[2]
@@ -201,7 +182,7 @@ def clip(folder: Path, camera: CameraModel, lights: tuple[str, ...]) -> Path:
 
 @pytest.mark.parametrize("white", ["auto", "camera"])
 def test_white_is_followed_in_sequences_and_the_same_when_resumed(
-    l3: Callable, table: Path, bayer: CameraModel, tmp_path: Path, white: str
+    l3: L3, table: Path, bayer: CameraModel, tmp_path: Path, white: str
 ) -> None:
     """At 30 frames a second a step of light is followed by 3 % a frame; what is resumed is what it would have been."""
     folder = clip(tmp_path / "clip", bayer, ("3200K", "3200K", "D65", "D65", "D65"))
@@ -227,7 +208,7 @@ def test_white_is_followed_in_sequences_and_the_same_when_resumed(
 
 
 def test_a_grey_is_measured_on_the_first_frame_of_a_sequence_and_on_every_still(
-    l3: Callable, table: Path, bayer: CameraModel, tmp_path: Path
+    l3: L3, table: Path, bayer: CameraModel, tmp_path: Path
 ) -> None:
     folder = clip(tmp_path / "clip", bayer, ("3200K", "D65"))
     call = ("render", table, "--white", "30,40", "--exposure", 1, *FAST, "-o")
@@ -240,7 +221,7 @@ def test_a_grey_is_measured_on_the_first_frame_of_a_sequence_and_on_every_still(
 
 
 def test_python_gives_the_pictures_of_the_command(
-    l3: Callable, table: Path, warm: Path, bayer: CameraModel, tmp_path: Path
+    l3: L3, table: Path, warm: Path, bayer: CameraModel, tmp_path: Path
 ) -> None:
     renderer = l3cli.Renderer(table, backend="reference")
     frame = l3cli.read_raw(warm, renderer.table)
@@ -252,7 +233,7 @@ def test_python_gives_the_pictures_of_the_command(
         renderer.picture(mosaic(bayer, "A"), white="camera")
 
 
-def test_a_table_of_an_older_file_adapts_from_what_it_shows(l3: Callable, table: Path, warm: Path, tmp_path: Path) -> None:
+def test_a_table_of_an_older_file_adapts_from_what_it_shows(l3: L3, table: Path, warm: Path, tmp_path: Path) -> None:
     made = l3cli.load(table)
     assert isinstance(made, TransformTable)
     save(dataclasses.replace(made, camera=None, light=None), tmp_path / "old.h5")
@@ -280,7 +261,7 @@ def several(table: Path, bayer: CameraModel) -> Path:
 
 @pytest.mark.parametrize("given", ["3200K", CAMERA])
 def test_transforms_of_the_nearest_of_several_lights_are_taken(
-    l3: Callable, several: Path, warm: Path, tmp_path: Path, given: str
+    l3: L3, several: Path, warm: Path, tmp_path: Path, given: str
 ) -> None:
     """As if the table had these alone, from Python too."""
     code, _, err = l3("render", several, warm, "--white", given, "-o", tmp_path / "a.png", *FAST)
@@ -298,14 +279,14 @@ def test_transforms_of_the_nearest_of_several_lights_are_taken(
     np.testing.assert_array_equal(renderer.sequence(None, white=given, exposure=1.0)(frame), exposed)
 
 
-def test_what_is_exported_is_not_balanced_and_mixed(l3: Callable, several: Path, tmp_path: Path) -> None:
+def test_what_is_exported_is_not_balanced_and_mixed(l3: L3, several: Path, tmp_path: Path) -> None:
     code, _, err = l3("export", several, "-o", tmp_path, "--to", "folder", "--white", "3200K")
     assert code == 0
     assert "white 3200K: transforms of 81 % A, 19 % D65" in err
 
 
 def test_a_sequence_is_rendered_by_the_light_of_its_first_frame(
-    l3: Callable, several: Path, bayer: CameraModel, tmp_path: Path
+    l3: L3, several: Path, bayer: CameraModel, tmp_path: Path
 ) -> None:
     """Also one of which each frame comes once."""
     frames = np.stack([mosaic(bayer, light) for light in ("3200K", "D65")])
@@ -335,7 +316,7 @@ def stdin_of(path: Path) -> Iterator[None]:
 
 
 def test_without_a_white_all_lights_are_taken_in_common(
-    l3: Callable, table: Path, several: Path, warm: Path, tmp_path: Path
+    l3: L3, table: Path, several: Path, warm: Path, tmp_path: Path
 ) -> None:
     code, _, err = l3("render", several, warm, "-o", tmp_path / "a.png", *FAST)
     assert code == 0
@@ -354,7 +335,7 @@ def chroma(picture: Path) -> np.ndarray:
 
 
 def test_its_greys_are_neutral_also_where_the_file_states_another_white(
-    l3: Callable, table: Path, bayer: CameraModel, tmp_path: Path
+    l3: L3, table: Path, bayer: CameraModel, tmp_path: Path
 ) -> None:
     raw, picture = tmp_path / "photo.dng", tmp_path / "a.tif"
     daylight_neutral = bayer.electron_weights @ spectra.illuminant("D55", bayer.wavelength)
@@ -374,7 +355,7 @@ def test_its_greys_are_neutral_also_where_the_file_states_another_white(
 
 
 def test_clipped_patches_are_left_out_and_pictures_without_a_chart_are_refused(
-    l3: Callable, refused: Callable, table: Path, bayer: CameraModel, tmp_path: Path
+    l3: L3, refused: Refused, table: Path, bayer: CameraModel, tmp_path: Path
 ) -> None:
     values = chart_mosaic(bayer, "A", share=1.3)  # white and the next grey clip
     np.save(tmp_path / "bright.npy", values)
@@ -388,7 +369,7 @@ def test_clipped_patches_are_left_out_and_pictures_without_a_chart_are_refused(
 
 
 def test_a_find_that_is_not_certain_is_none(
-    refused: Callable, table: Path, bayer: CameraModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    refused: Refused, table: Path, bayer: CameraModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     np.save(tmp_path / "chart.npy", chart_mosaic(bayer, "A"))
     found = locate.locate
@@ -401,22 +382,3 @@ def test_a_find_that_is_not_certain_is_none(
     monkeypatch.setattr(locate, "locate", doubtful)
     error = refused(3, "render", table, tmp_path / "chart.npy", "--white", "chart", "-o", tmp_path / "a.png")
     assert "no ColorChecker of 4×6 patches is found in it" in error
-
-
-@pytest.mark.parametrize("orientation", range(8))
-def test_its_place_is_that_in_the_upright_picture(orientation: int) -> None:
-    marked = np.zeros((100, 140), np.uint16)
-    marked[30:70, 20:80] = 1
-    corners = np.array([[20, 30], [80, 30], [80, 70], [20, 70]], float)
-    frame = RawFrame("a", marked, 0, 4095, orientation=orientation)
-    located = Located(homography(corner_cells(4, 6), corners), 1.0)
-    place = [int(n) for text in _place(frame, located).split(", ") for n in text.split()[-1].split("–")]
-    shown = np.argwhere(upright(marked, orientation))
-    (top, left), (bottom, right) = shown.min(axis=0), shown.max(axis=0)
-    np.testing.assert_allclose(place, [top, bottom, left, right], atol=1)
-    assert as_taken(upright(marked, orientation), orientation).sum() == marked.sum()
-    for number, grey in enumerate(_greys(frame, located)):
-        rows, cols = grey.where
-        assert marked[grey.where].all()
-        assert 60 <= rows.start < rows.stop <= 70
-        assert 20 + 10 * number <= cols.start < cols.stop <= 30 + 10 * number

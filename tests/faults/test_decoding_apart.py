@@ -19,6 +19,7 @@ from l3cli.io.confinement import LANDLOCK, SECCOMP
 from l3cli.io.decoder_process import measures
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.system.limits import MEGAPIXELS, TRUST
+from tests.helpers.calls import L3
 from tests.helpers.cameras import BAYER
 from tests.helpers.decoders import (
     BY_SECCOMP,
@@ -129,7 +130,7 @@ def test_who_trusts_decodes_in_place(limited: None, monkeypatch: pytest.MonkeyPa
         stumble(Path("f"))
 
 
-def test_trust_is_an_option(l3: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_trust_is_an_option(l3: L3, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
     monkeypatch.setattr(isolated._Child, "ask", lambda *_: seen.append("asked"))
     table = dataclasses.replace(random_table(BAYER, bits=12, black_level=64.0), rows=20, cols=24)

@@ -3,7 +3,6 @@
 
 import dataclasses
 import io
-import logging
 import os
 import subprocess
 import sys
@@ -20,7 +19,6 @@ import pytest
 from l3cli.artifacts.store import save
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.io.raw.hdf5 import chunks_of_a_frame
-from l3cli.io.video import pyav
 from tests.helpers.paths import ROOT
 from tests.helpers.sequences import RGGB
 
@@ -238,14 +236,6 @@ def test_a_stack_keeps_no_more_than_the_next_frames(chunks: tuple[int, ...], fra
     with h5py.File("stack", "w", driver="core", backing_store=False) as file:
         data = file.create_dataset("raw", shape=(100, 20, 48), dtype="uint16", chunks=chunks)
         assert chunks_of_a_frame(data) == frames * 20 * 48 * 2
-
-
-def test_the_video_library_is_silenced_once() -> None:
-    """It is asked for with every frame, and each handler of its log would be searched and kept."""
-    pyav()
-    handlers = list(logging.getLogger("libav").handlers)
-    pyav()
-    assert logging.getLogger("libav").handlers == handlers
 
 
 @pytest.mark.soak

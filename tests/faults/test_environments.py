@@ -1,14 +1,11 @@
 """Where a command runs: closed streams, small and foreign disks, other locales, odd file names, odd variables."""
 
-import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +13,7 @@ import pytest
 from l3cli.io.pictures.registry import write_picture
 from l3cli.io.raw import libraw
 from l3cli.system.limits import MEGAPIXELS, SECONDS, TRUST, trusted
-from tests.helpers.calls import Refused
+from tests.helpers.calls import L3, Refused
 from tests.helpers.dng_files import write_dng
 from tests.helpers.fuzz import Seeded
 from tests.helpers.hostile_environments import PLACES, Place, judge, make_desk
@@ -84,7 +81,7 @@ def test_file_names_of_any_bytes(desk: Path, tmp_path: Path, name: bytes, locale
     assert set(os.listdir(folder)) == {name + suffix for suffix in (b".h5", b".tif", b".npy", b".exr", b".mkv")}
 
 
-def test_camera_raws_and_scenes_are_named_by_any_bytes(tmp_path: Path, l3: Callable) -> None:
+def test_camera_raws_and_scenes_are_named_by_any_bytes(tmp_path: Path, l3: L3) -> None:
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/in\xff"))
     folder.mkdir()
     write_dng(folder / "a\udcff.dng", np.full((64, 64), 500, np.uint16), np.array([[0, 1], [1, 2]]))
@@ -104,17 +101,7 @@ def test_camera_raws_and_scenes_are_named_by_any_bytes(tmp_path: Path, l3: Calla
     assert "scene str = b?" in l3("info", folder / "t\udcff.h5")[1]
 
 
-def test_json_holds_names_of_any_bytes(desk: Path, tmp_path: Path, capfdbinary: Any) -> None:
-    from l3cli.cli.terminal import show_json
-
-    show_json({"name": "f\udcff\x1b\x9b\u202e"})
-    out = capfdbinary.readouterr().out
-    assert out.isascii()
-    assert not {0x1B, 0x9B} & set(out)
-    assert json.loads(out) == {"name": "f\udcff\x1b\x9b\u202e"}
-
-
-def test_other_line_ends_give_the_same_artifact(tmp_path: Path, l3: Callable) -> None:
+def test_other_line_ends_give_the_same_artifact(tmp_path: Path, l3: L3) -> None:
     camera = CONFIGS / "cameras/bayer.toml"
     text = 'exposure_share = [0.9]\n[[scene]]\nsource = "grey ramp"\nsize = [16, 20]\n'
     for name, content in {"a": text.encode(), "b": b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode()}.items():

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from l3cli.cli import run
+from tests.helpers.calls import L3, Refused
 from tests.helpers.forkserver import ForkServer
 from tests.helpers.stages import PARALLEL, STAGES, Stage, contents, is_hidden, is_remnant, make_inputs
 
@@ -175,7 +176,7 @@ def is_held(lock: Path) -> bool:
 
 @stages("lab", "simulate", "train", "sequence", "pattern", "evaluate")
 def test_a_second_run_on_one_output_is_refused(
-    stage: Stage, server: ForkServer, truth: Callable, monkeypatch: pytest.MonkeyPatch, l3: Callable
+    stage: Stage, server: ForkServer, truth: Callable, monkeypatch: pytest.MonkeyPatch, l3: L3
 ) -> None:
     whole, _, _ = truth(stage)
     monkeypatch.chdir(server.folder)
@@ -278,7 +279,7 @@ def test_a_read_only_folder_is_one_line(stage: Stage, small_disks: ForkServer) -
     assert "out cannot be written to" in ended.err
 
 
-def test_what_is_no_file_is_never_replaced(inputs: Path, tmp_path: Path, refused: Callable) -> None:
+def test_what_is_no_file_is_never_replaced(inputs: Path, tmp_path: Path, refused: Refused) -> None:
     os.mkfifo(tmp_path / "pipe.h5")
     training, classes = inputs / "training.h5", inputs / "classes.toml"
     assert "pipe" in refused(1, "train", training, "--classes", classes, "-o", tmp_path / "pipe.h5", "--force")

@@ -19,6 +19,7 @@ from l3cli.io.video import VideoChoice, new_video, new_y4m
 from l3cli.system import files
 from l3cli.system.files import atomic_output, require_same, sha256, write_whole
 from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder
+from tests.helpers.calls import L3
 
 DEAD = ".a.01234567.l3tmp.h5"
 
@@ -153,7 +154,7 @@ def test_a_lock_that_is_removed_while_it_is_taken_is_taken_anew(tmp_path: Path, 
     assert names(tmp_path) == []
 
 
-def test_storage_without_locks_is_reported_and_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, l3: Callable) -> None:
+def test_storage_without_locks_is_reported_and_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, l3: L3) -> None:
     def unknown(*_: object) -> None:
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 

@@ -15,6 +15,7 @@ from l3cli.io.pictures.registry import write_picture
 from l3cli.recipes import builtin
 from l3cli.stages import starting
 from l3cli.system.files import atomic_output, protecting, refuse_protected
+from tests.helpers.calls import L3, Refused
 from tests.helpers.hostile_inputs import CURVE_CAMERA
 from tests.helpers.sequences import FAST, RGGB, RUN, frames
 
@@ -39,7 +40,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture
-def protected(desk: Path, refused: Callable[..., str]) -> Callable[..., str]:
+def protected(desk: Path, refused: Refused) -> Callable[..., str]:
     """Run a command that must be refused because of an output, by one line, and must change nothing."""
 
     def call(line: str) -> str:
@@ -59,9 +60,7 @@ def test_stored_frames_are_not_removed_where_they_are_what_is_read(desk: Path, p
     protected("simulate cube.toml --camera camera.toml -o t.h5")
 
 
-def test_what_is_named_like_ours_is_not_removed_where_it_is_read(
-    desk: Path, protected: Callable[..., str], l3: Callable
-) -> None:
+def test_what_is_named_like_ours_is_not_removed_where_it_is_read(desk: Path, protected: Callable[..., str], l3: L3) -> None:
     protected_name = desk / ".a.0123abcd.l3tmp.npy"
     np.save(protected_name, frames()[0])
     stored = protected_name.read_bytes()
@@ -109,7 +108,7 @@ def test_a_stream_is_not_written_behind_what_is_read(desk: Path) -> None:
 
 @pytest.mark.parametrize("changed", ["curves.csv", "cube.img"])
 def test_a_simulation_is_not_resumed_with_other_files_behind_its_recipes(
-    desk: Path, l3: Callable, refused: Callable[..., str], changed: str
+    desk: Path, l3: L3, refused: Refused, changed: str
 ) -> None:
     cube = np.load(desk / "cube.npy")
     cube.astype("<f4").tofile(desk / "cube.img")

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import random
-from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -22,7 +21,7 @@ from l3cli.artifacts.training_set import TrainingSet, write_training_set
 from l3cli.cli import run
 from l3cli.errors import InputFileError
 from tests.helpers.artifacts import a_camera, a_frame, a_table, some_layer_sums, some_sums
-from tests.helpers.calls import Refused
+from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 
 SCENES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
@@ -83,7 +82,7 @@ def test_every_command_reports_a_changed_byte_in_one_line(
         )
 
 
-def test_whole_artifacts_are_right_and_read_by_any_hdf5(artifacts: dict[str, Path], l3: Callable) -> None:
+def test_whole_artifacts_are_right_and_read_by_any_hdf5(artifacts: dict[str, Path], l3: L3) -> None:
     for path in artifacts.values():
         code, out, err = l3("info", "--verify", path)
         assert (code, err) == (0, "")
@@ -143,7 +142,7 @@ def test_newer_formats_are_refused(kind: type[Artifact], bayer: CameraModel, tmp
 # ---------------------------------------------------------------------------------------------------------- history
 
 
-def test_the_history_is_compared_with_its_inputs(bayer_recipe: Path, tmp_path: Path, l3: Callable) -> None:
+def test_the_history_is_compared_with_its_inputs(bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
     scenes = tmp_path / "scenes.toml"
     classes = tmp_path / "classes.toml"
     scenes.write_text(SCENES)

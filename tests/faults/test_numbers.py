@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -84,20 +83,12 @@ def test_the_nearest_number_is_named() -> None:
 REFUSED = f"""
     evaluate a b --viewing nan
         "nan" is no number; give one within 2…1000 samples/degree
-    evaluate a b --viewing 1e999
-        1e999 is not within 2…1000 samples/degree; the nearest is 1000
-    train a -o b --jobs 999999999999
-        999999999999 is not within 1…4096; the nearest is 4096
     train a -o b --shard 1/10²³
         "10²³" is no number; give one within 0…1000000 shards
-    train a -o b --shard 1/{FAR}
-        the nearest is 1000000
     train a -o b --shard 1/{LONG}
         the nearest is 1000000
     train a -o b --shard 0/3
         shards count from 1/3 to 3/3
-    train a -o b --shares nan,1
-        "nan" is no number
     train a -o b --shares 1,1e308
         the nearest is 1e+06
     train a -o b --seed {FAR}
@@ -106,41 +97,25 @@ REFUSED = f"""
         "٣" is no number
     render a b -o c.png --exposure 1e308
         1e308 is not within 1e-09…1e+09 times Y; the nearest is 1e+09
-    render a b -o c.png --exposure 5e-324
-        the nearest is 1e-09
     render a b -o c.png --exposure bright
         "bright" is no number; give one within 1e-09…1e+09 times Y, auto, or stops from it such as -1EV
     render a b -o c.mp4 --fps 1e999999999
         1e999999999 is not within 0.001…1000 frames/s; the nearest is 1000
     render a b -o c.mp4 --fps 1/3000000000
         the nearest is 0.001
-    render a b -o c.mp4 --fps 1/0
-        0 is not within 1…1000000000000; the nearest is 1
     render a b -o c.mp4 --crf nan
         "nan" is no number; give one within 0…51
     render a b -o c.png --black-level nan
         "nan" is no number; give one within 0…65535 DN
-    render a b -o c.png --white-level inf
-        "inf" is no number; give one within 0…65535 DN
-    render a b -o c.png --phase {FAR},0
-        the nearest is 65535
     render a b -o c.png --size {FAR}x24
         the nearest is 1000000
-    render a b -o c.png --size 0x24
-        0 is not within 1…1000000 pixels
-    render a b -o c.png --stride {FAR}
-        the nearest is 100000000
-    render a b -o c --frames {FAR}
-        the nearest is 999999999999999999
     render a b -o c --frames 0-{LONG}
-        the nearest is 999999999999999999
-    render a b -o c --frames 0-5x{FAR}
         the nearest is 999999999999999999
 """
 
 
 @pytest.mark.parametrize(("call", "words"), re.findall(r"^    (\S.+)\n {8}(.+)$", REFUSED, re.MULTILINE))
-def test_a_number_is_refused_when_it_is_parsed(refused: Callable, call: str, words: str) -> None:
+def test_a_number_is_refused_when_it_is_parsed(refused: Refused, call: str, words: str) -> None:
     assert words in refused(2, *call.split())
 
 
@@ -163,7 +138,7 @@ def test_every_option_with_a_number_declares_its_range() -> None:
 @pytest.mark.parametrize("name", ["L3_MEGAPIXELS", "L3_DECODE_SECONDS"])
 @pytest.mark.parametrize("number", ["nan", "inf", "-1", "0", "1e300", "5e-324", "1_0", "٣", "much"])
 def test_variables_have_ranges_too(
-    refused: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, name: str, number: str
+    refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, name: str, number: str
 ) -> None:
     write_mosaic(tmp_path / "raw.png", frames()[0])  # decoded by the isolated process, as plain TIFFs are not
     monkeypatch.setenv(name, number)
@@ -173,7 +148,7 @@ def test_variables_have_ranges_too(
     assert "unset it" in line
 
 
-def test_a_device_is_not_chosen_by_digits_that_are_no_number(refused: Callable) -> None:
+def test_a_device_is_not_chosen_by_digits_that_are_no_number(refused: Refused) -> None:
     for wanted in (LONG, "²", "99"):
         assert "no OpenCL device is called" in refused(4, "bench", "--quiet", "--device", wanted)
 

@@ -22,6 +22,7 @@ from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.system.limits import MEGAPIXELS, MOST_TEXT, TRUST
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.tables import random_table
@@ -67,9 +68,7 @@ def bombs() -> dict[str, bytes]:
     }
 
 
-def test_bombs_are_refused_before_they_go_off(
-    refused: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bombs_are_refused_before_they_go_off(refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(MEGAPIXELS, "60")
     save(random_table(BAYER, bits=12, black_level=64.0), tmp_path / "table.h5")
     for name, content in bombs().items():
@@ -80,7 +79,7 @@ def test_bombs_are_refused_before_they_go_off(
         assert time.monotonic() - start < 5
 
 
-def test_a_sparse_file_of_honest_size_is_refused_too(refused: Callable[..., str], tmp_path: Path) -> None:
+def test_a_sparse_file_of_honest_size_is_refused_too(refused: Refused, tmp_path: Path) -> None:
     save(random_table(BAYER, bits=12, black_level=64.0), tmp_path / "table.h5")
     with open(tmp_path / "big.npy", "wb") as file:
         file.write(npy_header("(30000, 20000)"))
@@ -96,7 +95,7 @@ def test_a_sparse_file_of_honest_size_is_refused_too(refused: Callable[..., str]
 
 
 def test_endless_and_nested_texts_are_refused(
-    refused: Callable[..., str], tmp_path: Path, bayer_recipe: Path, monkeypatch: pytest.MonkeyPatch
+    refused: Refused, tmp_path: Path, bayer_recipe: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     call = ("--camera", bayer_recipe, "-o", tmp_path / "out.h5")
     with open(tmp_path / "endless.toml", "wb") as file:
@@ -116,7 +115,7 @@ def test_endless_and_nested_texts_are_refused(
     assert "pipe.csv is a pipe; give a CSV file" in refused(3, "simulate", tmp_path / "fifo.toml", *call)
 
 
-def test_hdf5_reaches_nowhere_else(refused: Callable[..., str], tmp_path: Path) -> None:
+def test_hdf5_reaches_nowhere_else(refused: Refused, tmp_path: Path) -> None:
     """Links, data in other files and virtual datasets are refused by whatever reads them; info shows nothing of them."""
     secret = tmp_path / "secret"
     secret.write_bytes(b"top secret words" * 64)
@@ -148,7 +147,7 @@ def test_hdf5_reaches_nowhere_else(refused: Callable[..., str], tmp_path: Path) 
     assert "another file" in refused(3, "info", tmp_path / "table.h5")
 
 
-def test_groups_in_a_circle_are_walked_once(l3: Callable, tmp_path: Path) -> None:
+def test_groups_in_a_circle_are_walked_once(l3: L3, tmp_path: Path) -> None:
     save(random_table(BAYER, bits=12, black_level=64.0), tmp_path / "table.h5")
     with h5py.File(tmp_path / "table.h5", "r+") as root:
         for name in ("round", "and", "again"):
@@ -160,7 +159,7 @@ def test_groups_in_a_circle_are_walked_once(l3: Callable, tmp_path: Path) -> Non
     assert out.count("level_edges") == 1
 
 
-def test_a_playlist_is_no_video(refused: Callable[..., str], tmp_path: Path) -> None:
+def test_a_playlist_is_no_video(refused: Refused, tmp_path: Path) -> None:
     """FFmpeg would open what it names."""
     save(random_table(BAYER, bits=12, black_level=64.0), tmp_path / "table.h5")
     (tmp_path / "list.mkv").write_text("ffconcat version 1.0\nfile secret.mkv\n")
@@ -169,7 +168,7 @@ def test_a_playlist_is_no_video(refused: Callable[..., str], tmp_path: Path) -> 
         assert name in refused(3, "render", tmp_path / "table.h5", tmp_path / name, "-o", tmp_path / "a.png")
 
 
-def test_names_within_files_never_become_paths(l3: Callable, tmp_path: Path) -> None:
+def test_names_within_files_never_become_paths(l3: L3, tmp_path: Path) -> None:
     """Scenes, lights and captures are called as their files say; what is written is called after numbers and letters."""
     recipe = tmp_path / "in/scenes.toml"
     recipe.parent.mkdir()
@@ -194,7 +193,7 @@ def test_names_within_files_never_become_paths(l3: Callable, tmp_path: Path) -> 
     assert "\x1b" not in out + err
 
 
-def test_no_control_character_reaches_the_terminal(l3: Callable, tmp_path: Path) -> None:
+def test_no_control_character_reaches_the_terminal(l3: L3, tmp_path: Path) -> None:
     table = dataclasses.replace(random_table(BAYER, bits=12, black_level=64.0), camera_name="a\x1b[2J\x07b")
     save(table, tmp_path / "table.h5")
     code, out, _ = l3("info", tmp_path / "table.h5")
@@ -208,7 +207,7 @@ def test_no_control_character_reaches_the_terminal(l3: Callable, tmp_path: Path)
 HURT = "r\x1b[31m\x07\x9b\u202e\nmean  0.00"
 
 
-def test_what_names_state_moves_no_cursor_and_makes_no_line(l3: Callable, pipeline: Path, tmp_path: Path) -> None:
+def test_what_names_state_moves_no_cursor_and_makes_no_line(l3: L3, pipeline: Path, tmp_path: Path) -> None:
     """Names of channels, scenes and lights in artifacts, and whatever stands in the JSON of others."""
     from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable

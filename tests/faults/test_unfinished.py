@@ -4,12 +4,12 @@ import importlib
 import os
 import shutil
 import signal
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from l3cli.cli import run
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 
 SCENES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [32, 40]\ncount = 3\n'
@@ -69,7 +69,7 @@ def kill(line: str, module: str, function: str, count: int) -> dict[str, bytes]:
     [("io.pictures.registry", "write_picture", 2), ("io.pictures.dng", "write_dng", 1)],
 )
 def test_a_simulation_killed_among_its_pictures_is_finished(
-    module: str, function: str, count: int, folder: Path, l3: Callable
+    module: str, function: str, count: int, folder: Path, l3: L3
 ) -> None:
     assert l3(*SIMULATE.split()) == (0, "", "")
     whole = contents()
@@ -91,7 +91,7 @@ def test_a_simulation_killed_among_its_pictures_is_finished(
     assert contents() == whole
 
 
-def test_a_simulation_killed_among_its_pictures_can_be_begun_anew(folder: Path, l3: Callable, refused: Callable) -> None:
+def test_a_simulation_killed_among_its_pictures_can_be_begun_anew(folder: Path, l3: L3, refused: Refused) -> None:
     assert l3(*SIMULATE.split()) == (0, "", "")
     whole = contents()
     assert "exists; add --force" in refused(1, *SIMULATE.split())
@@ -103,7 +103,7 @@ def test_a_simulation_killed_among_its_pictures_can_be_begun_anew(folder: Path, 
     assert "out/pictures is not empty; add --force" in refused(1, *SIMULATE.split())  # that run has ended
 
 
-def test_another_run_is_kept_off_the_pictures_of_a_killed_one(folder: Path, l3: Callable) -> None:
+def test_another_run_is_kept_off_the_pictures_of_a_killed_one(folder: Path, l3: L3) -> None:
     left = kill(SIMULATE, "io.pictures.registry", "write_picture", 2)
     code, _, err = l3(*SIMULATE.split(), "--seed", "1")
     assert (code, err.count("\n")) == (1, 1)
@@ -111,7 +111,7 @@ def test_another_run_is_kept_off_the_pictures_of_a_killed_one(folder: Path, l3: 
     assert contents().items() >= {name: left[name] for name in left if "l3lock" not in name}.items()
 
 
-def test_pictures_that_are_missing_next_to_a_set_are_made_of_it(folder: Path, l3: Callable, refused: Callable) -> None:
+def test_pictures_that_are_missing_next_to_a_set_are_made_of_it(folder: Path, l3: L3, refused: Refused) -> None:
     assert l3(*SIMULATE.split()) == (0, "", "")
     whole = contents()
     shutil.rmtree("out/pictures")
@@ -125,7 +125,7 @@ def test_pictures_that_are_missing_next_to_a_set_are_made_of_it(folder: Path, l3
     assert {name.replace("new_dng", "dng"): content for name, content in again.items()} == whole
 
 
-def test_a_run_killed_when_all_is_there_leaves_nothing_to_the_next(folder: Path, l3: Callable) -> None:
+def test_a_run_killed_when_all_is_there_leaves_nothing_to_the_next(folder: Path, l3: L3) -> None:
     assert l3(*SIMULATE.split()) == (0, "", "")
     whole = contents()
     shutil.rmtree("out")
@@ -135,7 +135,7 @@ def test_a_run_killed_when_all_is_there_leaves_nothing_to_the_next(folder: Path,
     assert contents() == whole
 
 
-def test_an_evaluation_killed_among_its_pictures_is_finished(folder: Path, l3: Callable, refused: Callable) -> None:
+def test_an_evaluation_killed_among_its_pictures_is_finished(folder: Path, l3: L3, refused: Refused) -> None:
     code, words, err = l3(*EVALUATE.split())
     assert (code, err) == (0, "")
     whole = contents()
@@ -151,7 +151,7 @@ def test_an_evaluation_killed_among_its_pictures_is_finished(folder: Path, l3: C
     assert contents() == whole
 
 
-def test_frames_of_another_run_are_given_up_by_force(folder: Path, l3: Callable) -> None:
+def test_frames_of_another_run_are_given_up_by_force(folder: Path, l3: L3) -> None:
     line = SIMULATE.partition(" --pictures")[0] + " --quiet"
     assert l3(*line.split()) == (0, "", "")
     whole = contents()

@@ -1,12 +1,12 @@
 """Training sets whose targets are a known mix of the channels, so that the best table is known."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, write_training_set
+from tests.helpers.calls import L3
 
 MIX = np.array([[0.4, 0.2, 0.1], [0.2, 0.7, 0.1], [0.0, 0.1, 0.9]])  # the truth: XYZ of the channels at the same pixel
 
@@ -45,7 +45,7 @@ def a_set(
     return path
 
 
-def in_shards(l3: Callable, run: tuple, shards: int, folder: Path, *first: object) -> tuple[list[Path], Path, str]:
+def in_shards(l3: L3, run: tuple, shards: int, folder: Path, *first: object) -> tuple[list[Path], Path, str]:
     """Shards of a pass, their table, and what is said of it."""
     name = f"{len(list(folder.iterdir()))}"
     paths, table = [folder / f"{name}_{index}.h5" for index in range(1, shards + 1)], folder / f"{name}.h5"

@@ -140,21 +140,6 @@ def test_history_names_every_file_and_no_path(folder: Path, tmp_path: Path, l3: 
     assert str(folder) not in (tmp_path / "a.h5").read_bytes().decode("latin-1")
 
 
-def test_the_table_names_figures_and_units(folder: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
-    camera = tmp_path / "camera.h5"
-    code, out, err = l3("calibrate", folder / "MEASUREMENTS.toml", "-o", camera, "--truth", bayer_recipe)
-    assert code == 0
-    assert str(camera) in err
-    gain_line = next(line for line in out.splitlines() if line.startswith("overall system gain K"))
-    assert "DN/e-" in gain_line
-    assert "true       0.25" in gain_line
-    assert "responsivity RMS error" in out
-    code, out, _ = l3("calibrate", folder / "MEASUREMENTS.toml", "-o", camera, "--force")
-    assert code == 0
-    assert "true" not in out
-    assert "PRNU" in out
-
-
 def test_a_sweep_that_never_saturates_states_it(copied: Path, tmp_path: Path, l3: L3) -> None:
     text = (copied / "MEASUREMENTS.toml").read_text()
     blocks = text.split("\n\n")

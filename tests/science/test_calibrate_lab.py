@@ -11,7 +11,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
-from l3cli.calibration import defects, gain, noise
+from l3cli.calibration import defects, gain
 from l3cli.calibration.curves import Curves, efficiency
 from l3cli.cli import run
 from l3cli.frames.measurement import Body
@@ -121,13 +121,6 @@ def test_the_table_is_that_of_emva_1288(lab_folder: Path, fine_bayer_recipe: Pat
         assert abs(channel["peak QE (%)"] - 100 * peak) < channel["± 95 % (%)"] < 1.0
     assert set(result["lights"]) == {"1 D65", "2 A", "3 3200K", "4 FL2"}
     assert all(row["RMSE g (%)"] < 1.0 and row["R² g"] > 0.999 for row in result["lights"].values())
-
-
-def test_linearity_error_is_the_mean_deviation_from_a_line() -> None:
-    lit = np.array([0.1, 0.2, 0.4, 0.6, 0.8])
-    assert noise.linearity_error(lit, 100.0 + 4000.0 * lit) == pytest.approx(0.0, abs=1e-12)
-    altered = 4000.0 * lit * (1.0 - 0.1 * lit)
-    assert 0.004 < noise.linearity_error(lit, altered) < 0.02
 
 
 def test_the_error_of_alpha_comes_from_the_charts() -> None:

@@ -507,10 +507,3 @@ def test_a_map_beyond_the_sensor_or_a_field_of_nonsense_is_refused(bayer: Camera
             FlatField(lines, lines, np.ones((3, 2, 2)) * gain)
     with pytest.raises(InputFileError, match="dark"):
         flat_field(np.zeros((bayer.rows, bayer.cols)), body_of(bayer))
-
-
-def test_old_cameras_have_neither(bayer: CameraModel, tmp_path: Path) -> None:
-    save(bayer, tmp_path / "camera.h5")
-    again = load(CameraModel, tmp_path / "camera.h5")
-    assert again.defects is None
-    assert again.flat_field is None

@@ -29,6 +29,7 @@ from l3cli.evaluation.quality import (
 )
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
+from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import FEW_CLASSES
 
@@ -223,24 +224,6 @@ def test_methods_for_bands_stand_in_the_order_of_their_papers() -> None:
     assert gained[2] > gained[1] + 2
 
 
-def test_bilinear_is_that_of_bayer_arrays() -> None:
-    cfa = np.array([[1, 0], [2, 1]], np.uint8)
-    mosaic = np.random.default_rng(0).random((12, 14))
-    red, green, blue = band_baselines(cfa)["bilinear"](mosaic, cfa)
-    assert red[4, 4] == pytest.approx((mosaic[4, 3] + mosaic[4, 5]) / 2)
-    assert blue[4, 5] == pytest.approx((mosaic[3, 4] + mosaic[3, 6] + mosaic[5, 4] + mosaic[5, 6]) / 4)
-    assert green[4, 5] == pytest.approx((mosaic[3, 5] + mosaic[5, 5] + mosaic[4, 4] + mosaic[4, 6]) / 4)
-
-
-def test_every_array_has_baselines_for_its_bands() -> None:
-    names = {name: set(band_baselines(np.array(cfa, np.uint8))) for name, cfa in CFAS.items()}
-    assert names["five-band"] == names["one"] == {"basic"}
-    assert names["RGBW"] == {"bilinear", "sd", "ppid"}
-    assert names["Bayer"] >= {"bilinear"}
-    pytest.importorskip("colour_demosaicing")
-    assert set(band_baselines(np.array([[1, 0], [2, 1]], np.uint8))) == {"bilinear", "malvar", "menon"}
-
-
 def test_codes_are_those_of_eight_bits() -> None:
     white = np.array([2.0, 4.0])
     target = np.array([0.5, 0.25])[:, None, None] * white[:, None, None] * np.ones((2, 20, 20))
@@ -347,7 +330,7 @@ LINES = np.exp(-0.5 * ((WAVELENGTH - CENTRES) / 8.0) ** 2).sum(axis=0)  # a lamp
 
 
 @pytest.fixture
-def basic(tmp_path: Path, l3: Callable) -> Callable[[str, str], list[dict]]:
+def basic(tmp_path: Path, l3: L3) -> Callable[[str, str], list[dict]]:
     """`basic(camera, head)`: figures of the basic pipeline on ColorCheckers that a recipe's camera sees, frame by frame."""
     lamp = [f"{at},{power:.6f}" for at, power in zip(WAVELENGTH, LINES, strict=True)]
     (tmp_path / "lamp.csv").write_text("\n".join(lamp))

@@ -16,6 +16,7 @@ from l3cli.cli import terminal
 from l3cli.cli.quality_tables import print_tables
 from l3cli.physics import spectra
 from l3cli.system.text import figure
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.recipes import FEW_CLASSES
 from tests.helpers.tables import with_first
@@ -40,7 +41,7 @@ def strict(text: str) -> Any:
 
 
 @pytest.fixture
-def judged(tmp_path: Path, l3: Callable, capsys: pytest.CaptureFixture[str]) -> Callable[[str, str], dict]:
+def judged(tmp_path: Path, l3: L3, capsys: pytest.CaptureFixture[str]) -> Callable[[str, str], dict]:
     """`judged(camera, head)`: the evaluation of a table of a camera recipe on leaves, whose texts hold no NaN."""
     (tmp_path / "red.csv").write_text("\n".join(f"{at},{660 <= at <= 680:d}" for at in range(400, 705, 5)))
     (tmp_path / "classes.toml").write_text(FEW_CLASSES)
@@ -87,7 +88,7 @@ def test_a_light_without_blue_has_figures(judged: Callable) -> None:
     assert mean["basic"]["mean_delta_e"] < 30
 
 
-def test_a_table_that_overflows_is_named(pipeline: Path, tmp_path: Path, refused: Callable) -> None:
+def test_a_table_that_overflows_is_named(pipeline: Path, tmp_path: Path, refused: Refused) -> None:
     table = load(TransformTable, pipeline / "table.h5")
     weights = (
         table.first.weights
@@ -115,9 +116,3 @@ def test_what_is_no_number_is_null_and_reported(capsys: pytest.CaptureFixture[st
     terminal.show_json(terminal.finite(document, terminal.ErrorsOnly()))
     assert capsys.readouterr().err == ""
     assert [figure(value, ".2f") for value in (1.234, float("nan"), float("inf"))] == ["1.23", "–", "–"]
-
-
-def test_every_json_goes_through_one_door() -> None:
-    sources = Path(terminal.__file__).parent.glob("*.py")
-    printing = [path.name for path in sources if re.search(r"\bdumps\([^\n]*indent", path.read_text())]
-    assert printing == ["terminal.py"]

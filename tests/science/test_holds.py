@@ -2,7 +2,7 @@
 least as good as Menon's demosaicking; an RGBW array beats it in little light, and not in much."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from l3cli.rendering.renderer import make_renderer
 from l3cli.simulation import reflectances
 from l3cli.simulation.charts import colorchecker_patches
 from l3cli.training import plain_surfaces
+from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 
 CAMERA = CONFIGS / "cameras/fiveband.toml"
@@ -77,7 +78,7 @@ def chart_errors(table: Path, chart: Path) -> np.ndarray:
     return np.array(errors)
 
 
-def learned_errors(light: str, classes: str, count: int, folder: Path, l3: Callable) -> np.ndarray:
+def learned_errors(light: str, classes: str, count: int, folder: Path, l3: L3) -> np.ndarray:
     scenes = (CONFIGS / "scenes/colour.toml").read_text()
     assert '["D65"]' in scenes
     assert "count = 80" in scenes
@@ -104,7 +105,7 @@ def colour_classes(**changes: object) -> str:
 
 @pytest.mark.usefixtures("without_the_chart")
 @pytest.mark.parametrize("light", ["D65", "A"])
-def test_an_unseen_chart_comes_out_true(light: str, tmp_path: Path, l3: Callable) -> None:
+def test_an_unseen_chart_comes_out_true(light: str, tmp_path: Path, l3: L3) -> None:
     """Small: 5×5 patches, 30 charts of surfaces, and a tenth more allowed than the full recipe below must reach."""
     errors = learned_errors(light, colour_classes(patch=5, patches=10000, draws=4), 30, tmp_path, l3)
     print(f"{light}: mean ΔE00 {errors.mean():.2f}, worst patch {errors.max():.2f}")
@@ -114,7 +115,7 @@ def test_an_unseen_chart_comes_out_true(light: str, tmp_path: Path, l3: Callable
 @pytest.mark.slow
 @pytest.mark.usefixtures("without_the_chart")
 @pytest.mark.parametrize("light", ["D65", "A", "F2", "3200K"])
-def test_an_unseen_chart_comes_out_true_by_the_full_recipe(light: str, tmp_path: Path, l3: Callable) -> None:
+def test_an_unseen_chart_comes_out_true_by_the_full_recipe(light: str, tmp_path: Path, l3: L3) -> None:
     errors = learned_errors(light, colour_classes(), 80, tmp_path, l3)
     print(f"\n{light}: mean ΔE00 {errors.mean():.2f}, worst patch {errors.max():.2f}")
     assert errors.mean(axis=1).max() < 0.8, np.round(errors, 1)
@@ -155,7 +156,7 @@ def scenes(data: Path, which: tuple) -> str:
     ("share", "noise", "weight", "patches", "gain"), [(0.9, "none", 0, 40000, 0.0), (0.09, "all", 1, 100000, 2.0)]
 )
 def test_learned_is_better_than_menon(
-    share: float, noise: str, weight: float, patches: int, gain: float, l3_data: Path, tmp_path: Path, l3: Callable
+    share: float, noise: str, weight: float, patches: int, gain: float, l3_data: Path, tmp_path: Path, l3: L3
 ) -> None:
     pytest.importorskip("colour_demosaicing")
     data = l3_data.resolve()
@@ -227,7 +228,7 @@ def evaluations(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("figure", ["mean_delta_e", "scielab", "psnr"])
-def test_without_a_filter_more_is_seen_in_little_light_only(evaluations: Path, l3: Callable, figure: str) -> None:
+def test_without_a_filter_more_is_seen_in_little_light_only(evaluations: Path, l3: L3, figure: str) -> None:
     arguments = ("compare", evaluations / "bayer.json", evaluations / "rgbw.json", "--figure", figure)
     code, out, err = l3(*arguments, "--json")
     assert (code, err) == (0, "")
@@ -245,7 +246,7 @@ def test_without_a_filter_more_is_seen_in_little_light_only(evaluations: Path, l
     assert f"{figure}: RGBW is better than Bayer below {luminance:.3g} cd/m², {by}; Bayer above" in out
 
 
-def test_the_curves_are_drawn(evaluations: Path, l3: Callable, tmp_path: Path) -> None:
+def test_the_curves_are_drawn(evaluations: Path, l3: L3, tmp_path: Path) -> None:
     page = tmp_path / "curve.html"
     arguments = ("compare", evaluations / "bayer.json", evaluations / "rgbw.json", "--figure", "psnr", "--figure", "ssim")
     assert "ends in .html" in l3(*arguments, "-o", tmp_path / "curve.png")[2]
@@ -282,7 +283,7 @@ def test_the_verdict_states_which_is_better_where_and_by_how_much() -> None:
     assert clipping(Curve("older", (1.0,), (2.0,))) is None
 
 
-def test_what_was_shown_is_compared_before_anything_is_claimed(evaluations: Path, l3: Callable, tmp_path: Path) -> None:
+def test_what_was_shown_is_compared_before_anything_is_claimed(evaluations: Path, l3: L3, tmp_path: Path) -> None:
     document = json.loads((evaluations / "bayer.json").read_text())
     for name, change in {
         "other": {"shown": {"scene": [1.0] * 8, "light": ""}},
@@ -302,7 +303,7 @@ def test_what_was_shown_is_compared_before_anything_is_claimed(evaluations: Path
     assert "Bayer (bayer) and Bayer (older) are equal" in out  # told apart by their files
 
 
-def test_what_cannot_be_compared_is_one_line(evaluations: Path, tmp_path: Path, refused: Callable) -> None:
+def test_what_cannot_be_compared_is_one_line(evaluations: Path, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "no.json").write_text("{")
     (tmp_path / "list.json").write_text("[1]")
     document = json.loads((evaluations / "bayer.json").read_text())

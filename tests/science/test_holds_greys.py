@@ -24,6 +24,7 @@ from l3cli.rendering.renderer import make_renderer
 from l3cli.simulation import sensor
 from l3cli.simulation.light import make_light, white_rates
 from l3cli.training.highlights import error_of_white, grey_patches, white_channels
+from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 
 SCENES = """
@@ -194,7 +195,7 @@ def test_greys_are_grey_at_every_level(learned: Learned) -> None:
     assert chroma[exposures > 0.3].max() < 0.5
 
 
-def test_clipped_areas_of_a_picture_are_neither_black_nor_magenta(tmp_path: Path, l3: Callable, learned: Learned) -> None:
+def test_clipped_areas_of_a_picture_are_neither_black_nor_magenta(tmp_path: Path, l3: L3, learned: Learned) -> None:
     """Bright neutral bars and patches beside dark ones at 1.5 times full exposure, with noise."""
     rows = np.arange(96)[:, None] // 24 % 2
     share = np.where(rows ^ (np.arange(96)[None] // 24 % 2), 1.5, 0.4)

@@ -1,7 +1,6 @@
 """A second layer learns what can be known: filters that made its targets, greys, sums that no division changes."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from l3cli.training.patches import white_signal
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
 from l3cli.training.sums import STEP
 from tests.helpers.artifacts import a_table
+from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 from tests.helpers.training_sets import a_frame, a_set
 
@@ -214,7 +214,7 @@ def test_sums_are_the_same_however_frames_are_divided(bayer: CameraModel) -> Non
     assert sum(sums.count.sum() for sums in whole.values()) == 6 * 2 * (48 - 24) * (56 - 24)
 
 
-def test_greys_get_no_further_cast(bayer_recipe: Path, tmp_path: Path, l3: Callable) -> None:
+def test_greys_get_no_further_cast(bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
     """Uniform greys of the training light: what tint they have the first layer has given them."""
     training = tmp_path / "training.h5"
     (tmp_path / "scenes.toml").write_text(LEAVES)
@@ -245,7 +245,7 @@ def test_greys_get_no_further_cast(bayer_recipe: Path, tmp_path: Path, l3: Calla
         assert luminance[1] == pytest.approx(luminance[0], rel=2e-3)
 
 
-def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: Callable) -> None:
+def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: L3) -> None:
     """In two passes where they are the camera's channels, whose spectral angles weigh the rows of the second."""
     training = tmp_path / "training.h5"
     (tmp_path / "scenes.toml").write_text(
@@ -274,30 +274,16 @@ def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: Callable) ->
     ("lines", "why"),
     [
         ("side = 4", "layer[1].side is 4; windows have odd sides"),
-        ("side = 11", "layer[1].side is 11; the most is 9"),
         ("[[layer]]\n[[layer]]\n[[layer]]", "4 layers after the first; 3 can be learned"),
-        ("strengths = []", "layer[1].strengths must be one or more numbers"),
         ("strengths = [3, 2]", "layer[1].strengths must be one or more numbers, each 0.001 above the last"),
         ("strengths = [-1, 2]", "layer[1].strengths[1] is -1; give more than 0"),
-        ("strengths = [1, 1e6]", "layer[1].strengths exceed 100000"),
-        ("coherence = 1.5", "layer[1].coherence is 1.5; the most is 1"),
-        ("achromatic = -0.1", "layer[1].achromatic is -0.1; the least is 0"),
-        ("ridge = 0", "layer[1].ridge is 0; give more than 0"),
-        ("luminance_noise = -1", "layer[1].luminance_noise is -1; the least is 0"),
-        ("chroma_noise = -1", "layer[1].chroma_noise is -1; the least is 0"),
-        ("level_pool = [0.5, -1]", "layer[1].level_pool[2] is -1; the least is 0"),
-        ("level_step = 0", "layer[1].level_step is 0; the least is 1"),
-        ("mosaics = 0", "layer[1].mosaics is 0; the least is 1"),
-        ("rows = 0", "layer[1].rows is 0; the least is 1"),
         ("colour_ratios = true\n[[layer]]", "layer[1].colour_ratios is for the last layer alone"),
-        ("plain_windows = -1", "layer[1].plain_windows is -1; the least is 0"),
         ("leaves = 3\nplain_windows = 1", "layer[1].plain_windows are of classes by structure; leaves do not know them"),
         ("brightness_power = 1.5", "layer[1].brightness_power is 1.5; the most is 1"),
-        ("error_power = 0.6", "layer[1].error_power is 0.6; the most is 0.5"),
         ("sides = 3", "unknown key `sides` in [layer[1]]"),
     ],
 )
-def test_a_wrong_layer_is_one_line(lines: str, why: str, bayer: CameraModel, tmp_path: Path, refused: Callable) -> None:
+def test_a_wrong_layer_is_one_line(lines: str, why: str, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
     """That names the key, before anything is learned."""
     training = a_set(tmp_path / "training.h5", bayer, 1)
     layer = LAYER.removesuffix("side = 3\n") if lines.startswith("side ") else LAYER

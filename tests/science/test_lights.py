@@ -12,15 +12,13 @@ from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.io.raw.files import RawOverrides
 from l3cli.physics import spectra
 from l3cli.physics.correlated_lights import mired_of
 from l3cli.rendering.conditions import Mix, described, mix_for, mixed, nearest_for
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.stages.evaluation import FrameRenderers, raw_of
-from l3cli.stages.rendering.executors import Renderers, RenderSetup
-from l3cli.stages.rendering.rendition import OUTPUTS
 from l3cli.system.console import Silent
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import XYZ, random_table, with_lights, with_refinement, with_tree
@@ -100,13 +98,13 @@ def test_each_set_is_best_under_its_light(learned: dict[str, Path], several: Tra
         assert np.mean(errors[light, light]) < 0.8 * np.mean(errors[light, other])
 
 
-def test_a_set_does_not_depend_on_how_the_work_is_divided(learned: dict[str, Path], tmp_path: Path, l3: Callable) -> None:
+def test_a_set_does_not_depend_on_how_the_work_is_divided(learned: dict[str, Path], tmp_path: Path, l3: L3) -> None:
     call = ("train", learned["both.set.h5"], learned["warm.set.h5"], "--classes", learned["several.classes.toml"])
     assert l3(*call, "-o", tmp_path / "two.h5", "--jobs", "2", "--quiet")[0] == 0
     assert (tmp_path / "two.h5").read_bytes() == learned["several.h5"].read_bytes()
 
 
-def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refused: Callable) -> None:
+def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refused: Refused) -> None:
     def train(name: str, *more: Any) -> tuple[Any, ...]:
         return ("train", learned[f"{name}.set.h5"], "-o", tmp_path / "table.h5", "--classes", *more)
 
@@ -160,24 +158,6 @@ def test_between_lights_transforms_are_mixed_by_mired() -> None:
     assert equal(mixed(again, mix_for(again, white("3200K"))), mixed(table, mix))
 
 
-def test_equal_sets_stay_what_they_are() -> None:
-    table = with_lights(with_refinement(random_table(BAYER), 3), "A")
-    (own,), (light,) = table.conditions, table.lights
-    cool = dataclasses.replace(own, light=dataclasses.replace(light, name="D65", white_point=white("D65")))
-    table = dataclasses.replace(table, conditions=(own, cool))
-    made = mixed(table, mix_for(table, white("3500K")))
-    np.testing.assert_array_equal(made.first.weights, own.first.weights)
-    np.testing.assert_array_equal(made.later[0].weights, own.later[0].weights)
-    assert (made.white_point != light.white_point).any()
-
-
-def test_a_table_of_one_set_is_not_mixed() -> None:
-    table = random_table(BAYER)
-    assert mix_for(table, white("A")) is None
-    assert nearest_for(table, white("A")) is None
-    assert mixed(table, None) is table
-
-
 def test_lights_are_written_and_read(tmp_path: Path) -> None:
     table = with_lights(with_refinement(random_table(BAYER), 3, 5), "A", "D65")
     save(table, tmp_path / "table.h5")
@@ -208,20 +188,3 @@ def test_frames_are_judged_by_the_transforms_of_their_light(learned: dict[str, P
         for frame in reader:
             own = next(each for each in several.conditions if each.light and each.light.name == frame.illuminant)
             np.testing.assert_allclose(renderers.of(frame).table.first.weights, own.first.weights, atol=1e-3)
-
-
-def test_a_mix_of_a_table_has_a_renderer_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[TransformTable] = []
-
-    def make_renderer(backend: str, table: TransformTable, by_noise: bool) -> ReferenceRenderer:
-        given.append(table)
-        return ReferenceRenderer(table)
-
-    monkeypatch.setattr("l3cli.rendering.renderer.make_renderer", make_renderer)
-    table, made = with_lights(random_table(BAYER), "A", "D65"), Renderers()
-    plain = RenderSetup(Path("table.h5"), "0", "reference", {}, RawOverrides(), OUTPUTS, None)
-    common = made.of(plain, table)
-    assert made.of(plain, table) is common
-    lit = mixed(table, Mix(0, 1, 0.5))
-    assert made.of(dataclasses.replace(plain, mix=Mix(0, 1, 0.5)), lit) is not common
-    assert given == [table, lit]

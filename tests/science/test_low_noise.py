@@ -23,9 +23,10 @@ from l3cli.rendering.renderer import NoiseRenderer
 from l3cli.simulation import sensor
 from l3cli.training.patches import expose_patches
 from tests.helpers.artifacts import some_layer_sums, some_sums
+from tests.helpers.calls import Refused
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS
-from tests.helpers.tables import XYZ, random_table, with_low_noise, with_refinement, with_tree
+from tests.helpers.tables import random_table, with_low_noise, with_refinement, with_tree
 
 LEAVES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\ncount = 4\n'
 CLASSES = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[classes.direction]\n[learning]\npatches = 2000\nfirst_draws = 1\n"
@@ -131,12 +132,6 @@ def test_two_sets_are_written_and_read(layers: Callable[[TransformTable], Transf
     assert equal(load(TransformTable, tmp_path / "table.h5"), table)
 
 
-def test_a_table_of_pictures_alone_keeps_both_sets() -> None:
-    table = with_low_noise(random_table(BAYER, outputs=(*XYZ, "N"))).pictured()
-    assert table.outputs == XYZ
-    assert table.conditions[0].first.weights.shape == table.first.weights.shape
-
-
 def test_low_noise_transforms_of_other_layers_are_refused() -> None:
     table = with_low_noise(with_refinement(random_table(BAYER), 3))
     (low,) = table.conditions
@@ -174,7 +169,7 @@ def test_sums_for_low_noise_are_those_of_all_sites(bayer: CameraModel, tmp_path:
         dataclasses.replace(layer, table=with_low_noise(layer.table))
 
 
-def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refused: Callable) -> None:
+def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refused: Refused) -> None:
     train = ("train", learned["set.h5"], "-o", tmp_path / "table.h5", "--classes")
     for key, words in (("1", "noise_left"), ("-0.1", "noise_left"), ('0.1\nnoise = "none"', "no noise to leave")):
         (tmp_path / "classes.toml").write_text(f"[learning]\nnoise_left = {key}\n")

@@ -1,6 +1,5 @@
 """Plain surfaces: what training learns of uniform areas beside the patches of its scenes (docs/method.md#plain-surfaces)."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from l3cli.simulation.light import make_light
 from l3cli.training.patches import white_signal
 from l3cli.training.plain_surfaces import FEWEST, PlainSurfaces, plain_surfaces
 from l3cli.training.stripes import false_colours
+from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 
 SCENES = """
@@ -120,7 +120,7 @@ def test_a_chroma_of_few_surfaces_is_left_to_its_patches(fiveband: CameraModel) 
     assert few.moments(rule, neighbourhoods(fiveband.cfa, 5, 5).channel[0]) == [None]
 
 
-def learned(lights: list[str], weight: float, folder: Path, l3: Callable, more: str = "") -> TransformTable:
+def learned(lights: list[str], weight: float, folder: Path, l3: L3, more: str = "") -> TransformTable:
     """A small table of the five-band camera, of classes with `more` keys."""
     folder.mkdir(exist_ok=True)
     (folder / "scenes.toml").write_text(SCENES.format(lights=str(lights).replace("'", '"')))
@@ -177,7 +177,7 @@ def change(one: TransformTable, other: TransformTable, level: int, white: bool =
     return float(np.abs(one.first.weights - other.first.weights)[of].mean() / np.abs(one.first.weights[of]).mean())
 
 
-def test_plain_colours_of_an_unseen_chart_and_stripes_are_truer(fiveband: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_plain_colours_of_an_unseen_chart_and_stripes_are_truer(fiveband: CameraModel, tmp_path: Path, l3: L3) -> None:
     without, taught = (learned(["D65"], weight, tmp_path, l3) for weight in (0.0, 30.0))
     assert chart_error(taught, fiveband) < 0.8 * chart_error(without, fiveband)
     assert stripe_chroma(taught, fiveband) < 20 < 50 < stripe_chroma(without, fiveband)
@@ -186,7 +186,7 @@ def test_plain_colours_of_an_unseen_chart_and_stripes_are_truer(fiveband: Camera
     assert change(without, taught, level=1, white=True) < 0.02 * change(without, taught, level=2, white=True)
 
 
-def test_classes_of_a_direction_are_left_to_their_patches(tmp_path: Path, l3: Callable) -> None:
+def test_classes_of_a_direction_are_left_to_their_patches(tmp_path: Path, l3: L3) -> None:
     """No plain area has one; what is nearly uniform to every channel, as stripes are, does."""
     without, taught = (learned(["D65"], weight, tmp_path, l3, DIRECTION).first for weight in (0.0, 3.0))
     place = taught.rule.split(np.arange(len(taught.weights)))
@@ -197,7 +197,7 @@ def test_classes_of_a_direction_are_left_to_their_patches(tmp_path: Path, l3: Ca
         assert (taught.weights[plain] != without.weights[plain]).any()
 
 
-def test_training_under_several_lights_is_left_to_its_patches(tmp_path: Path, l3: Callable) -> None:
+def test_training_under_several_lights_is_left_to_its_patches(tmp_path: Path, l3: L3) -> None:
     """Their mean is the light of none of them."""
     without, taught = (learned(["D65", "A"], weight, tmp_path, l3) for weight in (0.0, 3.0))
     assert taught.light is not None

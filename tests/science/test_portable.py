@@ -25,7 +25,7 @@ from l3cli.errors import InputFileError
 from l3cli.export.folder import folder_files
 from l3cli.export.source import Words, c_files
 from l3cli.export.vector import drawn_mosaic
-from l3cli.export.wordlengths import OUTPUT_FRACTION, OUTPUT_TOP, SEED, SHAPE, in_words, short_cost, short_words
+from l3cli.export.wordlengths import OUTPUT_FRACTION, OUTPUT_TOP, SEED, SHAPE, short_cost, short_words
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.tables import random_table, with_first, with_low_noise, with_refinement, with_spectra, with_tree
@@ -218,27 +218,6 @@ def test_numbers_do_not_follow_the_print_options_of_numpy() -> None:
     assert set(found) <= set(rule.threshold.ravel().astype(np.float32))
 
 
-def test_weights_are_strings_of_their_bytes() -> None:
-    """Compilers read these fifty times sooner than as many numbers; no prefix renames what they happen to spell."""
-    table = random_table([[0, 1], [1, 2]], 12, 64.1, patch=3)
-    intercept = table.first.intercept.copy()
-    intercept.ravel()[:3] = np.frombuffer(b' l3_ L3A?"\\\0', "<f4")
-    table = with_first(table, intercept=intercept)
-    text = c_files(table, prefix="eye")["eye_table.c"].decode("ascii")
-    strings = re.findall(r'^"(.*)",$', text[text.index("union eye_last_intercept_data") :], re.MULTILINE)
-    data = "".join(strings).encode().decode("unicode_escape").encode("latin-1")
-    np.testing.assert_array_equal(np.frombuffer(data, "<f4"), table.first.intercept.ravel())
-
-
-def test_words_are_the_nearest_that_fit() -> None:
-    weights = np.array([[[0.3, -0.9]], [[1e-3, 0.0]], [[0.0, 0.0]]], np.float32)
-    words = in_words(weights, 8, "class")
-    assert words.fraction[:2].tolist() == [7, 16]
-    assert np.abs(words.whole).max() <= 127
-    assert (np.abs(words.weights - weights) <= np.ldexp(0.5, -words.fraction.astype(int))[:, None, None]).all()
-    assert set(in_words(weights, 8, "table").fraction.tolist()) == {7}
-
-
 def test_transforms_beyond_short_words_are_refused() -> None:
     table = random_table([[0, 1], [1, 2]])
     with pytest.raises(InputFileError, match="too large for words of 16 bits; export them as float32"):
@@ -314,16 +293,3 @@ def test_arrays_of_the_second_set_stand_next_to_the_usual_ones() -> None:
         np.testing.assert_array_equal(arrays.get(f"conditions/0/{name}", arrays[name]), values)
     assert {"conditions/0/layer0/weights", "conditions/0/layer0/contrast_edges", "conditions/0/test_outputs"} < set(arrays)
     assert not {"conditions/0/test_raw", "conditions/0/layer0/level_edges", "conditions/0/layer0/count"} & set(arrays)
-
-
-def test_two_bits_more_cost_twelve_decibels_less() -> None:
-    document, arrays = read_folder(with_refinement(random_table([[0, 1], [1, 2]], 12, 64.0, contrasts=()), 3))
-    costs = {(each["binary_point_of"], each["bits"]): each["psnr_db"] for each in document["word_lengths"]["costs"]}
-    for scale in ("class", "table"):
-        steps = np.diff([costs[scale, bits] for bits in (8, 10, 12, 14, 16)])
-        assert ((steps > 9) & (steps < 15)).all(), steps
-    assert all(costs["class", bits] >= costs["table", bits] - 0.5 for bits in (8, 10, 12, 14, 16))
-    chosen = document["word_lengths"]["chosen"]["bits"]
-    assert costs["class", chosen] >= 60 > costs["class", chosen - 2]
-    assert np.abs(arrays["layer1/word_weights"].astype(int)).max() < 2 ** (chosen - 1)
-    assert arrays["layer0/fixed_weights"].dtype == np.int16

@@ -2,7 +2,6 @@
 
 import os
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from l3cli.cli import run
 from l3cli.io.images import read_image
 from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, daylight, delta_e_2000, displayed_xyz, lab, srgb_decoded
+from tests.helpers.calls import L3, Refused
 
 # The camera: published curves of the Canon 600D, whose sensor is that of the 550D that took colorchart.dng. The noise
 # figures are plausible for that generation; black, white and depth are those of the file.
@@ -120,7 +120,7 @@ def test_plain_areas_show_no_cfa_pattern(chart: np.ndarray) -> None:
         assert (spread < 5 * noise + 0.01 * mean[1]).all()
 
 
-def test_another_phase_and_other_levels(table: Path, l3: Callable) -> None:
+def test_another_phase_and_other_levels(table: Path, l3: L3) -> None:
     raw = Path(os.environ["L3_DATA"]) / "raw/kodak_dc50.kdc"
     output = table.parent / "kodak.png"
     code, _, err = l3("render", table, raw, "-o", output)
@@ -132,14 +132,12 @@ def test_another_phase_and_other_levels(table: Path, l3: Callable) -> None:
     assert np.abs(flat[:, ::2].mean() - flat[:, 1::2].mean()) < 0.01  # no column pattern of the mosaic
 
 
-def test_a_linear_dng_is_refused(table: Path, tmp_path: Path, refused: Callable) -> None:
+def test_a_linear_dng_is_refused(table: Path, tmp_path: Path, refused: Refused) -> None:
     raw = Path(os.environ["L3_DATA"]) / "raw/canon_eos_6d.dng"
     assert "demosaicked" in refused(3, "render", table, raw, "-o", tmp_path / "picture.png")
 
 
-def test_greys_of_the_chart_are_neutral_by_a_grey_and_by_a_file_that_states_it(
-    table: Path, l3: Callable, tmp_path: Path
-) -> None:
+def test_greys_of_the_chart_are_neutral_by_a_grey_and_by_a_file_that_states_it(table: Path, l3: L3, tmp_path: Path) -> None:
     """The camera was set to daylight (5500 K), the chart is lit by tungsten: what the file states is no grey's. A copy that
     states the neutral of the chart's second grey shows it so. Dark greys carry the glare of a blue window: 4 to 5."""
     raw = Path(os.environ["L3_DATA"]) / "raw/colorchart.dng"

@@ -70,14 +70,6 @@ def test_the_noise_put_in_is_found(with_ideal: bool, sigma: float) -> None:
     assert np.mean([frame.step_sigma for frame in found.frames[1:]]) == pytest.approx(sigma, rel=0.03)
 
 
-def test_blotches_that_flicker_are_seen_in_the_means_of_patches() -> None:
-    rng = np.random.default_rng(2)
-    rendered = [scene() + 0.5 * rng.standard_normal((8, 12)).repeat(8, 0).repeat(8, 1) for _ in range(20)]
-    found = figures(rendered, [scene()] * 20)
-    assert found.patch_sigma == pytest.approx(0.5, rel=0.05)
-    assert found.temporal_sigma == pytest.approx(0.5, rel=0.05)
-
-
 def test_a_still_sequence_has_no_noise_and_no_jump() -> None:
     found = figures([scene()] * 3, [scene()] * 3, [moved((0, 0))] * 3)
     assert found.patch_sigma == found.largest_jump == found.warped_error == 0

@@ -4,7 +4,6 @@ import csv
 import dataclasses
 import json
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +16,13 @@ from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.io.pictures.registry import write_picture
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
-from l3cli.simulation import charts, leaves, light, optics, patterns, procedural, sensor
+from l3cli.simulation import charts, light, optics, patterns, procedural, sensor
 from l3cli.simulation.frame import Saturating, simulate
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sources import ColorChecker, WantedScene
 from l3cli.simulation.synthetic import draw
 from l3cli.simulation.targets import make_target
+from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 
 PLAIN = Lens(diffraction=False)
@@ -223,36 +223,6 @@ def test_patterns_lie_on_their_share_of_the_leaves_and_change_nothing_else() -> 
         assert cube.max() <= procedural.BRIGHTEST
 
 
-def test_a_leaf_may_show_where_a_pixel_in_its_square_is_uncovered() -> None:
-    rng, room = np.random.default_rng(8), 16
-    canvas = np.full((96, 128), leaves.BEYOND, np.int32)
-    label = canvas[room:-room, room:-room]
-    label[:] = np.where(rng.random(label.shape) < 0.003, leaves.FREE, 0)
-    drawn = leaves._drawn(rng, 0, 400, label.shape, 0.5, 4.0)
-    may = leaves._may_show(canvas, room, drawn)
-    squares = (
-        label[max(0, int(r - q)) : max(0, int(r + q + 1)), max(0, int(c - q)) : max(0, int(c + q + 1))]
-        for r, c, q in zip(drawn.row, drawn.col, drawn.radius, strict=True)
-    )
-    shows = np.array([bool((square == leaves.FREE).any()) for square in squares])
-    assert may[shows].all()
-    assert 5 < np.count_nonzero(shows) <= np.count_nonzero(may) < 200
-
-
-def test_leaves_that_share_a_pixel_are_averaged() -> None:
-    rng = np.random.default_rng(5)
-    step = procedural.OVERSAMPLING
-    materials = rng.random((5, 4), dtype=np.float32)
-    label = rng.integers(5, size=(8, 12), dtype=np.int32)
-    label[:4] = np.repeat(np.repeat(label[:4:step, ::step], step, 0), step, 1)  # there a pixel shows one leaf
-    amount = rng.random(label.shape, dtype=np.float32)
-    fine = materials[label] * amount[..., None]
-    plainly = fine.reshape(8 // step, step, 12 // step, step, 4).mean(axis=(1, 3))
-    cube = np.full(plainly.shape, np.nan, np.float32)
-    procedural._average(cube, materials, label, amount)
-    np.testing.assert_allclose(cube, plainly, rtol=1e-6)
-
-
 def test_a_grating_covers_its_duty_at_two_pixels_a_period() -> None:
     one = {name: np.array([value], np.float32) for name, value in (("angle", 0.7), ("kind", 0), ("present", 1))}
     both = {name: np.full((2, 1), value, np.float32) for name, value in (("period", 4.0), ("width", 1.6), ("phase", 0.3))}
@@ -442,7 +412,7 @@ def recipe(folder: Path, text: str) -> Path:
     return folder / "scenes.toml"
 
 
-def test_mosaic_and_target_are_the_codes(codes: np.ndarray, tmp_path: Path, l3: Callable) -> None:
+def test_mosaic_and_target_are_the_codes(codes: np.ndarray, tmp_path: Path, l3: L3) -> None:
     scenes = recipe(tmp_path, HEAD.format(share="0.9, 0.5") + SCENE.format(file="picture.png"))
     assert l3("simulate", scenes, "--camera", CAMERA, "-o", tmp_path / "set.h5", "--quiet")[0] == 0
     with open_training_set(tmp_path / "set.h5") as reader:
@@ -456,7 +426,7 @@ def test_mosaic_and_target_are_the_codes(codes: np.ndarray, tmp_path: Path, l3: 
     assert frames[0].exposure == pytest.approx(frames[1].exposure * 1.8)
 
 
-def test_channels_are_taken_by_their_names(codes: np.ndarray, tmp_path: Path, l3: Callable) -> None:
+def test_channels_are_taken_by_their_names(codes: np.ndarray, tmp_path: Path, l3: L3) -> None:
     text = CAMERA.read_text().replace('["r", "g", "b"]', '["b", "r", "g"]')
     (tmp_path / "camera.toml").write_text(text)
     framing = "crop = [2, 4, 18, 16]\nrotate = 90\n"
@@ -469,7 +439,7 @@ def test_channels_are_taken_by_their_names(codes: np.ndarray, tmp_path: Path, l3
     assert np.moveaxis(frame.target, 0, -1) / frame.white[0] * 255 == pytest.approx(turned[..., [2, 0, 1]], abs=1e-3)
 
 
-def test_a_picture_of_floats_is_linear_already(tmp_path: Path, l3: Callable) -> None:
+def test_a_picture_of_floats_is_linear_already(tmp_path: Path, l3: L3) -> None:
     write_picture(tmp_path / "picture.exr", np.full((16, 16, 3), 0.25, np.float32), ("R", "G", "B"))
     scenes = recipe(tmp_path, HEAD.format(share="0.9") + SCENE.format(file="picture.exr"))
     assert l3("simulate", scenes, "--camera", CAMERA, "-o", tmp_path / "set.h5", "--quiet")[0] == 0
@@ -477,7 +447,7 @@ def test_a_picture_of_floats_is_linear_already(tmp_path: Path, l3: Callable) -> 
         assert reader.frame(0).target / reader.frame(0).white[0] == pytest.approx(np.full((3, 16, 16), 0.25), rel=1e-6)
 
 
-def test_what_has_no_spectra_is_refused(codes: np.ndarray, tmp_path: Path, refused: Callable) -> None:
+def test_what_has_no_spectra_is_refused(codes: np.ndarray, tmp_path: Path, refused: Refused) -> None:
     def words(text: str, camera: object = CAMERA) -> str:
         return str(refused(2, "simulate", recipe(tmp_path, text), "--camera", camera, "-o", tmp_path / "set.h5"))
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -40,11 +39,12 @@ from l3cli.training.patches import (
     white_signal,
 )
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
-from l3cli.training.sums import EXACT, STEP, add_rounded, grid_steps, moment_matrix, rounding_number
+from l3cli.training.sums import EXACT, STEP, grid_steps, moment_matrix
 from l3cli.training.symmetry import orientations, site_maps, stabilisers
 from l3cli.training.table import add_up
 from l3cli.training.thin_classes import parent_of, parents_of
 from l3cli.training.training_pass import LAST, TrainingPass
+from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 from tests.helpers.training_sets import MIX, a_frame, a_set
 
@@ -139,14 +139,6 @@ def test_exposed_patches_have_the_noise_of_the_camera(bayer: CameraModel) -> Non
     assert many.astype(np.float64).var() == pytest.approx(expected[2], rel=0.03)
 
 
-def test_contributions_are_rounded_to_whole_steps() -> None:
-    rng = np.random.default_rng(0)
-    more, step = (rng.standard_normal(999) * 300).astype(np.float32), np.exp2(rng.integers(-24, -10, 999).astype(np.float64))
-    total = np.zeros(999)
-    add_rounded(total, more, rounding_number(step))
-    assert (total == np.rint(more / step) * step).all()
-
-
 @settings(deadline=None)
 @given(st.integers(0, 1000))
 def test_levels_cover_the_declared_range(seed: int) -> None:
@@ -194,7 +186,7 @@ def test_few_colours_become_the_chromas() -> None:
     assert nearest.shape == (8, 3)
 
 
-def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     """Trained on flat fields of any colour, the table returns the known mix of the channels at every level and site."""
     camera = quiet_camera(bayer)
     training = a_set(tmp_path / "training.h5", camera, 40)
@@ -257,7 +249,7 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
 
 @pytest.mark.parametrize("outputs", [("Y",), ("b1", "b2", "b3", "b4", "b5"), ("R", "G", "B")])
 def test_other_outputs_than_xyz(
-    outputs: tuple[str, ...], bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable
+    outputs: tuple[str, ...], bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused
 ) -> None:
     """Any number of outputs trains in one pass, fills, renders to EXR, and says in its table what it gives."""
     camera, mix = quiet_camera(bayer), np.random.default_rng(2).random((len(outputs), 3)) + 0.1
@@ -298,7 +290,7 @@ def test_other_outputs_than_xyz(
     assert (tmp_path / "merged.h5").read_bytes() == (tmp_path / "table.h5").read_bytes()
 
 
-def test_info_states_what_a_table_has_learned(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_info_states_what_a_table_has_learned(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     training = a_set(tmp_path / "training.h5", quiet_camera(bayer), 40)
     (tmp_path / "classes.toml").write_text(SMALL)
     assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
@@ -337,7 +329,7 @@ def test_saturation_cases_are_named_by_their_pattern(fiveband: CameraModel) -> N
     assert names == ["chroma 0", f"saturated {g}", f"saturated {g}+{c}", everything]
 
 
-def test_wrong_calls_are_one_line(bayer: CameraModel, fiveband: CameraModel, tmp_path: Path, refused: Callable) -> None:
+def test_wrong_calls_are_one_line(bayer: CameraModel, fiveband: CameraModel, tmp_path: Path, refused: Refused) -> None:
     good = a_set(tmp_path / "good.h5", bayer, 1)
     other = a_set(tmp_path / "other.h5", quiet_camera(bayer), 1)
     tiny = a_set(tmp_path / "tiny.h5", bayer, 1, size=(4, 30))
@@ -371,7 +363,7 @@ def _camera_of(training: Path, tmp_path: Path) -> Path:
     return tmp_path / "camera.h5"
 
 
-def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     """Trained on noise, where every site learns something else, flat patches of any colour come out alike at all sites."""
     training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
     (tmp_path / "classes.toml").write_text(SMALL)
@@ -399,7 +391,7 @@ def test_a_parent_of_few_patches_leans_on_its_case(bayer: CameraModel) -> None:
     assert parents.moments[parent_of(thick, rule), 0] == pytest.approx(1.0, abs=0.1)
 
 
-def test_plain_areas_may_have_spectra_that_training_lacks(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_plain_areas_may_have_spectra_that_training_lacks(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     """Trained on one colour alone, a table of the camera's channels answers any other in plain areas."""
     camera = dataclasses.replace(bayer, noise=Noise(13.0, 0.0, 0.0, 0.0, 15000.0))
     seen, unseen = np.array([0.2, 0.4, 0.3]), np.array([0.28, 0.36, 0.24])

@@ -17,6 +17,7 @@ from l3cli.cli import run
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.training_sets import MIX, a_set
 
@@ -38,7 +39,7 @@ def leaves(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def trained(tmp_path: Path, l3: Callable) -> Trained:
+def trained(tmp_path: Path, l3: L3) -> Trained:
     """Train on a set with a recipe: the table, and what was said."""
 
     def train(training: Path, recipe: str, *options: object) -> tuple[TransformTable, str]:
@@ -70,9 +71,7 @@ def tree_of(table: TransformTable) -> PlaneLayer:
 
 
 @pytest.mark.usefixtures("same_workers")
-def test_a_tree_has_the_same_bytes_in_processes_and_shards(
-    leaves: Path, trained: Trained, tmp_path: Path, l3: Callable
-) -> None:
+def test_a_tree_has_the_same_bytes_in_processes_and_shards(leaves: Path, trained: Trained, tmp_path: Path, l3: L3) -> None:
     table, words = trained(leaves, CLASSES + LAYER)
     rule = tree_of(table).rule
     assert 4 <= rule.structures <= 8
@@ -96,7 +95,7 @@ def test_a_tree_has_the_same_bytes_in_processes_and_shards(
     require_backends_agree(table)
 
 
-def test_info_and_report_report_of_the_tree(leaves: Path, trained: Trained, tmp_path: Path, l3: Callable) -> None:
+def test_info_and_report_report_of_the_tree(leaves: Path, trained: Trained, tmp_path: Path, l3: L3) -> None:
     table, _ = trained(leaves, CLASSES + LAYER)
     rule = tree_of(table).tree
     assert rule is not None
@@ -114,7 +113,7 @@ def test_info_and_report_report_of_the_tree(leaves: Path, trained: Trained, tmp_
 
 @pytest.mark.parametrize("rows", ["leaves = 1", "leaves = 8"], ids=["one leaf wanted", "rows for one leaf"])
 def test_a_tree_of_one_leaf_is_a_layer_like_others(
-    rows: str, bayer: CameraModel, trained: Trained, tmp_path: Path, l3: Callable
+    rows: str, bayer: CameraModel, trained: Trained, tmp_path: Path, l3: L3
 ) -> None:
     """Whether the recipe wants no more, or there are too few rows for two."""
     training = a_set(tmp_path / "small.h5", bayer, 1, smooth=False, size=(32, 32))
@@ -132,7 +131,7 @@ def test_a_tree_of_one_leaf_is_a_layer_like_others(
 
 
 @pytest.mark.parametrize("rule", ["leaves = 8", "strengths = [3]"])
-def test_frames_without_inner_pixels_are_one_line(rule: str, bayer: CameraModel, tmp_path: Path, refused: Callable) -> None:
+def test_frames_without_inner_pixels_are_one_line(rule: str, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
     """A later layer learns only from pixels whose neighbourhoods lie within their mosaic."""
     training = a_set(tmp_path / "small.h5", bayer, 1, smooth=False, size=(24, 24))
     (tmp_path / "classes.toml").write_text(CLASSES + LAYER.replace("leaves = 8", rule))
@@ -159,7 +158,7 @@ def test_a_tree_is_grown_from_real_pairs(bayer: CameraModel, trained: Trained, t
     require_backends_agree(table)
 
 
-def test_three_outputs_of_any_name_get_a_tree(leaves: Path, trained: Trained, tmp_path: Path, l3: Callable) -> None:
+def test_three_outputs_of_any_name_get_a_tree(leaves: Path, trained: Trained, tmp_path: Path, l3: L3) -> None:
     (tmp_path / "scenes.toml").write_text(SCENES + '[target]\noutputs = "camera"\n')
     (tmp_path / "camera.toml").write_text(bayer_camera())
     codes = tmp_path / "codes.h5"
@@ -193,17 +192,12 @@ def test_without_noise_the_noise_weights_weigh_nothing(leaves: Path, trained: Tr
     [
         ("leaves = 8", "leaves = -1", "layer[1].leaves is -1; the least is 0"),
         ("leaves = 8", "leaves = 2049", "layer[1].leaves is 2049; the most is 2048"),
-        ("leaves = 8", "leaves = 2.5", "Expected `int`, got `float` in [layer[1].leaves]"),
-        ("leaves = 8", "leafs = 8", 'unknown key `leafs` in [layer[1]]; did you mean "leaves"?'),
         ("tree_rows = 2000", "tree_rows = 999", "layer[1].tree_rows is 999; the least is 1000"),
-        ("tree_rows = 2000", "tree_rows = 1_000_001", "layer[1].tree_rows is 1000001; the most is 1000000"),
-        ("draws = 2\n", 'draws = 2\nnoise = "no"\n', "Invalid enum value 'no' in [learning.noise]"),
-        ("draws = 2\n", "draws = 2\nlevel_power = 1.1\n", "learning.level_power is 1.1; the most is 1"),
         ("draws = 2\n", "draws = 2\nlevel_power = -1\n", "learning.level_power is -1; the least is 0"),
     ],
 )
 def test_wrong_keys_are_one_line(
-    was: str, line: str, why: str, bayer: CameraModel, tmp_path: Path, refused: Callable
+    was: str, line: str, why: str, bayer: CameraModel, tmp_path: Path, refused: Refused
 ) -> None:
     training = a_set(tmp_path / "training.h5", bayer, 1)
     (tmp_path / "classes.toml").write_text((CLASSES + LAYER).replace(was, line, 1))

@@ -28,6 +28,7 @@ from l3cli.evaluation.demosaic import SIGMA as PLAIN_SIGMA
 from l3cli.evaluation.demosaic import tiled
 from l3cli.evaluation.quality import quality
 from l3cli.stages.starting import CLASSES
+from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 
 Array = NDArray[np.floating]
@@ -57,7 +58,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("camera", CASES)
-def test_an_array(camera: str, tmp_path: Path, l3: Callable, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_array(camera: str, tmp_path: Path, l3: L3, capsys: pytest.CaptureFixture[str]) -> None:
     light, below, shares = CASES[camera]
     for made, scenes in (("training", "default"), ("unseen", "demo_unseen")):
         text = (CONFIGS / f"scenes/{scenes}.toml").read_text().replace('["D65"]', f'["{light}"]')

@@ -9,7 +9,6 @@ The snapshot camera sees three multispectral scenes and five faces; training see
 
 import json
 import multiprocessing
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,6 +29,7 @@ from l3cli.training.recipe import TrainingRecipe
 from l3cli.training.solve import Solution
 from l3cli.training.table import assemble, learn_site
 from l3cli.training.training_pass import TrainingPass
+from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 
 DAYS, FACES = ("01", "06", "13"), (1, 2, 4, 5, 6)
@@ -107,7 +107,7 @@ def learned(sums: Path, switches: dict[str, Any]) -> TransformTable:
     return assemble(pass_of(head, switches), solutions, head.history)
 
 
-def test_unseen_scenes_and_switches(tmp_path: Path, l3_data: Path, l3: Callable, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unseen_scenes_and_switches(tmp_path: Path, l3_data: Path, l3: L3, capsys: pytest.CaptureFixture[str]) -> None:
     names = ("leaves", "unseen", "first_sums", "first", "sums", "table")
     leaves, unseen, first_sums, first, sums, table = (tmp_path / f"{name}.h5" for name in names)
 

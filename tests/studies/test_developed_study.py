@@ -7,7 +7,6 @@ one. LibRaw develops both as they say, Menon's demosaicking the latter by its ma
 ideal one.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from l3cli.artifacts.training_set import open_training_set
 from l3cli.io.pictures.dng import HEADROOM, WHITE_LEVEL
 from l3cli.physics.display import displayed, displayed_delta_e, srgb_curve, white_luminance
 from l3cli.physics.spaces import REC2020, SRGB
+from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 
 Array = NDArray[np.floating]
@@ -36,7 +36,7 @@ def psnr(one: Array, other: Array) -> float:
 
 
 @pytest.mark.slow
-def test_developers_show_our_pictures(l3: Callable, tmp_path: Path, l3_data: Path) -> None:
+def test_developers_show_our_pictures(l3: L3, tmp_path: Path, l3_data: Path) -> None:
     menon = pytest.importorskip("colour_demosaicing").demosaicing_CFA_Bayer_Menon2007
     (tmp_path / "faces.toml").write_text(FACES.format(data=l3_data.resolve()))
     for name, scenes in (("training", "default"), ("demo", "demo_unseen"), ("faces", tmp_path / "faces.toml")):

@@ -32,6 +32,7 @@ from l3cli.rendering.white.auto import AutoWhite
 from l3cli.rendering.white.balance import WhiteBalance, balanced, plain_balance
 from l3cli.rendering.white.scene_white import SceneWhite, Whites
 from l3cli.rendering.white.source import usual_balance
+from tests.helpers.calls import L3
 
 LIGHTS = ("2500K", "3200K", "4000K", "D5000K", "9000K", "F2", "F11", "LED-B3")
 BLACK_BODIES_AND_LAMPS = ("2500K", "3200K", "4000K", "D5000K", "6500K", "9000K", "F2", "LED-B3")
@@ -79,7 +80,7 @@ def error(renderer: Renderer, frame: TrainingPair, raw: RawFrame, balance: White
 
 
 @pytest.fixture
-def simulated(tmp_path: Path, l3_data: Path, l3: Callable) -> Callable[[tuple[str, ...], str, float], Path]:
+def simulated(tmp_path: Path, l3_data: Path, l3: L3) -> Callable[[tuple[str, ...], str, float], Path]:
     """Simulates scenes of a recipe under lights, exposed to a share of full scale."""
 
     def simulate(lights: tuple[str, ...], scenes: str, share: float) -> Path:
@@ -112,7 +113,7 @@ def shown(found: Found, lights: tuple[str, ...], capsys: pytest.CaptureFixture[s
 
 
 def test_eight_lights(
-    tmp_path: Path, simulated: Callable, unseen: Callable, l3: Callable, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, simulated: Callable, unseen: Callable, l3: L3, capsys: pytest.CaptureFixture[str]
 ) -> None:
     trained = {"D65": Path(os.environ["L3_TABLE"])} if "L3_TABLE" in os.environ else {}
     for light in () if trained else ("D65", "2500K", "F2"):
@@ -127,7 +128,7 @@ def test_eight_lights(
 
 
 def test_transforms_of_several_lights(
-    tmp_path: Path, simulated: Callable, unseen: Callable, l3: Callable, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, simulated: Callable, unseen: Callable, l3: L3, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Those of the light nearest to that of the scene, or mixed for it, beside what tables do without."""
     every = sorted({light for lights in MIXED for light in lights} | {"D65"})

@@ -51,7 +51,7 @@ BUDGET = {  # at most; a change that lowers a number lowers it here, towards the
     "lines of l3cli": 48_770,  # 41 000
     "lines of l3cli/stages": 6_900,  # 5 500
     "lines of l3cli/cli": 1_610,  # 1 700
-    "lines of tests": 37_815,  # 32 000
+    "lines of tests": 36_700,  # 32 000
     "modules": 370,  # 290
     "modules in the root": 3,
     "lines of the longest module": 500,

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from l3cli.frames.frame import NoiseLeft
 from l3cli.io.images import read_image
 from l3cli.io.raw.files import read_raw
 from l3cli.rendering.reference import ReferenceRenderer
+from tests.helpers.calls import L3
 from tests.helpers.paths import ROOT
 
 
@@ -76,7 +76,7 @@ def folder(archived: Archived, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_every_file_is_of_its_version_and_intact(l3: Callable, archived: Archived, folder: Path) -> None:
+def test_every_file_is_of_its_version_and_intact(l3: L3, archived: Archived, folder: Path) -> None:
     for name in ("camera.h5", "training.h5", "sums.h5", "table.h5"):
         code, out, _ = l3("info", folder / name, "--json")
         assert (code, json.loads(out)["version"]) == (0, archived.version)
@@ -118,7 +118,7 @@ def test_a_table_without_layers_opens_as_one_of_one_layer(archived: Archived, fo
     assert equal(load(TransformTable, folder / "again.h5"), table)
 
 
-def test_a_table_renders_what_it_rendered(l3: Callable, folder: Path) -> None:
+def test_a_table_renders_what_it_rendered(l3: L3, folder: Path) -> None:
     table = load(TransformTable, folder / "table.h5")
     outputs = ReferenceRenderer(table).outputs(read_raw(folder / "raw.tif", table))
     np.testing.assert_allclose(outputs, np.load(folder / "outputs.npy"), rtol=1e-6, atol=1e-9)  # float32
@@ -128,7 +128,7 @@ def test_a_table_renders_what_it_rendered(l3: Callable, folder: Path) -> None:
     np.testing.assert_array_equal(read_image(folder / "again.png")[0], read_image(folder / "picture.png")[0])
 
 
-def test_evaluations_and_training_take_old_files(l3: Callable, folder: Path) -> None:
+def test_evaluations_and_training_take_old_files(l3: L3, folder: Path) -> None:
     call = ("evaluate", folder / "table.h5", folder / "training.h5", "--backend", "reference", "--json", "--quiet")
     code, out, _ = l3(*call)
     assert code == 0
@@ -138,7 +138,7 @@ def test_evaluations_and_training_take_old_files(l3: Callable, folder: Path) -> 
     assert load(TransformTable, folder / "new.h5").first.weights.shape == (16, 3, 9)
 
 
-def test_tables_of_version_4_open_with_their_conditions(l3: Callable, tmp_path: Path) -> None:
+def test_tables_of_version_4_open_with_their_conditions(l3: L3, tmp_path: Path) -> None:
     """Low-noise transforms, those of lights, and sums for both noises, as they were learned and rendered."""
     with zipfile.ZipFile(ROOT / "tests/data/version4.zip") as packed:
         packed.extractall(tmp_path)

@@ -17,6 +17,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
 from l3cli.errors import InputFileError
 from tests.helpers.artifacts import a_camera, a_frame, a_table
+from tests.helpers.calls import L3, Refused
 
 
 def test_camera_and_table_come_back_as_they_went(fiveband: CameraModel, bayer: CameraModel, tmp_path: Path) -> None:
@@ -196,7 +197,7 @@ def test_a_broken_artifact_is_one_line(
     assert str(path) in str(caught.value)
 
 
-def test_info_lists_every_dataset_with_unit(fiveband: CameraModel, tmp_path: Path, l3: Callable, refused: Callable) -> None:
+def test_info_lists_every_dataset_with_unit(fiveband: CameraModel, tmp_path: Path, l3: L3, refused: Refused) -> None:
     path = tmp_path / "camera.h5"
     save(a_camera(fiveband), path)
     code, out, err = l3("info", path)

@@ -1,7 +1,6 @@
 """The integer class rule: exact in 32 bits, equal on mosaics and on patches, as in docs/method.md#classes."""
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from hypothesis import strategies as st
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.classes.decide import label_mosaic, label_patches, labels
-from l3cli.classes.features import BASIC, FURTHER
 from l3cli.classes.level import LEVEL_FRACTION
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
@@ -19,7 +17,6 @@ from l3cli.classes.statistics import mosaic_statistics
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import mirrored_indices, pad_mosaic
-from l3cli.rendering.opencl.layout import source_folder
 from tests.helpers.tables import random_case_of_code
 
 
@@ -221,12 +218,3 @@ def test_a_kind_is_a_chroma_or_a_saturation_case(fiveband: CameraModel) -> None:
     assert rule.case(kinds.astype(np.uint32)).tolist() == rule.case(kinds).tolist()  # as labels are
     for case in range(rule.cases):
         assert np.atleast_1d(kinds[rule.kinds_of(case)]).tolist() == kinds[rule.case(kinds) == case].tolist()
-
-
-def test_every_feature_has_its_snippet_and_no_macro_twice(fiveband: CameraModel) -> None:
-    rule = make_rule(ClassRecipe(), fiveband, np.zeros(32, np.uint16))
-    macros = [key for feature in BASIC for key in feature.macros(rule)]
-    assert len(set(macros)) == len(macros)
-    for feature in (*BASIC, *FURTHER.values()):
-        snippet = (source_folder() / feature.SNIPPET).read_text(encoding="utf-8")
-        assert f"l3cli/classes/{Path(feature.SNIPPET).stem}.py" in snippet

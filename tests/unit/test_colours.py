@@ -23,7 +23,6 @@ from l3cli.rendering.display import Display, encode, make_display, require_xyz
 from l3cli.rendering.opencl.layout import _literal, curve_pieces
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from tests.helpers.cameras import BAYER
-from tests.helpers.paths import ROOT
 from tests.helpers.tables import random_table
 
 
@@ -44,12 +43,6 @@ def test_srgb_and_its_inverse() -> None:
     codes = np.arange(256)
     assert srgb_codes(srgb_decoded(codes / 255)).tolist() == codes.tolist()
     np.testing.assert_allclose(xyz_from_srgb_matrix() @ srgb_from_xyz_matrix(), np.eye(3), atol=1e-12)
-
-
-def test_known_colour_in_srgb() -> None:
-    """CIE XYZ of sRGB red, IEC 61966-2-1."""
-    picture = encode(np.array([0.4124, 0.2126, 0.0193]).reshape(3, 1, 1), make_display(spectra.white_point("D65"), 1.0, 8))
-    assert np.abs(picture[0, 0].astype(int) - [255, 0, 0]).max() <= 1
 
 
 def test_automatic_exposure_maps_the_99th_percentile_to_white() -> None:
@@ -173,23 +166,6 @@ def test_an_unknown_light_is_one_short_line(name: str, cure: str) -> None:
     assert cure in line
     assert len(line) < 220
     assert f'documentation, "Lights", lists all {len(spectra.illuminant_names())}' in line
-
-
-def test_the_usual_ones_are_lights() -> None:
-    for name in re.findall(r"[A-Z0-9-]*\d+K?|\bA\b", spectra.USUAL_LIGHTS.replace("(a black body)", "")):
-        assert spectra.illuminant(name, COARSE).min() > 0
-
-
-def test_the_docs_list_all() -> None:
-    text = (ROOT / "docs/commands.md").read_text()
-    (bullet,) = re.findall(r"^\* \*\*Lights\*\*(.*?)^\* ", text, re.MULTILINE | re.DOTALL)
-    listed = set()
-    for first, last in re.findall(r"`([^`]+)`(?:…`([^`]+)`)?", bullet):
-        stem, number = re.fullmatch(r"(.*?)(\d*)", first).groups()  # type: ignore[union-attr]
-        listed |= {f"{stem}{n}" for n in range(int(number), int(last.removeprefix(stem)) + 1)} if last else {first}
-    known = {name.removeprefix("ISO 7589 ") for name in spectra.illuminant_names()}
-    assert listed >= known
-    assert listed - known == {*(f"F{n}" for n in range(1, 13)), '"3200K"', '"D6000K"', "ISO 7589"}
 
 
 VISIBLE = np.arange(400.0, 701.0, 10.0)

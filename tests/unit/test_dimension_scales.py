@@ -39,6 +39,7 @@ from l3cli.artifacts.training_set import (
 )
 from l3cli.errors import InputFileError
 from tests.helpers.artifacts import a_camera, a_frame, a_table, some_layer_sums, some_sums
+from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.readme import PAGES
 
@@ -149,12 +150,6 @@ def test_axes_have_coordinates_where_a_dataset_gives_them(folder: Path) -> None:
     assert opened("table.h5", "first/rule").chroma_weights.sel(channel="r").dims == ("chroma",)
 
 
-def test_a_whole_table_opens_as_a_tree(folder: Path) -> None:
-    tree = xarray.open_datatree(folder / "table.h5", engine="h5netcdf")
-    assert {"/", "/first/rule", "/camera", "/camera/noise", "/camera/optics"} <= set(tree.groups)
-    tree.close()
-
-
 def test_the_example_of_the_docs_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lines = PAGES["artifacts.md"].partition("    import xarray\n")[2].partition("\n\n")[0].splitlines()
     monkeypatch.chdir(folder)
@@ -187,15 +182,6 @@ def test_another_process_writes_the_same_bytes(folder: Path, tmp_path: Path) -> 
     for name in (*KINDS, "part"):
         digests = {hashlib.sha256((where / f"{name}.h5").read_bytes()).digest() for where in (folder, tmp_path)}
         assert len(digests) == 1, name
-
-
-def test_info_lists_what_is_declared_and_no_scale(folder: Path, l3: Callable) -> None:
-    for kind in KINDS:
-        code, out, err = l3("info", folder / f"{kind}.h5")
-        assert (code, err) == (0, "")
-        assert "netCDF" not in out
-        names = {item["name"] for item in describe(folder / f"{kind}.h5")["datasets"]}
-        assert not {"channel", "output", "class", "tap", "cfa_row", "frames/00000/row"} & names
 
 
 def test_no_scale_takes_the_name_of_another_dataset() -> None:
@@ -253,7 +239,7 @@ def misname(root: h5py.File) -> None:
 
 @pytest.mark.parametrize("damage", [remove, lead_away, claim_much, refer_to_itself, refer_to_nothing, misname])
 def test_reading_ignores_scales_whatever_became_of_them(
-    damage: Callable[[h5py.File], None], folder: Path, tmp_path: Path, l3: Callable
+    damage: Callable[[h5py.File], None], folder: Path, tmp_path: Path, l3: L3
 ) -> None:
     path = tmp_path / "camera.h5"
     path.write_bytes((folder / "camera.h5").read_bytes())

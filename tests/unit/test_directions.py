@@ -14,7 +14,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import Axis, ClassRule, FurtherFeatures
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.artifacts.schema import equal
-from l3cli.artifacts.store import describe, load, save
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction, structure
 from l3cli.classes.decide import label_mosaic, label_patches
@@ -202,15 +202,6 @@ def test_a_table_keeps_its_direction(tmp_path: Path) -> None:
     names = {class_name(again, index).split(", ")[4] for index in range(again.first.rule.classes_per_site)}
     assert len(names) == again.first.rule.further == 33
     assert {"flat", "along 11.25° strength 2 coherent", "along 168.75° strength 1 mixed"} <= names
-
-
-def test_a_table_without_further_features_states_nothing_of_them(tmp_path: Path) -> None:
-    """Not a byte more than before there were any."""
-    save(random_table(BAYER), tmp_path / "plain.h5")
-    save(random_table(BAYER, direction=FOUR), tmp_path / "direction.h5")
-    plain, more = ({item["name"] for item in describe(tmp_path / name)["datasets"]} for name in ("plain.h5", "direction.h5"))
-    assert {name.partition("/features/")[0] for name in more - plain} == {"first/rule"}
-    assert load(TransformTable, tmp_path / "plain.h5").first.rule.features is None
 
 
 def test_a_damaged_direction_is_refused() -> None:

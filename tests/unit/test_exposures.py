@@ -1,6 +1,5 @@
 """Channels that are exposed or amplified apart: recipe, readout, classes, kernels, baselines, calibration."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +29,7 @@ from l3cli.simulation.sensor import expose
 from l3cli.training.highlights import grey_patches
 from l3cli.training.recipe import LayerRecipe, TrainingRecipe, for_camera
 from l3cli.training.sums import empty_sums
+from tests.helpers.calls import Refused
 from tests.helpers.cameras import random_camera
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import random_table, with_first, with_refinement
@@ -81,7 +81,7 @@ def recipe_of(name: str) -> Path:
         ("exposure = 0.0625", "exposures = 0.5", "exposures"),
     ],
 )
-def test_wrong_channels_are_refused_in_a_line(old: str, new: str, message: str, tmp_path: Path, refused: Callable) -> None:
+def test_wrong_channels_are_refused_in_a_line(old: str, new: str, message: str, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "camera.toml").write_text(recipe_of("quad_bayer_hdr").read_text().replace(old, new, 1))
     error = refused(2, "simulate", "small", "--camera", tmp_path / "camera.toml", "-o", tmp_path / "set.h5")
     assert message in error

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from l3cli.training.insight import insight
+from tests.helpers.calls import L3
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table, with_refinement, with_tree
 
@@ -114,7 +114,7 @@ def test_more_layers_than_can_be_are_refused(path: Path) -> None:
         load(TransformTable, path)
 
 
-def test_info_describes_every_layer(l3: Callable, path: Path) -> None:
+def test_info_describes_every_layer(l3: L3, path: Path) -> None:
     code, out, _ = l3("info", path)
     assert code == 0
     assert "layer 2: " in out

@@ -5,24 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
-from l3cli.simulation import fields, leaves, procedural, textures
+from l3cli.simulation import fields, leaves, textures
 
 Array = NDArray[np.floating]
 SHAPE = (60, 90)
 
 
 # -------------------------------------------------------------------------------------------------------- leaves
-
-
-def test_radii_have_a_density_of_r_to_the_minus_three() -> None:
-    radius = leaves._radii(np.random.default_rng(0), 20000, 4.0, 100.0)
-    assert radius.min() >= 4
-    assert radius.max() <= 100
-    for edge in (5.0, 8.0, 20.0):
-        assert np.mean(radius > edge) == pytest.approx((edge**-2 - 100**-2) / (4**-2 - 100**-2), rel=0.06)
-    assert leaves._mean_square(4.0, 100.0) == pytest.approx(np.mean(radius**2), rel=0.05)
 
 
 @pytest.mark.parametrize(("smallest", "largest"), [(4.0, 60.0), (20.0, 60.0), (3.0, 5.0)])
@@ -169,20 +159,3 @@ def test_textures_have_about_unit_variance_and_differ_from_leaf_to_leaf(monkeypa
 
 
 # ------------------------------------------------------------------------------------------------------- drawing
-
-
-@pytest.mark.parametrize("sigma", [0.1, 0.21, 0.4, 0.8])
-@pytest.mark.parametrize("shape", [(20, 33, 5), (3, 4, 2), (1, 5, 2)])
-def test_blur_is_the_one_of_scipy(shape: tuple[int, int, int], sigma: float) -> None:
-    cube = np.random.default_rng(0).random(shape, dtype=np.float32)
-    expected = cube if sigma < 0.2 else gaussian_filter1d(gaussian_filter1d(cube, sigma, axis=0), sigma, axis=1)
-    np.testing.assert_allclose(procedural._blurred(cube.copy(), sigma), expected, atol=1e-6)
-
-
-def test_nothing_is_brighter_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    wavelength, size = np.arange(400.0, 701.0, 10.0), (48, 64)
-    free = procedural.dead_leaves(np.random.default_rng(1), size, wavelength)
-    monkeypatch.setattr(procedural, "BRIGHTEST", float(np.quantile(free, 0.8)))
-    cut = procedural.dead_leaves(np.random.default_rng(1), size, wavelength)
-    assert cut.max() <= procedural.BRIGHTEST * (1 + 1e-6)
-    assert cut.min() == free.min()

@@ -1,7 +1,6 @@
 """The comparison with other methods: rivals give a mosaic's channels back, the best setting counts, the page is that of its
 figures and says where ours is beaten."""
 
-import configparser
 import importlib
 import json
 import re
@@ -84,35 +83,10 @@ def test_the_page_states_where_ours_is_beaten_what_is_missing_and_of_which_run_i
     assert "| CDM-CNN (Tan and others 2017) | published | — | — | *42.04* | *38.98* |" in published.splitlines()
 
 
-def test_a_source_is_known_by_what_it_holds(peers: Callable[[str], ModuleType], tmp_path: Path) -> None:
-    provenance = peers("provenance")
-    (tmp_path / "l3cli").mkdir()
-    (tmp_path / "l3cli/a.py").write_text("1")
-    first = provenance.source(tmp_path)
-    (tmp_path / "l3cli/__pycache__").mkdir()
-    (tmp_path / "l3cli/__pycache__/a.pyc").write_text("2")
-    assert provenance.source(tmp_path) == first
-    (tmp_path / "l3cli/a.py").rename(tmp_path / "l3cli/b.py")
-    assert provenance.source(tmp_path) != first
-    table = tmp_path / "table.h5"
-    assert provenance.stamped(table) is None
-    provenance.stamp(table)
-    assert provenance.stamped(table) == provenance.origin()
-
-
 def test_the_best_setting_counts_by_figure(peers: Callable[[str], ModuleType]) -> None:
     means = {"": {"a psnr": 30.0, "a delta_e": 2.0}, "denoised": {"a psnr": 29.0, "a delta_e": 1.5}}
     best = peers("judging").best_settings(means)
     assert best == {"figures": {"a psnr": 30.0, "a delta_e": 1.5}, "settings": {"a delta_e": "denoised"}}
-
-
-def test_what_is_not_installed_is_named(peers: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shutil, "which", lambda name: None)
-    rivals, rawtherapee = peers("rivals"), peers("rawtherapee")
-    with pytest.raises(rivals.NotInstalled):
-        rivals.installed("no-such-package")
-    left = rivals.Rival("r", "p", {})
-    assert rivals.gathered([rawtherapee.xtrans, lambda: [left]]) == ([left], ["RawTherapee"])
 
 
 def test_libraw_gives_channels_back(peers: Callable[[str], ModuleType]) -> None:
@@ -124,29 +98,6 @@ def test_libraw_gives_channels_back(peers: Callable[[str], ModuleType]) -> None:
         np.testing.assert_allclose(channels, np.broadcast_to(COLOUR[:, None, None], (3, *SHAPE)), atol=1e-3)
 
 
-def test_rawtherapee_is_asked_for_each_method(peers: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its profiles say the method, and of its denoising nothing or the strengths."""
-    rawtherapee = peers("rawtherapee")
-    monkeypatch.setattr(rawtherapee, "_program", lambda: "RawTherapee 5.9")
-    rivals = rawtherapee.bayer(noisy=True) + rawtherapee.xtrans()
-    assert len(rivals) == len(rawtherapee.NOISY) + len(rawtherapee.XTRANS)
-    for rival, method in zip(rivals, [*rawtherapee.NOISY, *rawtherapee.XTRANS], strict=True):
-        for setting, demosaic in rival.settings.items():
-            profile = configparser.ConfigParser()
-            profile.read_string(demosaic.args[0])
-            assert {profile[array]["method"] for array in ("RAW Bayer", "RAW X-Trans")} == {method}
-            denoising = "Directional Pyramid Denoising"
-            assert (setting != "") == profile.has_section(denoising)
-            if setting:
-                luma, chroma, median = rawtherapee.DENOISED[setting]
-                words = profile[denoising]
-                assert (words["luma"], words["chroma"], words["median"]) == (
-                    str(luma),
-                    str(chroma),
-                    str(median != "").lower(),
-                )
-
-
 @pytest.mark.slow
 def test_rawtherapee_gives_channels_back(peers: Callable[[str], ModuleType]) -> None:
     rawtherapee = peers("rawtherapee")
@@ -156,47 +107,6 @@ def test_rawtherapee_gives_channels_back(peers: Callable[[str], ModuleType]) -> 
         for setting in ("", "colour 5"):
             channels = rival.settings[setting](plain_mosaic(), GRBG)
             np.testing.assert_allclose(channels, np.broadcast_to(COLOUR[:, None, None], (3, *SHAPE)), atol=2e-3)
-
-
-def test_a_developer_of_another_size_is_refused(peers: Callable[[str], ModuleType]) -> None:
-    raw_file = peers("raw_file")
-    with pytest.raises(ValueError, match="developed to 30×160"):
-        raw_file.through_file(lambda path: np.zeros((3, 30, 160)), plain_mosaic(), GRBG)
-    assert raw_file.through_file(lambda path: np.zeros((3, 126, 166)), plain_mosaic(), GRBG).shape == (3, *SHAPE)
-
-
-def test_seconds_are_those_of_more_pixels(peers: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> None:
-    seconds, clock = peers("seconds"), [0.0]
-    monkeypatch.setattr(seconds, "core_seconds", lambda: clock[0])
-
-    def prepared(side: int) -> Callable[[], None]:
-        def call() -> None:
-            clock[0] += 5.0 + 0.3e-6 * side * side  # to start, and 0.3 s/MP
-            clock[0] += 100.0 if clock[0] < 100.0 else 0.0  # the first time
-
-        return call
-
-    assert seconds.per_megapixel({"m": prepared}) == pytest.approx({"m": 0.3})
-    np.testing.assert_array_equal(seconds.tiled_to(tiled(GRBG, (7, 9)), 20, GRBG.shape), tiled(GRBG, (20, 20)))
-
-
-def test_the_same_recipe_for_another_array(
-    peers: Callable[[str], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The folder of the benchmark, with the CFA of X-Trans; nothing that is there is made again."""
-    making, made = peers("making"), []
-    monkeypatch.setattr(making.l3cli, "simulate", lambda *given, **more: made.append(given[2].name))
-    monkeypatch.setattr(making.l3cli, "train", lambda *given, **more: made.append(given[1].name))
-    (tmp_path / "data/demosaicking/kodak").mkdir(parents=True)
-    (tmp_path / "work").mkdir()
-    (tmp_path / "work/training.h5").touch()
-    sets, _ = making.codes(tmp_path / "work", tmp_path / "data", "xtrans", 1)
-    assert made == ["kodak.h5", "table.h5"]
-    assert set(sets) == {"Kodak"}
-    camera = (tmp_path / "work/camera.toml").read_text(encoding="utf-8")
-    assert camera.count("pattern = [") == 1
-    assert '"g b g g r g"' in camera
-    assert f"{tmp_path}/data/demosaicking/kodak/*" in (tmp_path / "work/kodak.toml").read_text(encoding="utf-8")
 
 
 def test_tables_and_rivals_are_judged_alike(
@@ -224,42 +134,6 @@ def test_tables_and_rivals_are_judged_alike(
     assert all(each["seconds"] == 1 for each in rows)
 
 
-def test_seconds_are_measured_again_without_the_figures(
-    peers: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of the settings that the figures are of; a method that is not here keeps what was measured of it."""
-    module, rivals = peers("peers"), peers("rivals")
-    seen: list[str] = []
-
-    def put(rows: list[dict[str, Any]], *given: Any) -> None:
-        seen.extend(row["name"] for row in rows)
-        for each in rows:
-            each["seconds"] = 7.0
-
-    monkeypatch.setattr(module, "put_seconds", put)
-    rows = [row("x", 41.5), row("gone", 40, seconds=2.0)]
-    part = module.Comparison({}, {}, [rivals.Rival("x", "p", {})], None).timed(PLAIN | {"rows": rows})
-    assert seen == ["x"]
-    assert [(each["name"], each["seconds"], each["figures"]["bands psnr"]) for each in part["rows"]] == [
-        ("x", 7.0, 41.5),
-        ("gone", 2.0, 40),
-    ]
-    page = peers("peers_page")
-    assert "Seconds: 2026-01-02, source" in page.section("bands", PLAIN | {"rows": [row("o", 1, ours=True)], "timed": RUN})
-    del rows[0]["seconds"]
-    assert "| — |" in page.section("bands", PLAIN | {"rows": [row("o", 1, ours=True), rows[0]]})
-
-
-def test_wrong_calls_measure_nothing(
-    peers: Callable[[str], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert peers("peers").main(["bayre"], Path("nowhere"), 1) == 2
-    assert 'no part "bayre"' in capsys.readouterr().err
-    monkeypatch.setenv("L3_DATA", str(tmp_path))
-    with pytest.raises(SystemExit, match="demosaicking/kodak is missing; give the folder of the real data in L3_DATA"):
-        peers("making").data_folder()
-
-
 GALLERY = ROOT / "docs/gallery"
 
 
@@ -284,43 +158,3 @@ def test_pictures_are_all_shown() -> None:
     pages = (ROOT / "docs/gallery.md").read_text(encoding="utf-8") + (ROOT / "README.md").read_text(encoding="utf-8")
     shown = set(re.findall(r"gallery/([\w.]+\.(?:jpg|png|svg))\)", pages))
     assert shown == {path.name for path in GALLERY.iterdir() if path.suffix in (".jpg", ".png", ".svg")}
-
-
-def test_an_array_begun_at_another_pixel_is_shown_once_and_a_wrong_name_makes_nothing(
-    gallery: ModuleType, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert sorted(gallery.arrays()["bayer"][1]) == ["bayer_bggr", "bayer_gbrg", "bayer_rggb"]
-    assert "bayer_rggb" not in gallery.arrays()
-    assert gallery.main(["bayre"], 1) == 2
-    assert 'no array "bayre"' in capsys.readouterr().err
-
-
-def test_the_page_states_where_it_loses(gallery: ModuleType, entries: dict[str, dict[str, Any]]) -> None:
-    entry = next(iter(entries.values()))
-    basic = entry["figures"]["basic"]
-    ours = {"mean_delta_e": basic["mean_delta_e"] - 1, "psnr": basic["psnr"] - 1}
-    worse = {"x": {**entry, "figures": {"ours": ours, "basic": basic}}}
-    assert "Better than ours: basic on x (PSNR)." in gallery.page(worse, gallery.SCENES)
-
-
-def test_the_largest_arrays_are_begun_first_and_each_by_one_process(
-    gallery: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """And figures stand in the order of the recipes, whatever the order in which arrays are done."""
-    made = []
-
-    def make(array: Any) -> tuple[dict[str, Any], float]:
-        made.append((array.name, array.jobs))
-        return {"title": array.name, "summary": "2×2,  3 channels  x", "twins": [], "figures": {}}, 1.0
-
-    def ordered_map(function: Any, items: Any, jobs: int) -> Any:
-        assert jobs == 2
-        return map(make, items)
-
-    monkeypatch.setattr(gallery, "ordered_map", ordered_map)
-    monkeypatch.setattr(gallery, "page", lambda entries, recipes: "")
-    monkeypatch.setattr(gallery, "FIGURES", tmp_path / "figures.json")
-    monkeypatch.setattr(gallery, "PAGE", tmp_path / "gallery.md")
-    assert gallery.main(["bayer", "xtrans", "snapshot16", "bayer"], 2) == 0
-    assert made == [("snapshot16", 1), ("xtrans", 1), ("bayer", 1)]
-    assert list(json.loads((tmp_path / "figures.json").read_text())) == ["bayer", "snapshot16", "xtrans"]

@@ -39,21 +39,6 @@ def test_the_container_copies_what_a_wheel_is_built_from_and_drops_rights() -> N
     assert lines.index("USER l3") < lines.index('ENTRYPOINT ["l3"]')
 
 
-def test_the_workflow_runs_every_part() -> None:
-    workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
-    (defaults,) = re.findall(r"parts=\((\w[\w ]*)\)", (ROOT / ".ci/run").read_text(encoding="utf-8"))
-    matrix = workflow["jobs"]["part"]["strategy"]["matrix"]
-    assert set(matrix["part"]) == set(defaults.split())
-    pythons = {*matrix["python"], *(each["python"] for each in matrix["include"])}
-    classified = re.findall(r"Python :: (3\.\d+)", "\n".join(PROJECT["project"]["classifiers"]))
-    assert pythons == set(classified)
-
-
-def test_a_wheel_holds_the_package_alone() -> None:
-    assert PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"] == ["l3cli"]
-    assert (ROOT / "l3cli/py.typed").is_file()
-
-
 def test_the_citation_is_of_this_version() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert (citation["version"], citation["license"]) == (__version__, PROJECT["project"]["license"])

@@ -345,18 +345,6 @@ def test_it_agrees_with_what_recipes_are_read_by(data: st.DataObject, path: Path
     assert bool(problems(kind.name, content)) == bool(faults)
 
 
-def test_keys_have_their_meaning() -> None:
-    responsivity = SCHEMAS["camera"]["$defs"]["ResponsivityRecipe"]["properties"]
-    assert responsivity["per_energy"] == {
-        "type": "boolean", "default": False, "description": "the curves are per watt, not per photon",
-    }  # fmt: skip
-    assert responsivity["peak_efficiency"]["description"].startswith("quantum efficiency e-/photon at the peak")
-    classes = SCHEMAS["classes"]["$defs"]
-    assert classes["ClassRecipe"]["properties"]["max_cases"]["description"].startswith("saturation patterns")
-    assert classes["LayerRecipe"]["properties"]["leaves"]["description"].startswith("classes, of a tree")
-    assert SCHEMAS["scenes"]["$defs"]["Skin"]["properties"]["scale"]["description"].startswith("pixels a sample")
-
-
 def test_the_command_offers_every_kind(refused: Refused) -> None:
     assert [*OFFERED] == [*KINDS, "output"]
     assert 'did you mean "camera"?' in refused(2, "schema", "camra")

@@ -12,16 +12,14 @@ from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSe
 from l3cli.evaluation.pictures import holds_chart, inner, patch_colours
 from l3cli.frames.measurement import PATCH_NAMES
 from l3cli.physics import spectra
-from l3cli.report.drawing import Axis, Places, spanning, tick_text
+from l3cli.report.drawing import Places
 from l3cli.report.evaluation import verdict
 from l3cli.report.page import csv_uri, file_stem
 from l3cli.report.parts import Data, Figures, Table
 from l3cli.report.patches import calibration_figures
-from l3cli.report.pictures import fitted, reduced
 from l3cli.simulation.charts import BOARD, colorchecker_patches
-from l3cli.simulation.procedural import chart_places, composition
+from l3cli.simulation.procedural import chart_places
 from l3cli.stages.report import chart_subsection
-from l3cli.system.text import tidy
 from tests.helpers.pages import csv_rows
 
 
@@ -44,27 +42,6 @@ def test_a_spreadsheet_computes_nothing_that_is_a_name() -> None:
     assert (file_stem("Größe: ../a b"), file_stem("…")) == ("gr-e-a-b", "figure")
 
 
-def test_ticks_are_round_and_enough() -> None:
-    for axis in (
-        Axis("", 0, 0.27),
-        Axis("", -3.2, 3.4),
-        Axis("", 1e-7, 10, True),
-        Axis("", 0.21, 0.29, True),
-        Axis("", 0.2, 1.3, True),
-    ):
-        ticks = axis.ticks()
-        assert 3 <= len(ticks) <= 10, ticks
-        assert all(axis.low * 0.99 <= tick <= axis.high * 1.01 or abs(tick) < 1e-9 for tick in ticks)
-        assert len({tick_text(tick) for tick in ticks}) == len(ticks)
-    assert (tick_text(1e-7), tick_text(0.01), tick_text(-2), tick_text(2e5)) == ("10⁻⁷", "0.01", "−2", "2×10⁵")
-    assert spanning("", np.full(3, 2.0)).high > spanning("", np.full(3, 2.0)).low
-
-
-def test_numbers_read_without_exponents_where_they_can() -> None:
-    shown = [tidy(value) for value in (0, 0.25, -0.0979, 24000, 12.3456, 1.1843e7, 3.2e-6)]
-    assert shown == ["0", "0.25", "−0.0979", "24000", "12.3", "1.18×10⁷", "3.20×10⁻⁶"]
-
-
 def test_a_label_goes_where_there_is_room_or_nowhere() -> None:
     free = Places(200, 100)
     assert free.place(100, 50, "here") == (100, 45 - 13.5 + 10, "middle")
@@ -76,22 +53,6 @@ def test_a_label_goes_where_there_is_room_or_nowhere() -> None:
     full = Places(200, 100)
     full.take([(x, y) for y in range(0, 100, 4) for x in range(0, 200, 4)], joined=False)
     assert full.place(100, 50, "nowhere") is None
-
-
-def test_pictures_are_made_smaller_until_they_fit() -> None:
-    def jpeg(pixels: np.ndarray, quality: int) -> bytes:
-        return b"x" * (pixels.size * quality // 100)
-
-    picture = np.zeros((64, 96, 3), np.uint8)
-    assert fitted(picture, 10**6, jpeg)[1] == (64, 96)
-    uri, size = fitted(picture, 3000, jpeg)
-    assert size == (16, 24)
-    assert len(uri) < 3100
-    assert np.allclose(reduced(np.arange(16.0).reshape(4, 4, 1), 2)[..., 0], [[2.5, 4.5], [10.5, 12.5]])
-
-
-def test_what_is_no_number_is_named_as_such() -> None:
-    assert [tidy(value) for value in (float("nan"), float("inf"), float("-inf"))] == ["–", "∞", "−∞"]
 
 
 WAVELENGTH = np.arange(390.0, 731.0, 10.0)
@@ -132,13 +93,6 @@ def test_a_chart_is_seen_only_where_one_is() -> None:
     assert not holds_chart(dataclasses.replace(frame, target=stained), frame.light, filling)
     flat = dataclasses.replace(frame, target=np.ones_like(frame.target))
     assert not holds_chart(flat, frame.light, filling)
-
-
-def test_the_chart_of_a_composition_is_where_it_is_painted() -> None:
-    picture = composition(np.random.default_rng(1), (144, 256), WAVELENGTH)
-    _, within = chart_places((144, 256))
-    for reflectance, (rows, cols) in zip(spectra.colorchecker(WAVELENGTH)[1], within, strict=True):
-        assert np.allclose(picture[rows, cols], reflectance, atol=1e-6)
 
 
 def test_errors_are_those_of_the_patches(bayer: CameraModel) -> None:

@@ -14,6 +14,7 @@ from l3cli.io.scenes.rgb import read as read_rgb_picture
 from l3cli.physics import paint, spectra
 from l3cli.physics.display import srgb_curve, srgb_from_xyz_matrix
 from l3cli.simulation import charts, light, procedural, reflectances, rgb
+from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)
@@ -73,7 +74,7 @@ def test_real_scene_reads_equal_in_both_storages(l3_data: Path) -> None:
     assert one.reflectance.max() > 1.2
 
 
-def test_a_scene_keeps_its_light(l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path) -> None:
+def test_a_scene_keeps_its_light(l3: L3, bayer_recipe: Path, tmp_path: Path) -> None:
     from l3cli.artifacts.training_set import open_training_set
 
     save_scene(tmp_path / "scene.mat", np.broadcast_to(np.linspace(0.5, 1.0, 31) * 1e16, (20, 24, 31)))  # reflectance 0.5
@@ -89,7 +90,7 @@ def test_a_scene_keeps_its_light(l3: Callable[..., tuple[int, str, str]], bayer_
     assert frame.white[1] == pytest.approx(100.0)
 
 
-def test_what_a_scene_does_not_cover_is_reported_once(l3: Callable[..., tuple[int, str, str]], tmp_path: Path) -> None:
+def test_what_a_scene_does_not_cover_is_reported_once(l3: L3, tmp_path: Path) -> None:
     save_scene(tmp_path / "scene.mat", photons((32, 32)))
     recipe = tmp_path / "scenes.toml"
     recipe.write_text('exposure_share = [0.5, 0.9]\n[[scene]]\nsource = "iset"\nfile = "scene.mat"\n')
@@ -112,7 +113,7 @@ def test_what_a_scene_does_not_cover_is_reported_once(l3: Callable[..., tuple[in
     ],
 )
 def test_a_wrong_scene_file_is_one_line(
-    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, make: Callable[[Path], object], words: str
+    refused: Refused, bayer_recipe: Path, tmp_path: Path, make: Callable[[Path], object], words: str
 ) -> None:
     make(tmp_path / "scene.mat")
     recipe = tmp_path / "scenes.toml"
@@ -153,7 +154,7 @@ def test_raised_spectra_have_the_colours_of_the_picture_and_stay_reflectances() 
     assert np.allclose(grey.reflectance, 0.4, atol=1e-6)
 
 
-def test_a_picture_becomes_frames(l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path) -> None:
+def test_a_picture_becomes_frames(l3: L3, bayer_recipe: Path, tmp_path: Path) -> None:
     from l3cli.artifacts.training_set import open_training_set
     from l3cli.io.pictures.registry import write_picture
 

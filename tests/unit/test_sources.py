@@ -17,13 +17,14 @@ from l3cli.physics.display import lab
 from l3cli.simulation import charts, sources
 from l3cli.simulation.framing import framed
 from l3cli.simulation.synthetic import draw
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cubes import WAVELENGTH, a_cube, basis_file
 
 RANGE = "wavelength_range_nm = [400, 700, 10]\n"
 
 
 @pytest.fixture
-def simulated(l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path) -> Callable[[str], list]:
+def simulated(l3: L3, bayer_recipe: Path, tmp_path: Path) -> Callable[[str], list]:
     """The frames that a recipe (below exposure_share) gives."""
 
     def run(text: str) -> list:
@@ -51,7 +52,7 @@ def test_coefficients_of_a_basis_become_photons(tmp_path: Path, illuminant: str,
 
 
 def test_a_scene_without_its_light_needs_one_from_the_recipe(
-    simulated: Callable[[str], list], tmp_path: Path, refused: Callable[..., str], bayer_recipe: Path
+    simulated: Callable[[str], list], tmp_path: Path, refused: Refused, bayer_recipe: Path
 ) -> None:
     basis_file(tmp_path / "scene.mat")
     text = '[[scene]]\nsource = "iset"\nfile = "scene.mat"\n'
@@ -181,9 +182,7 @@ SCENES = {
 
 
 @pytest.mark.parametrize(("pattern", "count"), list(zip(SCENES, (6, 3, 1), strict=True)))
-def test_every_real_scene_opens(
-    l3: Callable[..., tuple[int, str, str]], l3_data: Path, tmp_path: Path, pattern: str, count: int
-) -> None:
+def test_every_real_scene_opens(l3: L3, l3_data: Path, tmp_path: Path, pattern: str, count: int) -> None:
     lights = 'illuminants = ["scene"]\n' if "photons" in SCENES[pattern] else ""
     (tmp_path / "scenes.toml").write_text(
         f'exposure_share = [0.9]\n{lights}[[scene]]\nfile = "{l3_data / "scenes" / pattern}"\n{SCENES[pattern]}'
@@ -307,7 +306,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_a_wrong_cube_is_one_line(refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, case: str) -> None:
+def test_a_wrong_cube_is_one_line(refused: Refused, bayer_recipe: Path, tmp_path: Path, case: str) -> None:
     make, code, words = BAD[case]
     (tmp_path / "scenes.toml").write_text("exposure_share = [0.9]\n" + make(tmp_path))
     line = refused(code, "simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "out.h5")

@@ -6,7 +6,6 @@ import dataclasses
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -44,6 +43,7 @@ from l3cli.training.patches import colourless_frame
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.sums import empty_sums
 from l3cli.training.training_pass import LAST, TrainingPass, spread_patches
+from tests.helpers.calls import L3, Refused
 from tests.helpers.training_sets import a_frame, a_set, in_shards
 from tests.helpers.training_speed import stage_shares, synthetic_frame, train
 
@@ -133,7 +133,7 @@ def lit_set(path: Path, camera: CameraModel, count: int, white: tuple[float, flo
 
 
 @pytest.mark.usefixtures("same_workers")
-def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable) -> None:
+def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused) -> None:
     """One process, two processes, three shards of each pass merged in any order: the same table to the last bit."""
     training = a_set(tmp_path / "training.h5", bayer, 4, smooth=False)
     more = a_set(tmp_path / "more.h5", bayer, 3, smooth=True)
@@ -180,7 +180,7 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
 
 @pytest.mark.usefixtures("same_workers")
 def test_three_layers_have_the_same_bytes_in_shards(
-    bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable, monkeypatch: pytest.MonkeyPatch
+    bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A layer by structure and one by a tree, each in a pass of its own, with a second set of all of them: by one process,
     by two, and in shards, more of them than frames; a shard takes only the table of the pass before."""
@@ -206,8 +206,8 @@ def test_three_layers_have_the_same_bytes_in_shards(
     assert "go on with" not in words
     assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
     assert in_shards(l3, run, 6, tmp_path, *before)[1].read_bytes() == table.read_bytes()
-    code, out, _ = l3("info", parts[0])
-    assert (code, "partial sums of a layer" in out) == (0, True)
+    code, words, _ = l3("info", parts[0])
+    assert (code, "partial sums of a layer" in words) == (0, True)
 
     out = tmp_path / "no.h5"
     assert "shards are missing: 2/2" in refused(3, "train", "--merge", parts[0], "-o", out)
@@ -224,7 +224,7 @@ def test_three_layers_have_the_same_bytes_in_shards(
     assert of_this_run in refused(3, "train", *run, "--shard", "1/2", "--first", tmp_path / "two.h5", "-o", out)
 
 
-def test_a_second_layer_follows_a_single_pass(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_a_second_layer_follows_a_single_pass(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
     (tmp_path / "classes.toml").write_text(TWO_LAYERS.replace("first_draws = 1", "first_draws = 0"))
     run = (training, "--classes", tmp_path / "classes.toml")
@@ -246,7 +246,7 @@ def test_a_training_set_that_is_replaced_during_it_is_noticed(bayer: CameraModel
             first_pass(run, execution)
 
 
-def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     """Patches follow the shares whatever the number of frames, and so does the white of the lights."""
     many, one = lit_set(tmp_path / "a.h5", bayer, 6, (80, 100, 100)), lit_set(tmp_path / "b.h5", bayer, 1, (120, 100, 60))
     (tmp_path / "classes.toml").write_text(SMALL)
@@ -269,7 +269,7 @@ def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: Call
 
 
 @pytest.mark.usefixtures("same_workers")
-def test_shares_give_the_same_bytes_in_shards(bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable) -> None:
+def test_shares_give_the_same_bytes_in_shards(bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused) -> None:
     sets = [a_set(tmp_path / f"{count}.h5", bayer, count, smooth=False) for count in (3, 1)]
     text = SMALL.replace("2100", "52000").replace("draws = 2", "draws = 1")  # more than are sorted together
     (tmp_path / "classes.toml").write_text(text)
@@ -301,12 +301,12 @@ def test_shares_give_the_same_bytes_in_shards(bayer: CameraModel, tmp_path: Path
         ("", "in a list such as 1,0.7,0.4"),
     ],
 )
-def test_wrong_shares_are_one_line(shares: str, why: str, bayer: CameraModel, tmp_path: Path, refused: Callable) -> None:
+def test_wrong_shares_are_one_line(shares: str, why: str, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
     training = a_set(tmp_path / "training.h5", bayer, 1)
     assert why in refused(2, "train", training, training, "--shares", shares, "-o", tmp_path / "no.h5")
 
 
-def test_shares_do_not_go_with_merge(tmp_path: Path, refused: Callable) -> None:
+def test_shares_do_not_go_with_merge(tmp_path: Path, refused: Refused) -> None:
     assert "--merge takes shards alone" in refused(2, "train", "--merge", "a.h5", "--shares", "1", "-o", tmp_path / "no.h5")
 
 
@@ -340,7 +340,7 @@ def test_memory_does_not_grow_with_frames_or_jobs(tmp_path: Path, fiveband: Came
 
 
 def test_a_small_training_set_is_read_once(
-    bayer: CameraModel, tmp_path: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch
+    bayer: CameraModel, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever the passes, of as many frames as there is room for; the others in each. Nothing is held when all is done."""
     training = a_set(tmp_path / "training.h5", bayer, 3)
@@ -364,7 +364,7 @@ def test_a_small_training_set_is_read_once(
 
 
 def test_what_all_sites_share_is_made_once(
-    bayer: CameraModel, tmp_path: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch
+    bayer: CameraModel, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Surfaces under the light once a pass, a frame without colour once in each; three sites are learned."""
     wavelength = spectra.light_grid(bayer.wavelength).astype(np.float64)
