@@ -102,7 +102,7 @@ def test_a_file_of_another_array_is_refused(bayer: CameraModel, tmp_path: Path, 
 
 def test_two_lights_corners_and_a_data_sheet(folder: Path, tmp_path: Path, l3: L3) -> None:
     text = f'[[photo]]\nframes = ["d65.npy"]\nlight = "D65"\nchart = "classic ISO 17321"\n{CORNERS}'
-    text += '[[photo]]\nframes = ["a.npy"]\nlight = "A"\nchart = "classic ISO 17321"\n'
+    text += '[[photo]]\nframes = ["a.npy"]\nlight = "A"\nchart = "classic ISO 17321"\n' + CORNERS
     code, _, err = l3("calibrate", measured(folder, text), "-o", tmp_path / "camera.h5")
     assert code == 0, err
     camera = load(CameraModel, tmp_path / "camera.h5")

@@ -1,6 +1,7 @@
 """Real pairs: a raw file and its picture enter a training set, and training takes them at their CFA phase only."""
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import tifffile
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, open_training_set
 from l3cli.classes.windows import neighbourhoods
+from l3cli.cli import run
 from l3cli.frames.frame import RawFrame, as_taken, upright
 from l3cli.io.images import read_image
 from l3cli.simulation.pairs import make_pair
@@ -104,15 +106,22 @@ def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> N
     assert np.array_equal(samples.possible(np.full(100, 0.1)), np.ones(100))
 
 
-@pytest.fixture
-def pair_recipe(l3: L3, bayer_recipe: Path, tmp_path: Path) -> str:
-    """The [[pair]] tables of simulated frames that were written as raw files and pictures."""
-    (tmp_path / "leaves.toml").write_text(
+@pytest.fixture(scope="module")
+def leaves(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of simulated frames, as leaves.h5 and, in p/, as raw files and pictures."""
+    folder = tmp_path_factory.mktemp("leaves")
+    (folder / "leaves.toml").write_text(
         'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [160, 200]\ncount = 4\nseed = 3\n'
     )
-    arguments = ("--camera", bayer_recipe, "-o", tmp_path / "leaves.h5", "--pictures", tmp_path / "p")
-    code, _, err = l3("simulate", tmp_path / "leaves.toml", *arguments)
-    assert code == 0, err
+    arguments = ["--camera", bayer_recipe, "-o", folder / "leaves.h5", "--pictures", folder / "p"]
+    assert run([str(word) for word in ("simulate", folder / "leaves.toml", *arguments, "--quiet")]) == 0
+    return folder
+
+
+@pytest.fixture
+def pair_recipe(leaves: Path, tmp_path: Path) -> str:
+    """The [[pair]] tables of these frames, which lie in tmp_path."""
+    shutil.copytree(leaves, tmp_path, dirs_exist_ok=True)
     raws = sorted((tmp_path / "p").glob("*_raw.tif"))
     return "".join(
         f'[[pair]]\nraw = "p/{raw.name}"\npicture = "p/{raw.name.replace("_raw.tif", "_ideal.png")}"\n' for raw in raws

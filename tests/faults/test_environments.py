@@ -207,9 +207,8 @@ def test_an_error_of_a_damaged_cache_names_the_folder(tmp_path: Path) -> None:
     assert f"DeviceError: {tmp_path}/l3cli/pocl holds damaged kernels; remove that folder" in answer
 
 
-@pytest.mark.parametrize("mode", [0o770, 0o703])
-def test_a_cache_that_others_may_write_to_is_not_used(tmp_path: Path, mode: int) -> None:
-    tmp_path.chmod(mode)
+def test_a_cache_that_others_may_write_to_is_not_used(tmp_path: Path) -> None:
+    tmp_path.chmod(0o703)
     answer = computed(POCL_CACHE_DIR=str(tmp_path))
     assert "compiled kernels cannot be cached" in answer
     assert "other users may write to it" in answer

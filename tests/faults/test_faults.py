@@ -116,8 +116,7 @@ def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: C
 
 
 @stages(
-    *("lab", "calibrate", "simulate", "simulate, pictures", "train", "train, shard", "still", "sequence", "video"),
-    *("train, two layers", "evaluate", "report"),
+    *("lab", "calibrate", "simulate", "train", "still", "sequence", "video", "train, two layers", "evaluate", "report"),
 )
 def test_a_killed_run_leaves_nothing_that_the_next_does_not_fix(stage: Stage, server: ForkServer, truth: Callable) -> None:
     kill_once(stage, signal.SIGKILL, 0, server, truth)
@@ -189,7 +188,7 @@ def test_a_second_run_on_one_output_is_refused(
     assert contents(server.folder) == whole
 
 
-@stages("calibrate", "train", "sequence", "video", "evaluate")
+@stages("calibrate", "train", "sequence")
 def test_inputs_that_vanish_are_one_line(stage: Stage, server: ForkServer, truth: Callable) -> None:
     whole, _, _ = truth(stage)
     inputs, gone = server.folder / "in", server.folder / "gone"
@@ -258,7 +257,7 @@ def fill_disk(stage: Stage, share: float, whole: dict[str, bytes], disks: ForkSe
     return ended.code != 0
 
 
-@stages("lab", "simulate", "train", "still", "sequence", "video", "report")
+@stages("simulate", "train", "still", "sequence", "video")
 def test_a_full_disk_is_one_line(stage: Stage, small_disks: ForkServer, truth: Callable) -> None:
     assert fill_disk(stage, 0.4, truth(stage)[0], small_disks)
 
@@ -272,7 +271,7 @@ def test_forty_full_disks(stage: Stage, small_disks: ForkServer, truth: Callable
     assert full >= 20
 
 
-@stages("lab", "calibrate", "simulate", "train", "still", "sequence", "video")
+@stages("lab", "simulate", "still", "video")
 def test_a_read_only_folder_is_one_line(stage: Stage, small_disks: ForkServer) -> None:
     ended = small_disks.run(*stage.arguments, disk="ro")
     assert (ended.code, ended.out, ended.err.count("\n"), ended.left) == (1, "", 1, {})

@@ -104,7 +104,7 @@ def colour_classes(**changes: object) -> str:
 
 
 @pytest.mark.usefixtures("without_the_chart")
-@pytest.mark.parametrize("light", ["D65", "A"])
+@pytest.mark.parametrize("light", ["D65", pytest.param("A", marks=pytest.mark.soak)])
 def test_an_unseen_chart_comes_out_true(light: str, tmp_path: Path, l3: L3) -> None:
     """Small: 5×5 patches, 30 charts of surfaces, and a tenth more allowed than the full recipe below must reach."""
     errors = learned_errors(light, colour_classes(patch=5, patches=10000, draws=4), 30, tmp_path, l3)

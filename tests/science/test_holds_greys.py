@@ -41,9 +41,13 @@ SMALLER = {"levels": "6", "patches": "2000", "draws": "6", "patch": "{patch}", "
 PLANES_ROUNDED = 4 * 0.00018
 EXPOSURES = np.geomspace(0.001, 3.0, 160)  # of that at which a perfect white fills its brightest channel
 AREA, MARGIN, ACROSS = 48, 16, 16  # of a ramp's areas: side, rim beyond which no output reaches (pixels), areas a row
-EVERY = [("fiveband", "single", "D65", 5), ("fiveband", "single", "A", 9), ("bayer", "default", "D65", 5)]
-EVERY += [("rgbir", "fast", "D65", 5)]
-MORE = [("fiveband", "fast", "A", 5), ("bayer", "single", "A", 5), ("bayer", "fast", "D65", 5)]  # by make soak
+EVERY = [("fiveband", "single", "D65", 5), ("bayer", "default", "D65", 5), ("rgbir", "fast", "D65", 5)]
+MORE = [
+    ("fiveband", "single", "A", 9),
+    ("fiveband", "fast", "A", 5),
+    ("bayer", "single", "A", 5),
+    ("bayer", "fast", "D65", 5),
+]  # by make soak
 
 
 @dataclasses.dataclass(frozen=True)

@@ -98,6 +98,7 @@ def test_each_set_is_best_under_its_light(learned: dict[str, Path], several: Tra
         assert np.mean(errors[light, light]) < 0.8 * np.mean(errors[light, other])
 
 
+@pytest.mark.usefixtures("same_workers")
 def test_a_set_does_not_depend_on_how_the_work_is_divided(learned: dict[str, Path], tmp_path: Path, l3: L3) -> None:
     call = ("train", learned["both.set.h5"], learned["warm.set.h5"], "--classes", learned["several.classes.toml"])
     assert l3(*call, "-o", tmp_path / "two.h5", "--jobs", "2", "--quiet")[0] == 0
