@@ -5,13 +5,11 @@ and scale are kept; then all are sorted by class, made again without noise in pi
 multiplied class by class.
 """
 
-import itertools
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.decide import label_sums
@@ -19,15 +17,21 @@ from l3cli.classes.level import unclipped_level
 from l3cli.classes.statistics import patch_statistics, truncation
 from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
 from l3cli.training.division import BATCH
-from l3cli.training.patches import Floats, Patches, colourless_frame, draw_levels, expose_patches, noise_share, patches_of
-from l3cli.training.row_weighting import RowWeighting
-from l3cli.training.sums import add_rounded, empty_sums, grid_steps, pairs, rounding_number
+from l3cli.training.patches import Floats, Patches, colourless_frame, expose_patches, levels_at, noise_share, patches_of
+from l3cli.training.row_weighting import TARGET_FLOOR, RowWeighting
+from l3cli.training.sums import (
+    add_products,
+    add_rounded,
+    empty_sums,
+    grid_steps,
+    pieces_of,
+    rounding_number,
+    runs_of,
+)
 from l3cli.training.training_pass import TrainingPass
 
 EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
-PIECE, LARGEST_PIECE = 1024, 4096  # rows weighed and multiplied at once, and where one class has so many
 DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker patches get no more weight
-TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (docs/method.md#row-weights)
 
 
 def sum_sites(
@@ -59,7 +63,7 @@ def _batches(
     for index, frame in enumerate(frames, first):
         colourless = colourless_frame(frame, pass_.head) if pass_.recipe.achromatic else None
         for site, rng in rngs.items():
-            rest = pass_.patches[index]
+            rest = -(-pass_.patches[index] // pass_.divisors[site])
             while rest:
                 count = min(rest, BATCH)
                 rest -= count
@@ -88,7 +92,7 @@ class _Batch:
         order = np.argsort(label, kind="stable")
         label = label[order]
         large = rounding_number(grid_steps(self.pass_.rule, self.pass_.head.camera, self.patches.target.shape[1]))
-        for piece in _pieces(label):
+        for piece in pieces_of(label):
             draw = order[piece]
             patch = draw % len(self.patches.signal)
             self._add_piece(sums, large, label[piece], level[draw], scale[draw], patch, rng)
@@ -97,7 +101,8 @@ class _Batch:
         """Class, level as the camera sees it and scale of every draw of every patch (draw · patch)."""
         pass_, signal = self.pass_, self.patches.signal
         patch_level = np.maximum(signal @ self.tap_share, 1e-3)
-        scales = [self._random_scale(patch_level, rng) for _ in range(pass_.draws)]
+        start = rng.random(patch_level.size)
+        scales = [self._scale(patch_level, (start + draw / pass_.draws) % 1) for draw in range(pass_.draws)]
         scale: Floats = np.array([self.patches.possible(one) for one in scales], np.float32)
         label = np.empty(scale.shape, dtype=np.min_scalar_type(pass_.rule.classes_per_site))
         level = np.empty_like(scale)
@@ -108,11 +113,11 @@ class _Batch:
                 label[draw, batch], level[draw, batch] = seen
         return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)
 
-    def _random_scale(self, patch_level: Floats, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Factors (patch) that take patches from the level they have to a random one."""
+    def _scale(self, patch_level: Floats, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Factors (patch) that take patches from the level they have to those at `places` (patch) of the distribution."""
         if not self.pass_.recipe.rescale:
             return np.ones(patch_level.size)
-        return draw_levels(self.pass_.recipe, patch_level.size, rng) / patch_level
+        return levels_at(self.pass_.recipe, places) / patch_level
 
     def _seen(
         self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
@@ -168,8 +173,7 @@ class _Batch:
             clean += np.sqrt(variance) * rng.standard_normal(clean.shape, dtype=np.float32)
             variance[:] = 0
         np.clip(clean, -np.inf, 1.0, out=clean)
-        start = np.flatnonzero(np.diff(label, prepend=label[0] + 1))  # a class begins where the label changes
-        runs = list(zip(label[start].tolist(), start.tolist(), [*start[1:].tolist(), len(label)], strict=True))
+        runs = runs_of(label)
         brightness = self.pass_.brightness(target) / level + np.float32(TARGET_FLOOR)
         weight = brightness ** np.float32(-self.pass_.recipe.brightness_power) / level ** np.float32(
             self.pass_.recipe.level_power
@@ -181,36 +185,9 @@ class _Batch:
         np.multiply(clean, weight[:, None], out=rows[:, :taps])
         rows[:, taps] = weight
         np.multiply(target, weight[:, None], out=rows[:, taps + 1 :])
-        _add_runs(sums, self.pass_.rule, large, rows, variance, weight**2, runs)
-
-
-def _pieces(label: NDArray[np.unsignedinteger]) -> Iterator[slice]:
-    """Pieces of about PIECE of the rows whose sorted classes are `label`, which end where a class ends unless it is large:
-    a class's product costs little more for many rows than for few."""
-    start = np.flatnonzero(np.diff(label, prepend=label[0] + 1))
-    first = start[np.unique(start // PIECE, return_index=True)[1]].tolist()
-    for begin, end in itertools.pairwise([*first, len(label)]):
-        for part in range(begin, end, LARGEST_PIECE):
-            yield slice(part, min(part + LARGEST_PIECE, end))
-
-
-def _add_runs(
-    sums: ClassSums,
-    rule: ClassRule,
-    large: NDArray[np.float64],
-    rows: Floats,
-    variance: Floats,
-    weight: Floats,
-    runs: list,
-) -> None:
-    """Add the products of the rows, and the noise variance by `weight`, of each class, first and last row of `runs`,
-    rounded to the grid that `large` (level, pair) is beside."""
-    width = rows.shape[1]
-    row, col = pairs(width)
-    place = row * width + col
-    levels = rule.split(np.array([index for index, _, _ in runs])).level.tolist()
-    for (index, first, last), level in zip(runs, levels, strict=True):
-        block = rows[first:last]
-        add_rounded(sums.moments[index], (block.T @ block).reshape(-1).take(place), large[level])
-        add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], large[0, 0])
-        sums.count[index] += last - first
+        levels = self.pass_.rule.split(np.array([index for index, _, _ in runs])).level.tolist()
+        add_products(sums.moments, rows, runs, [large[level] for level in levels])
+        weight = weight**2
+        for index, first, last in runs:
+            add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], large[0, 0])
+            sums.count[index] += last - first

@@ -1,12 +1,16 @@
 """Division of a pass: frames into blocks, blocks and sites among processes. Sums are the same however it is done."""
 
 import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from l3cli.training.sums import empty_sums
 from l3cli.training.training_pass import TrainingPass
 
 BATCH = 50_000  # patches that are sorted together: bounds memory, and makes a class's product large enough to be fast
+LAYER_ROWS = 300_000  # of a refinement layer that are sorted together
 SUM_BYTES = 200 << 20  # of sums that a process fills at a time, if it is more than those of two sites
 
 
@@ -22,26 +26,28 @@ class WorkShare:
         return tuple(sorted({site for _, sites in self.blocks for site in sites}))
 
 
-def frame_blocks(pass_: TrainingPass) -> list[range]:
-    """The frames in runs of about BATCH patches or less, which are sorted together; whole blocks are dealt to shards and
-    processes. Blocks are nearly equal, so that nobody waits for the largest."""
-    total, before = sum(pass_.patches), 0
-    count = -(-total // BATCH)
+def frame_blocks(patches: Sequence[int], most: int = BATCH) -> list[range]:
+    """The frames, with so many `patches` (frame), in runs of about `most` or less, which are sorted together; whole blocks
+    are dealt to shards and processes. Blocks are nearly equal, so that nobody waits for the largest."""
+    total, before = sum(patches), 0
+    blocks = -(-total // most)
     starts: list[int] = []
-    for index, patches in enumerate(pass_.patches):
-        if before * count // total >= len(starts):
+    for index, count in enumerate(patches):
+        if before * blocks // total >= len(starts):
             starts.append(index)
-        before += patches
-    return [range(first, last) for first, last in itertools.pairwise([*starts, len(pass_.patches)])]
+        before += count
+    return [range(first, last) for first, last in itertools.pairwise([*starts, len(patches)])]
 
 
-def work_shares(pass_: TrainingPass, sites: list[int], blocks: list[range], jobs: int) -> list[WorkShare]:
-    """All blocks of all sites in nearly equal shares for `jobs` processes, each of as few sites as can be."""
+def work_shares(pass_: TrainingPass, divisors: Mapping[int, int], blocks: list[range], jobs: int) -> list[WorkShare]:
+    """All blocks of all sites, whose patches are divided by `divisors`, in nearly equal shares for `jobs` processes, each
+    of as few sites as can be."""
     one = empty_sums(pass_.rule, len(pass_.head.outputs))
     most = max(2, SUM_BYTES // one.moments.nbytes)  # sites at a time
-    units = [(site, block) for site in sites for block in blocks]
+    units = [(site, block) for site in divisors for block in blocks]
+    work = np.cumsum([0.0, *(1 / divisors[site] for site, _ in units)])
     for count in itertools.count(jobs, jobs):
-        edges = [len(units) * part // count for part in range(count + 1)]
+        edges = np.searchsorted(work, work[-1] * np.arange(count + 1) / count - 1e-9).tolist()
         parts = [units[first:last] for first, last in itertools.pairwise(edges) if last > first]
         if max((len({site for site, _ in part}) for part in parts), default=0) <= most:
             break
@@ -52,7 +58,7 @@ def work_shares(pass_: TrainingPass, sites: list[int], blocks: list[range], jobs
                 for block in blocks
                 if block in {frames for _, frames in part}
             ),
-            tuple(site for site in sites if all((site, block) in part for block in blocks)),
+            tuple(site for site in divisors if all((site, block) in part for block in blocks)),
         )
         for part in parts
     ]

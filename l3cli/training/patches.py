@@ -158,8 +158,8 @@ def sample_patches(
     side = int(np.sqrt(window.size))
     radius = side // 2
     _, rows, cols = frame.electrons.shape
-    row = rng.integers(radius, rows - radius, count)
-    col = rng.integers(radius, cols - radius, count)
+    places = even_places(count, 2, rng) * (rows - 2 * radius, cols - 2 * radius)
+    row, col = places.astype(np.int64).T + radius
     turn = np.arange(count) * len(orientations) // count
     reach = np.arange(side) - radius
     offset = (reach[:, None] * cols + reach[None]).ravel()
@@ -177,8 +177,25 @@ def sample_patches(
 
 def draw_levels(recipe: LearningRecipe, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """`count` levels, share of full scale: log-uniform over the whole range, a share of them over the highlights."""
-    low = np.where(rng.random(count) < recipe.highlight_share, recipe.highlight_from, recipe.darkest)
-    return low * (recipe.brightest / low) ** rng.random(count)
+    return levels_at(recipe, rng.random(count))
+
+
+def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Levels at `places`, from 0 to 1, of their distribution."""
+    share = recipe.highlight_share
+    bright = places < share
+    within = np.where(bright, places / max(share, 1e-9), (places - share) / max(1 - share, 1e-9))
+    low = np.where(bright, recipe.highlight_from, recipe.darkest)
+    return np.asarray(low * (recipe.brightest / low) ** within)
+
+
+def even_places(count: int, axes: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Places (place, axis) from 0 to 1 that cover all axes together more evenly than random ones: from a random start, steps
+    of the powers of 1/g, with g^(axes + 1) = g + 1 (docs/method.md#patches)."""
+    ratio = 2.0
+    for _ in range(40):
+        ratio = (1 + ratio) ** (1 / (axes + 1))
+    return np.asarray((rng.random(axes) + np.arange(count)[:, None] * ratio ** -np.arange(1.0, axes + 1)) % 1)
 
 
 @functools.cache

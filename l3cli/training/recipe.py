@@ -89,9 +89,10 @@ class LayerRecipe(Recipe):
     level_step: Count = 1  # levels of the first layer that make one
     strengths: tuple[Positive, ...] = (1.7, 8.0)  # edges of the structure tensor's trace, relative to that of noise
     coherence: Share = 0.48  # share of the trace along one direction from which an edge has one
-    mosaics: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 900  # over all frames
+    mosaics: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 5400  # over all frames
     achromatic: Share = 0.2  # share of them that show their scene without colour
-    rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 6000  # pixels of a mosaic that are learned from
+    # pixels of a mosaic, a square of at least so many, that are learned from
+    rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 900
     ridge: Positive = 1e-5  # relative to the mean power of a tap
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y
     chroma_noise: NotNegative = 2.0  # the same for the two chroma rows

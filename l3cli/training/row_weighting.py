@@ -11,6 +11,7 @@ from l3cli.physics.display import XYZ
 
 Floats = NDArray[np.float32]
 DARKEST = 0.02  # of the level: darker targets are not judged more strictly
+TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (docs/method.md#row-weights)
 ERROR_FLOOR = 0.25  # ΔE² or degrees², below which errors count alike
 # What an error of f(X), f(Y), f(Z) is in L*, a*, b*; the chroma rows are halved and eased, as eyes forgive more of them.
 LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0

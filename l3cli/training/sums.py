@@ -6,7 +6,9 @@ last bit in whatever order, by whatever processes and in however many shards it 
 """
 
 import functools
+import itertools
 import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,7 @@ from l3cli.errors import L3Error
 
 STEP = 2.0**-24  # of a product of columns of scale one
 EXACT = 2.0**53  # steps that float64 counts without rounding
+PIECE, LARGEST_PIECE = 1024, 4096  # rows that are made and multiplied at once, and where one class has so many
 
 Array = NDArray[np.float64]
 
@@ -51,6 +54,40 @@ def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
     rounded = more + large
     rounded -= large
     total += rounded
+
+
+def runs_of(label: NDArray[np.integer]) -> list[tuple[int, int, int]]:
+    """Class, first and last row of each class among rows of the sorted classes `label`."""
+    changes = (np.flatnonzero(label[1:] != label[:-1]) + 1).tolist()
+    first, last = [0, *changes], [*changes, len(label)]
+    return list(zip(label[first].tolist(), first, last, strict=True)) if len(label) else []
+
+
+def pieces_of(label: NDArray[np.integer]) -> Iterator[slice]:
+    """Pieces of about PIECE of the rows whose sorted classes are `label`, which end where a class ends unless it is large:
+    a class's product costs little more for many rows than for few."""
+    start = np.array([first for _, first, _ in runs_of(label)], np.int64)
+    first = start[np.unique(start // PIECE, return_index=True)[1]].tolist()
+    for begin, end in itertools.pairwise([*first, len(label)]):
+        for part in range(begin, end, LARGEST_PIECE):
+            yield slice(part, min(part + LARGEST_PIECE, end))
+
+
+def add_products(
+    total: Array,
+    rows: NDArray[np.float32],
+    runs: list[tuple[int, int, int]],
+    large: Sequence[Array],
+    columns: NDArray[np.integer] | None = None,
+) -> None:
+    """Add the products of the columns of rows (row, column), or of `columns` alone, of each of `runs` to its class of
+    `total` (class, pair), rounded to whole steps, of which each of `large` (run) is the `rounding_number`."""
+    columns = np.arange(rows.shape[1]) if columns is None else columns
+    row, col = pairs(columns.size)
+    place = columns[row] * rows.shape[1] + columns[col]
+    for (index, first, last), number in zip(runs, large, strict=True):
+        block = rows[first:last]
+        add_rounded(total[index], (block.T @ block).reshape(-1).take(place), number)
 
 
 def add(sums: ClassSums, more: ClassSums) -> None:

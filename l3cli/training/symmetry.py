@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
+from l3cli.classes import structure
 from l3cli.classes.features import further_features
 
 Indices = NDArray[np.int64]
@@ -76,3 +78,15 @@ def turns_of(rule: ClassRule, window: Indices, shared: bool = True) -> list[Turn
     `shared`."""
     every = stabilisers(window, rule.patch) if shared else orientations(rule.patch)[:1]
     return [Turn(turn, np.argsort(turned_classes(rule, turn))) for turn in every]
+
+
+def turned_structures(rule: StructureRule, number: int) -> Indices:
+    """Class within a site (class) that windows of each class have after they are read in orientation `number` of
+    `orientations`: only the direction of an edge changes."""
+    across, down = structure.turn_signs(orientations(3)[number])
+    place = rule.split(np.arange(rule.classes_per_site))
+    strength, within = np.divmod(place.kind - 1, 1 + DIRECTIONS)
+    direction = DIRECTIONS // 2 - (within - 1) if across < 0 else within - 1  # of twice the gradient's angle
+    direction = (direction if down > 0 else -direction) % DIRECTIONS
+    directed = (place.kind > 0) & (place.kind < rule.structures) & (within > 0)
+    return np.asarray(rule.join(place.level, np.where(directed, 2 + strength * (1 + DIRECTIONS) + direction, place.kind)))

@@ -14,9 +14,11 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
+from l3cli.classes.windows import neighbourhoods
 from l3cli.physics.display import XYZ
 from l3cli.training.goal import Goal, goal_of
 from l3cli.training.recipe import LearningRecipe
+from l3cli.training.symmetry import site_maps, stabilisers
 
 FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (docs/method.md#second-pass)
 
@@ -26,7 +28,7 @@ class TrainingPass:
     """A pass: what is learned, from how many patches of which frames, by which rule and recipe."""
 
     head: TrainingSet
-    patches: tuple[int, ...]  # (frame) patches of every canonical site
+    patches: tuple[int, ...]  # (frame) patches of a canonical site, before they are divided by `divisors`
     rule: ClassRule
     recipe: LearningRecipe
     white_point: NDArray[np.float64]  # (output) a perfect white under the training light, Y = 1
@@ -45,6 +47,17 @@ class TrainingPass:
         """Return the goal of the transforms, made once for all sites, since surfaces under a light take as long as a
         site's systems of a few channels."""
         return goal_of(self.head, self.white_point, self.light)
+
+    @functools.cached_property
+    def divisors(self) -> dict[int, int]:
+        """Return the number by which the patches of each canonical site are divided: each turn that leaves its window as it
+        is makes another of a patch, not quite a new one, so that sites of more turns need fewer
+        (docs/method.md#symmetry)."""
+        camera, shared = self.head.camera, self.recipe.symmetry
+        channel = neighbourhoods(camera.cfa, self.rule.patch, len(camera.channels)).channel
+        sites = sorted({one.canonical for one in site_maps(channel, self.rule.patch, shared)})
+        turns = [len(stabilisers(channel[site], self.rule.patch)) if shared else 1 for site in sites]
+        return {site: math.isqrt(count // min(turns)) for site, count in zip(sites, turns, strict=True)}
 
     @property
     def draws(self) -> int:

@@ -79,8 +79,8 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "classes/default.toml": {
             r"levels = 10 ": "levels = 4 ",
             r"patches = 120000": "patches = 1000",
-            r"mosaics = 900": "mosaics = 8",
-            r"rows = 6000": "rows = 500",
+            r"mosaics = 5400": "mosaics = 8",
+            r"rows = 900 ": "rows = 500 ",
         },
     }
     for name, changes in smaller.items():

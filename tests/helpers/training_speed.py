@@ -14,7 +14,7 @@ from l3cli.training.accumulate import sum_sites
 from l3cli.training.division import frame_blocks
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_camera
 from l3cli.training.row_weighting import row_weighting
-from l3cli.training.table import assemble, canonical_sites, learn_site, pilot_patches, survey, take_pilot
+from l3cli.training.table import assemble, learn_site, pilot_patches, survey, take_pilot
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, spread_patches
 
 REPEATS = 2  # of which the faster counts, in CPU seconds: other work on the machine only slows
@@ -24,7 +24,7 @@ STAGES = {  # functions whose time, with all that they call, makes a stage
     "expose": ("expose_patches",),
     "label": ("patch_statistics", "label_sums"),
     "weigh": ("noise_share", "weight"),
-    "sum": ("_add_runs",),
+    "sum": ("add_products",),
     "solve": ("learn_site", "assemble"),
 }
 
@@ -58,9 +58,12 @@ def train(frames: list[TrainingFrame], camera: CameraModel, recipe: TrainingReci
     pass_, table, rows = TrainingPass(head, patches, rule, recipe.learning, white, 0, FIRST, exposure), None, 0
     for number in (FIRST, LAST):
         pass_ = replace(pass_, number=number)
-        sites = canonical_sites(head, rule, pass_.recipe)
-        weightings = {site: row_weighting(table, site, pass_.recipe.error_power) if table else None for site in sites}
-        blocks = [(block[0], tuple(weightings), iter(frames[block.start : block.stop])) for block in frame_blocks(pass_)]
+        weightings = {
+            site: row_weighting(table, site, pass_.recipe.error_power) if table else None for site in pass_.divisors
+        }
+        blocks = [
+            (block[0], tuple(weightings), iter(frames[block.start : block.stop])) for block in frame_blocks(pass_.patches)
+        ]
         sums = sum_sites(pass_, blocks, weightings)
         rows += sum(int(site_sums.count.sum()) for site_sums in sums.values())
         table = assemble(pass_, {site: learn_site(pass_, [sums.pop(site)], site) for site in weightings}, ())

@@ -11,7 +11,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
 from l3cli.stages.training.conditions import by_noise, with_noises
 from l3cli.stages.training.passes import Execution
-from l3cli.stages.training.refinement_layers import layer_mosaics, layer_pass, layer_rule, parts_of, summed_layer
+from l3cli.stages.training.refinement_layers import layer_mosaics, layer_pass, layer_rule, summed_layer
 from l3cli.stages.training.run import TrainingRun
 from l3cli.training.layers.learn import add_sums, learn_layer, no_sums
 from l3cli.training.recipe import TrainingRecipe
@@ -25,10 +25,10 @@ def write_layer_shard(
     layer = layer_pass(table, run.recipe, mosaics, run.seed)
     rule = layer_rule(run, layer, execution)
     index, count = shard
-    frames = list(parts_of(range(len(mosaics)), count))[index - 1]
+    blocks = layer.blocks[index - 1 :: count]
     layers = [layer_pass(each, run.recipe, mosaics, run.seed) for each in by_noise(table)]
     rules = [rule, *(layer_rule(run, each, execution, like=rule) for each in layers[1:])]
-    sets = [summed_layer(run, each, rule, frames, execution) for each, rule in zip(layers, rules, strict=True)]
+    sets = [summed_layer(run, each, rule, blocks, execution) for each, rule in zip(layers, rules, strict=True)]
     head = PartialLayerSums(
         history=run.history_of_layers(layer.number),
         shard=index,

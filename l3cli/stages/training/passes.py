@@ -18,7 +18,7 @@ from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
 from l3cli.training.row_weighting import RowWeighting, row_weighting
 from l3cli.training.solve import Solution
 from l3cli.training.sums import add
-from l3cli.training.table import Pilot, assemble, canonical_sites, learn_site, pilot_patches, survey, take_pilot
+from l3cli.training.table import Pilot, assemble, learn_site, pilot_patches, survey, take_pilot
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, has_two_passes
 
 MOST_PILOTED = 256  # frames that a worker looks at in one go before the passes
@@ -103,7 +103,7 @@ def summed(
     """Yield the result of `function` for the work units, for each canonical site in order: its sums over `blocks`, added
     up where several processes share a site, or what has been learned from them already."""
     units = []
-    for share in work_shares(pass_, canonical_sites(pass_.head, pass_.rule, pass_.recipe), blocks, execution.pool.size):
+    for share in work_shares(pass_, pass_.divisors, blocks, execution.pool.size):
         weightings = {
             site: row_weighting(first, site, pass_.recipe.error_power) if first is not None else None for site in share.sites
         }
@@ -126,7 +126,7 @@ def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> 
     table = None
     for number in range(pass_.number, LAST + 1):
         pass_ = replace(pass_, number=number)
-        sums = summed(learn_unit, run, pass_, table, frame_blocks(pass_), execution)
+        sums = summed(learn_unit, run, pass_, table, frame_blocks(pass_.patches), execution)
         solutions = {site: learn_site(pass_, [one], site) if isinstance(one, ClassSums) else one for site, one in sums}
         table = assemble(pass_, solutions, run.history_of_pass(number))
     assert table is not None  # there is at least one pass

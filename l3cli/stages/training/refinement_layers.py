@@ -13,6 +13,7 @@ from l3cli.artifacts.layers import PlaneRule
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import GradientScale
 from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.planes import fixed_point, opponent_basis
 from l3cli.physics.display import XYZ
 from l3cli.stages.training.passes import Execution
@@ -45,7 +46,7 @@ def learn_refinement_layers(
     while len(table.later) < len(run.recipe.layer):
         layer = layer_pass(table, run.recipe, layer_mosaics(run, len(table.later)), run.seed)
         rule = layer_rule(run, layer, execution, like.later[len(table.later)].rule if like else None)
-        sums = summed_layer(run, layer, rule, range(len(layer.mosaics)), execution)
+        sums = summed_layer(run, layer, rule, layer.blocks, execution)
         table = replace(table, later=(*table.later, learn_layer(layer, rule, sums)), history=run.history())
     return table
 
@@ -94,7 +95,7 @@ class LayerUnit:
     remote: bool  # as of WorkUnit
     layer: LayerPass
     known: GradientScale | PlaneRule | None
-    frames: range
+    blocks: list[range]  # frames
 
 
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
@@ -102,8 +103,7 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
     the camera's its gradient scale."""
     if like is not None and layer.camera.noise_scale == CAMERA_NOISE:
         return like
-    frames = range(len(run.patches))
-    units = _units(run, layer, None, frames, execution)
+    units = _units(run, layer, None, layer.blocks, execution)
     measured = execution.console.progress(execution.pool(_measure, units), len(units), f"layer {layer.number}, pilot")
     scale = gradient_scale(layer, [noise for part in measured for noise in part])
     if like is not None:
@@ -112,7 +112,7 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
         rule: PlaneRule = structure_rule(layer, scale)
         classes = f"{rule.levels} levels × ({rule.structures} structures + {rule.cases - 1} saturation cases)"
     else:
-        units = _units(run, layer, scale, frames, execution)
+        units = _units(run, layer, scale, layer.blocks, execution)
         sampled = execution.console.progress(execution.pool(_sample, units), len(units), f"layer {layer.number}, tree")
         rule = tree_rule(layer, scale, [sample for part in sampled for sample in part])
         classes = f"{rule.structures} leaves, {rule.depth} tests deep, + {rule.cases - 1} saturation cases"
@@ -121,42 +121,41 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
 
 
 def summed_layer(
-    run: TrainingRun, layer: LayerPass, rule: PlaneRule, frames: range, execution: Execution
+    run: TrainingRun, layer: LayerPass, rule: PlaneRule, blocks: list[range], execution: Execution
 ) -> dict[int, LayerSums]:
-    """Sums of the canonical sites over `frames`."""
+    """Sums of the canonical sites over blocks of frames."""
     sums = no_sums(layer, rule)
-    units = _units(run, layer, rule, frames, execution)
+    units = _units(run, layer, rule, blocks, execution)
     for part in execution.console.progress(execution.pool(_sum, units), len(units), f"layer {layer.number}"):
         add_sums(sums, part)
     return sums
 
 
 def _units(
-    run: TrainingRun, layer: LayerPass, known: GradientScale | PlaneRule | None, frames: range, execution: Execution
+    run: TrainingRun, layer: LayerPass, known: GradientScale | PlaneRule | None, blocks: list[range], execution: Execution
 ) -> list[LayerUnit]:
     about = (run.training, execution.remote, layer, known)
-    return [LayerUnit(*about, part) for part in parts_of(frames, min(len(frames), UNITS * execution.pool.size))]
+    count = min(len(blocks), UNITS * execution.pool.size)
+    edges = [len(blocks) * part // count for part in range(count + 1)] if count else []
+    return [LayerUnit(*about, blocks[first:last]) for first, last in itertools.pairwise(edges)]
 
 
-def parts_of(frames: range, count: int) -> Iterator[range]:
-    """`count` parts of `frames`, of nearly equal numbers."""
-    edges = [frames.start + len(frames) * part // count for part in range(count + 1)] if count else []
-    return (range(first, last) for first, last in itertools.pairwise(edges))
+def _read(unit: LayerUnit) -> Iterator[tuple[int, Iterator[TrainingPair]]]:
+    """Yield the first index and the frames of each block."""
+    return ((block.start, frames_of(unit.training, block, unit.remote)) for block in unit.blocks)
 
 
 def _measure(unit: LayerUnit) -> list[NDArray[np.float64]]:
-    frames = frames_of(unit.training, unit.frames, unit.remote)
     every = -(-len(unit.layer.mosaics) // PILOT_MOSAICS)
-    return luminance_noise(unit.layer, frames, unit.frames.start, every)
+    return [noise for first, frames in _read(unit) for noise in luminance_noise(unit.layer, frames, first, every)]
 
 
 def _sample(unit: LayerUnit) -> list[dict[int, TreeSample]]:
     assert isinstance(unit.known, GradientScale)
-    frames = frames_of(unit.training, unit.frames, unit.remote)
-    return sample_tree(unit.layer, unit.known, frames, unit.frames.start)
+    known = unit.known
+    return [sample for first, frames in _read(unit) for sample in sample_tree(unit.layer, known, frames, first)]
 
 
 def _sum(unit: LayerUnit) -> dict[int, LayerSums]:
     assert isinstance(unit.known, PlaneRule)
-    frames = frames_of(unit.training, unit.frames, unit.remote)
-    return sum_layer(unit.layer, unit.known, frames, unit.frames.start)
+    return sum_layer(unit.layer, unit.known, _read(unit))

@@ -33,7 +33,7 @@ from l3cli.stages.training.whole import execution_of, report_table
 from l3cli.training.division import frame_blocks
 from l3cli.training.recipe import TrainingRecipe, check_layers
 from l3cli.training.sums import empty_sums
-from l3cli.training.table import add_up, assemble, canonical_sites, learn_site
+from l3cli.training.table import add_up, assemble, learn_site
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass
 
 NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))  # of tables that are not the end of a run
@@ -61,8 +61,8 @@ def _write_shard(
     execution: Execution,
 ) -> None:  # fmt: skip
     index, count = shard
-    blocks = frame_blocks(pass_)[index - 1 :: count]
-    sites = canonical_sites(run.head, pass_.rule, pass_.recipe)
+    blocks = frame_blocks(pass_.patches)[index - 1 :: count]
+    sites = list(pass_.divisors)
     passes = passes_of(pass_, run.recipe)
     tables = by_noise(table) if table else [None for _ in passes]
     sets = [_sums(run, *each, blocks, sites, execution) for each in zip(passes, tables, strict=True)]
@@ -143,7 +143,7 @@ def _merged_pass(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed:
     head: PartialSums = readers[0].head
     about = (head.training, tuple(head.patches.tolist()), head.rule, recipe.learning, head.white_point)
     pass_ = TrainingPass(*about, seed, head.pass_number, head.exposure, head.light)
-    if head.sites.tolist() != canonical_sites(head.training, head.rule, pass_.recipe):
+    if head.sites.tolist() != list(pass_.divisors):
         raise InputFileError(f"{path} holds sums of other sites than its camera has; make it again")
     usual, *others = (_learned(each, readers, number) for number, each in enumerate(passes_of(pass_, recipe)))
     return with_noises(usual, others, recipe.learning.noises)

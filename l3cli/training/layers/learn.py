@@ -1,7 +1,8 @@
 """A plane layer from training frames: its class rule, its sums, its transforms (docs/method.md#layers)."""
 
 import functools
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,24 +12,26 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import RATIO_TAPS, PlaneLayer, PlaneRule, rule_fields
 from l3cli.artifacts.partial_sums import LayerSums
+from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.planes import FixedPoint
 from l3cli.classes.refinement import label_planes
 from l3cli.classes.windows import neighbourhoods
-from l3cli.training.layers.first import FirstLayer, PlaneStage, Seen
-from l3cli.training.layers.mosaics import Exposed, Mosaic, mosaics_of
+from l3cli.training.division import LAYER_ROWS, frame_blocks
+from l3cli.training.layers.first import FirstLayer, PlaneStage, Seen, margin_of
+from l3cli.training.layers.mosaics import Exposed, Mosaics, mosaics_of, sheets_of
 from l3cli.training.layers.rows import (
     GatheredRows,
     Reading,
     empty_sums,
     grid_steps,
-    inner_pixels,
     require_exact,
     row_weights,
 )
 from l3cli.training.layers.solve import LayerGoal, solve_layer
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
-from l3cli.training.symmetry import orientations, site_maps
+from l3cli.training.sums import turned_places, width_of
+from l3cli.training.symmetry import orientations, site_maps, turned_structures
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,20 @@ class LayerPass:
     @property
     def exposed(self) -> Exposed:
         dark = self.camera.dark_signal(self.exposure)
-        return Exposed(self.camera, self.learning, dark, self.recipe.achromatic, self.learning.noise != "none")
+        inner = math.isqrt(self.recipe.rows - 1) + 1
+        margin = self.rule.radius + sum(margin_of(layer.side) for layer in self.before) + self.margin
+        noisy = self.learning.noise != "none"
+        return Exposed(self.camera, self.learning, dark, self.recipe.achromatic, noisy, inner, margin)
+
+    @property
+    def margin(self) -> int:
+        """Pixels about each that the layer to be learned reads."""
+        return margin_of(self.recipe.side)
+
+    @property
+    def blocks(self) -> list[range]:
+        """Frames whose rows are sorted together."""
+        return frame_blocks([count * self.recipe.rows for count in self.mosaics], LAYER_ROWS)
 
     @property
     def number(self) -> int:
@@ -62,13 +78,13 @@ class LayerPass:
         """The generator of a frame of the training run, for one purpose."""
         return np.random.default_rng([self.seed, self.number + 1, frame, purpose])
 
-    def seer(self) -> Callable[[Mosaic], Seen]:
-        """Return a function that gives the planes of a mosaic as the layers before make them."""
+    def seer(self) -> Callable[[Mosaics], Seen]:
+        """Return a function that gives the planes of mosaics as the layers before make them."""
         first = FirstLayer(self.camera, self.rule, self.fixed)
         stages = [PlaneStage(layer, self.rule, self.basis) for layer in self.before]
 
-        def see(mosaic: Mosaic) -> Seen:
-            return functools.reduce(lambda seen, stage: stage.see(seen), stages, first.see(mosaic))
+        def see(mosaics: Mosaics) -> Seen:
+            return functools.reduce(lambda seen, stage: stage.see(seen), stages, first.see(mosaics))
 
         return see
 
@@ -104,21 +120,26 @@ def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
     return {site: empty_sums(rule, reading.taps, 3) for site in np.unique(reading.canonical).tolist()}
 
 
-def sum_layer(layer: LayerPass, rule: PlaneRule, frames: Iterable[TrainingPair], first: int) -> dict[int, LayerSums]:
-    """Sums of every canonical site over frames, `first` being the index of the first."""
+def sum_layer(
+    layer: LayerPass, rule: PlaneRule, blocks: Iterable[tuple[int, Iterable[TrainingPair]]]
+) -> dict[int, LayerSums]:
+    """Sums of every canonical site over blocks (index of the first frame, frames)."""
     see, reading, sums = layer.seer(), layer.reading(layer.recipe.side), no_sums(layer, rule)
     gathered = GatheredRows(sums, rule, reading, layer.basis, layer.grid_steps(rule))
-    for index, frame in enumerate(frames, first):
-        rng = layer.rng(index, 1)
-        for mosaic in mosaics_of(frame, layer.mosaics[index], layer.exposed, rng):
-            seen = see(mosaic)
-            inner = inner_pixels(seen.label.shape)
+    for first, frames in blocks:
+        for mosaics in sheets_of(drawn_mosaics(layer, frames, first, purpose=1), layer.camera.cfa.shape[0]):
+            seen = see(mosaics)
             label = label_planes(seen.noisy, seen.label, rule, layer.rule)
-            pixels = rng.choice(inner, min(layer.recipe.rows, inner.size), replace=False)
             weight = row_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures)
-            gathered.add(seen, label, pixels, weight)
+            gathered.add(seen, label, seen.inner_pixels(layer.margin), weight)
         gathered.add_up()
     return sums
+
+
+def drawn_mosaics(layer: LayerPass, frames: Iterable[TrainingPair], first: int, purpose: int) -> Iterator[Mosaics]:
+    """The mosaics of frames, of which `first` is the index of the first."""
+    for index, frame in enumerate(frames, first):
+        yield from mosaics_of(frame, layer.mosaics[index], layer.exposed, layer.rng(index, purpose))
 
 
 def add_sums(sums: dict[int, LayerSums], more: dict[int, LayerSums]) -> None:
@@ -140,6 +161,7 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
         noise = (min(recipe.luminance_noise, 1.0),) * 3  # as in the first layer
     white, windows = np.array([0.0, 1.0, 0.0]), 3 * recipe.side**2
     goal = LayerGoal(recipe.level_pool, recipe.parent_patches, recipe.ridge, noise, white, windows, recipe.plain_windows)
+    sums = {site: _symmetric(layer, rule, site, one) for site, one in sums.items()}
     solved = dict(
         zip(sums, solve_layer(list(sums.values()), copies, rule, goal, layer.learning.equal_response), strict=True)
     )
@@ -160,3 +182,21 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
         intercept=np.concatenate(intercept).astype(np.float32),
         samples=np.concatenate(samples),
     )
+
+
+def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) -> LayerSums:
+    """Sums of a canonical site averaged over the orientations that leave its window of the mosaic as it is, each with the
+    classes that it turns into one another; those of a tree's leaves, which no orientation does, as they are."""
+    if not (layer.learning.symmetry and isinstance(rule, StructureRule)):
+        return sums
+    window = neighbourhoods(layer.camera.cfa, layer.rule.patch, len(layer.camera.channels)).channel[site]
+    alike = [number for number, turn in enumerate(orientations(layer.rule.patch)) if (window[turn] == window).all()]
+    moments, noise, count = (np.zeros_like(each) for each in (sums.moments, sums.noise, sums.count))
+    for number in alike:
+        turn = orientations(layer.recipe.side)[number]
+        taps = np.concatenate([turn + plane * turn.size for plane in range(3)])
+        classes = turned_structures(rule, number)
+        for total, each in ((moments, sums.moments), (noise, sums.noise)):
+            total[classes] += each[:, turned_places(taps, width_of(each))] / len(alike)
+        count[classes] += sums.count / len(alike)
+    return LayerSums(moments, noise, count)

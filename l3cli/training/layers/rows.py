@@ -15,15 +15,23 @@ from l3cli.classes.ratios import shaded_chroma
 from l3cli.classes.refinement import mirrored, window_means
 from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error
-from l3cli.training.accumulate import LARGEST_PIECE, TARGET_FLOOR
-from l3cli.training.layers.first import Floats, Seen, runs_of
+from l3cli.training.layers.first import Floats, Seen
 from l3cli.training.recipe import LearningRecipe
-from l3cli.training.row_weighting import ERROR_FLOOR, lab_error
-from l3cli.training.sums import EXACT, STEP, add_rounded, intercept_scale, pairs, rounding_number, steps_of_columns, width_of
+from l3cli.training.row_weighting import ERROR_FLOOR, TARGET_FLOOR, lab_error
+from l3cli.training.sums import (
+    EXACT,
+    STEP,
+    add_products,
+    intercept_scale,
+    pairs,
+    pieces_of,
+    rounding_number,
+    runs_of,
+    steps_of_columns,
+    width_of,
+)
 
 MEAN_FLOOR = 1e-5  # squared error, in output units, below which mosaics count alike
-GATHERED = 64 << 20  # bytes of rows that are added up at once, from several mosaics of a frame
-BORDER = 12  # pixels at a mosaic's edge without rows: what they see is mirrored
 Y = 1
 
 
@@ -44,12 +52,18 @@ class Reading:
         """Number of taps of a window of all planes, and behind it."""
         return 3 * self.order.shape[1] + self.ratio_taps
 
-    def taps_of(self, planes: NDArray, pixels: Integers, site: int, ratios: NDArray[np.float64]) -> Floats:
-        """Taps (pixel, tap) of planes (plane, row, col) about pixels of a site, those of `ratios` (tap, row, col)
-        behind them."""
-        windows = windows_of(planes, pixels, self.order[site])
-        ratio_columns = ratios.reshape(len(ratios), planes[0].size)[:, pixels].T * PLANE_STEP
-        return np.concatenate([windows, ratio_columns.astype(np.float32)], axis=1)
+    def offsets(self, cols: int) -> Integers:
+        """Steps (site, tap) from a pixel of planes of so many columns to the taps of its window; behind them none, up to the
+        number of columns behind a window."""
+        reach = np.arange(self.side) - self.side // 2
+        steps = (reach[:, None] * cols + reach).ravel()[self.order]
+        return np.pad(steps, ((0, 0), (0, max(self.ratio_taps + 1 + 3 - steps.shape[1], 0))))
+
+    @property
+    def columns(self) -> Integers:
+        """Places of the taps of each plane, and behind them of ratio taps, 1 and outputs, in rows of four numbers a tap."""
+        window, behind = np.arange(self.order.shape[1]), np.arange(self.ratio_taps + 1 + 3)
+        return np.concatenate([4 * window, 4 * window + 1, 4 * window + 2, 4 * behind + 3])
 
 
 def empty_sums(rule: PlaneRule, taps: int, outputs: int) -> LayerSums:
@@ -75,24 +89,6 @@ def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) 
         raise L3Error("a class has more rows than can be added exactly; lower layer.mosaics or layer.rows")
 
 
-def inner_pixels(shape: tuple[int, ...]) -> Integers:
-    """Indices (pixel) of the pixels of a mosaic that may give rows."""
-    rows, cols = shape
-    row, col = np.arange(BORDER, rows - BORDER), np.arange(BORDER, cols - BORDER)
-    return (row[:, None] * cols + col).ravel()
-
-
-def windows_of(planes: NDArray, pixels: Integers, order: Integers) -> Floats:
-    """Windows (pixel, plane · tap) of planes (plane, row, col) about pixels of one site, read in `order` (tap), in output
-    units."""
-    side = int(np.sqrt(order.size))
-    reach = np.arange(side) - side // 2
-    offset = (reach[:, None] * planes.shape[2] + reach).ravel()[order]
-    places = pixels[:, None] + offset
-    taps = np.concatenate([plane[places] for plane in planes.reshape(len(planes), -1)], axis=1)
-    return taps.astype(np.float32) * np.float32(PLANE_STEP)
-
-
 def row_weights(
     seen: Seen, basis: NDArray[np.float64], white: NDArray[np.float64], recipe: LearningRecipe, pictures: bool
 ) -> Floats:
@@ -104,45 +100,39 @@ def row_weights(
     if not recipe.error_power:
         return np.asarray(weight, np.float32)
     if not pictures:
-        return np.asarray(weight * _of_mosaic(seen, basis) ** -recipe.error_power, np.float32)
+        of_mosaic = np.repeat(_of_mosaics(seen, basis) ** -recipe.error_power, len(weight) // seen.count)
+        return np.asarray(weight * of_mosaic[:, None], np.float32)
     back = (np.linalg.inv(basis) * PLANE_STEP).astype(np.float32)
     clean, noisy = (np.moveaxis(planes, 0, -1).astype(np.float32) @ back for planes in (seen.clean, seen.noisy))
     context = (seen.target, seen.brightness, white.astype(np.float32))
-    error = lab_error(clean - seen.target, *context) + _averaged(lab_error(noisy - clean, *context))
+    error = lab_error(clean - seen.target, *context) + window_means(mirrored(lab_error(noisy - clean, *context), 2), 5)
     return np.asarray(weight * (error + np.float32(ERROR_FLOOR)) ** np.float32(-recipe.error_power), np.float32)
 
 
-def _of_mosaic(seen: Seen, basis: NDArray[np.float64]) -> float:
-    """Mean squared error of what the layers before make of a mosaic, above a floor: errors of what is no picture are judged
-    mosaic by mosaic, as PSNR does."""
+def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean squared error (mosaic) of what the layers before make of each, above a floor: errors of what is no picture are
+    judged mosaic by mosaic, as PSNR does."""
     error = np.moveaxis(seen.noisy, 0, -1) @ (np.linalg.inv(basis) * PLANE_STEP) - seen.target
-    return float((error[BORDER:-BORDER, BORDER:-BORDER] ** 2).mean()) + MEAN_FLOOR
+    return np.asarray((error**2).reshape(seen.count, -1).mean(axis=1) + MEAN_FLOOR)
 
 
-def _averaged(values: Floats) -> Floats:
-    """Means over 5 × 5."""
-    return window_means(mirrored(values, 2), 5)
+class _Rows(NamedTuple):
+    """Rows of one sheet or several, and the planes that they are read from."""
 
-
-class Rows(NamedTuple):
-    """Rows of one canonical site, weighted."""
-
-    label: Integers  # (row) class within the site
-    values: Floats  # (row, column) taps without noise, intercept, outputs
-    noise: Floats  # (row, tap) what noise adds to the taps
-
-    @classmethod
-    def by_class(cls, parts: list["Rows"]) -> "Rows":
-        """All rows of `parts`, of non-decreasing class."""
-        label, values, noise = (np.concatenate(each) for each in zip(*parts, strict=True))
-        order = np.argsort(label, kind="stable")
-        return cls(label[order], values[order], noise[order])
+    clean: Floats  # (pixel, plane and nothing) in output units; four numbers of a pixel are read as fast as one
+    noise: Floats  # (pixel, plane and nothing) what noise adds
+    pixel: Integers  # (row)
+    site: Integers  # (row)
+    label: Integers  # (row) class within its site
+    weight: Floats  # (row)
+    behind: Floats  # (row, column) ratio taps without noise, 1, outputs in planes of the basis
+    noise_behind: Floats  # (row, tap) what noise adds to ratio taps
 
 
 class GatheredRows:
     """Rows of several mosaics on their way into the sums: a class's product costs little more for many rows than for few,
     and one mosaic has few of each class. What is gathered decides how products of float32 are rounded, so that it may depend
-    on nothing but the frame."""
+    on nothing but the frames of a block."""
 
     def __init__(
         self, sums: Mapping[int, LayerSums], rule: PlaneRule, reading: Reading, basis: NDArray[np.float64],
@@ -150,46 +140,68 @@ class GatheredRows:
     ) -> None:  # fmt: skip
         """Rows for the `sums` of canonical sites, outputs in planes of the `basis`; `steps` (level, pair) of the grid."""
         self.sums, self.rule, self.reading, self.basis, self.steps = sums, rule, reading, basis.astype(np.float32), steps
-        self._waiting: dict[int, list[Rows]] = {site: [] for site in sums}
-        self._bytes = 0
+        self._sheets: list[_Rows] = []
+        self._cols = 0  # of the sheets
 
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
-        """Gather the rows of `pixels` of a mosaic, with classes `label` (row, col) and weights `weight` (row, col)."""
-        reading = self.reading
-        site, within = self.rule.within_site(label.ravel())
-        weight = weight.ravel()
-        ratios = [shaded_chroma(planes, reading.side)[: reading.ratio_taps] for planes in (seen.clean, seen.noisy)]
-        target = seen.target.reshape(-1, seen.target.shape[-1]) @ self.basis
-        for one in np.unique(site[pixels]).tolist():
-            of_site = pixels[site[pixels] == one]
-            clean, noisy = map(reading.taps_of, (seen.clean, seen.noisy), (of_site, of_site), (one, one), ratios)
-            weights = weight[of_site, None]
-            values = np.concatenate([clean * weights, weights, target[of_site] * weights], axis=1)
-            rows = Rows(within[of_site], values, (noisy - clean) * weights)
-            self._waiting[int(reading.canonical[one])].append(rows)
-            self._bytes += rows.values.nbytes + rows.noise.nbytes
-        if self._bytes > GATHERED:
+        """Gather the rows of `pixels` of mosaics, with classes `label` (row, col) and weights `weight` (row, col)."""
+        if seen.label.shape[1] != self._cols:  # frames of another size
             self.add_up()
+            self._cols = seen.label.shape[1]
+        clean, noise = np.zeros((2, seen.label.size, 4), np.float32)
+        np.multiply(seen.clean.reshape(3, -1).T, np.float32(PLANE_STEP), out=clean[:, :3])
+        np.multiply(seen.noisy.reshape(3, -1).T, np.float32(PLANE_STEP), out=noise[:, :3])
+        noise -= clean
+        light, both = (self._ratios(planes, pixels) for planes in (seen.clean, seen.noisy))
+        target = seen.target.reshape(-1, seen.target.shape[-1])[pixels] @ self.basis
+        behind = np.concatenate([light, np.ones((pixels.size, 1), np.float32), target], axis=1)
+        site, within_site = self.rule.within_site(label.reshape(-1)[pixels])
+        about = pixels, site, within_site, weight.reshape(-1)[pixels]
+        self._sheets.append(_Rows(clean, noise, *about, behind, both - light))
+
+    def _ratios(self, planes: NDArray, pixels: Integers) -> Floats:
+        """Ratio taps (pixel, tap) of planes (plane, row, col)."""
+        if not self.reading.ratio_taps:
+            return np.empty((pixels.size, 0), np.float32)
+        taps = shaded_chroma(planes, self.reading.side).reshape(self.reading.ratio_taps, -1)[:, pixels]
+        return (taps.T * PLANE_STEP).astype(np.float32)
 
     def add_up(self) -> None:
         """Add what has been gathered to the sums."""
-        for site, parts in self._waiting.items():
-            if parts:
-                _add_classes(self.sums[site], self.rule, self.steps, Rows.by_class(parts))
-                parts.clear()
-        self._bytes = 0
+        if not self._sheets:
+            return
+        starts = np.cumsum([0, *(len(sheet.clean) for sheet in self._sheets)])
+        moved = (sheet._replace(pixel=sheet.pixel + start) for sheet, start in zip(self._sheets, starts, strict=False))
+        rows = _Rows(*(np.concatenate(each) for each in zip(*moved, strict=True)))
+        self._sheets.clear()
+        learned_as = self.reading.canonical[rows.site]
+        for site, sums in self.sums.items():
+            chosen = np.flatnonzero(learned_as == site)
+            self._add_site(sums, rows, chosen[np.argsort(rows.label[chosen], kind="stable")])
+
+    def _add_site(self, sums: LayerSums, rows: _Rows, order: Integers) -> None:
+        """Add the rows in `order` (row), of non-decreasing class."""
+        offsets, columns = self.reading.offsets(self._cols), self.reading.columns
+        rows = rows._replace(**{name: getattr(rows, name).take(order, axis=0) for name in _Rows._fields[2:]})
+        levels = self.rule.split(rows.label).level
+        large, noise_large = list(rounding_number(self.steps)), rounding_number(STEP)
+        for piece in pieces_of(rows.label):
+            places = (rows.pixel[piece, None] + offsets[rows.site[piece]]).reshape(-1)
+            values, spread = (
+                _weighted(planes.take(places, axis=0), behind[piece], rows.weight[piece])
+                for planes, behind in ((rows.clean, rows.behind), (rows.noise, rows.noise_behind))
+            )
+            runs = runs_of(rows.label[piece])
+            add_products(sums.moments, values, runs, [large[levels[piece][first]] for _, first, _ in runs], columns)
+            add_products(sums.noise, spread, runs, [noise_large] * len(runs), columns[: self.reading.taps])
+            for index, first, last in runs:
+                sums.count[index] += last - first
 
 
-def _add_classes(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64], rows: Rows) -> None:
-    widths = rows.values.shape[1], rows.noise.shape[1]
-    places, noise_places = (np.ravel_multi_index(pairs(width), (width, width)) for width in widths)
-    large, noise_large = rounding_number(steps), rounding_number(STEP)
-    runs = runs_of(rows.label)
-    levels = rule.split(np.array([index for index, _ in runs])).level.tolist()
-    for (index, run), level in zip(runs, levels, strict=True):
-        for first in range(run.start, run.stop, LARGEST_PIECE):
-            piece = slice(first, min(first + LARGEST_PIECE, run.stop))
-            block, spread = rows.values[piece], rows.noise[piece]
-            add_rounded(sums.moments[index], (block.T @ block).ravel().take(places), large[level])
-            add_rounded(sums.noise[index], (spread.T @ spread).ravel().take(noise_places), noise_large)
-        sums.count[index] += run.stop - run.start
+def _weighted(windows: Floats, behind: Floats, weight: Floats) -> Floats:
+    """Weighted rows (row, 4 · tap) of windows (row · tap, 4), of which each fourth number is nothing, with `behind`
+    (row, column) in the place of these nothings."""
+    values = windows.reshape(len(weight), -1)
+    values[:, 3 : 3 + 4 * behind.shape[1] : 4] = behind
+    values *= weight[:, None]
+    return values

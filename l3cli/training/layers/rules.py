@@ -6,14 +6,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.layers import PLANE_STEP
 from l3cli.artifacts.plane_rules import FACTORS, MOST_SHIFT, GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes import structure
 from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import plane_evidence
 from l3cli.training.layers.learn import LayerPass
-from l3cli.training.layers.mosaics import mosaics_of
-from l3cli.training.layers.rows import inner_pixels, row_weights, windows_of
+from l3cli.training.layers.mosaics import LARGEST_SIDE, mosaics_of
+from l3cli.training.layers.rows import row_weights
 from l3cli.training.layers.tree import TreeSample, grow, turned_evidence
 from l3cli.training.symmetry import orientations
 
@@ -26,7 +27,7 @@ LAB_SLOPES = (500.0, 116.0, 200.0)  # of a*, L* and b* with the planes of a whit
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
     """Return, for every frame whose index, `first` being that of the first, is a multiple of `every`, sums of squared
     differences that noise makes between pixels two apart of the luminance, and their number (2, level)."""
-    see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True), []
+    see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=LARGEST_SIDE), []
     brightest = BRIGHTEST * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
     for index, frame in enumerate(frames, first):
         if index % every:
@@ -90,14 +91,15 @@ def sample_tree(
             weight = row_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures).ravel()
             target = seen.target.reshape(-1, seen.target.shape[-1]) @ judged
             evidence = plane_evidence(seen.noisy, place.level, scale.gradient_factor, scale.gradient_shift)
-            inner = inner_pixels(seen.label.shape)
+            inner = seen.inner_pixels(layer.margin)
             free = inner[(layer.rule.lost(place.kind) == 0).ravel()[inner]]
             for canonical in np.unique(reading.canonical).tolist():
                 of_site = free[reading.canonical[site[free]] == canonical]
                 chosen = rng.choice(of_site, min(rows, of_site.size), replace=False)
                 for one in np.unique(site[chosen]).tolist():
                     pixels = chosen[site[chosen] == one]
-                    taps = windows_of(seen.noisy, pixels, reading.order[one])
+                    places = pixels[:, None] + reading.offsets(seen.label.shape[1])[one]
+                    taps = np.concatenate([plane.take(places) for plane in seen.noisy], axis=1) * np.float32(PLANE_STEP)
                     weights = weight[pixels, None]
                     parts.setdefault(canonical, []).append(
                         TreeSample(taps * weights, target[pixels] * weights, *turned_evidence(evidence, turns[one], pixels))
