@@ -19,13 +19,13 @@ from l3cli.frames.frame import RawFrame
 from l3cli.io.raw import files as raw_files
 from l3cli.io.raw.files import RawOverrides
 from l3cli.rendering.conditions import Mix, mixed, nearest_for
+from l3cli.rendering.following import Following
 from l3cli.rendering.raw_checks import beyond_converter
 from l3cli.rendering.renderer import NoiseRenderer
+from l3cli.rendering.rendition import OUTPUTS, Rendition, rendered, shown_as
 from l3cli.rendering.temporal.chunks import Chunks, filters
 from l3cli.rendering.white.balance import WhiteBalance
 from l3cli.rendering.white.source import WhiteSource, given_white
-from l3cli.stages.rendering.following import Following, shown_as
-from l3cli.stages.rendering.rendition import OUTPUTS, Rendition, rendered
 from l3cli.system.locks import ThreadLock
 
 
@@ -145,8 +145,7 @@ class Renderer:
         self, renderer: NoiseRenderer, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None
     ) -> NDArray[Any]:
         with self._alone:
-            pixels: NDArray[Any] = rendered(renderer, frame, rendition, scale, balance=balance).pixels
-        return pixels
+            return rendered(renderer, frame, rendition, scale, balance)[0]
 
     def _frame(self, given: RawFrame | NDArray[np.uint16]) -> RawFrame:
         if isinstance(given, RawFrame):

@@ -14,10 +14,10 @@ from l3cli.cli.results import Record, Result, begin
 from l3cli.cli.terminal import drop, prepare, show, to_stderr
 from l3cli.errors import L3Error, suggestion
 from l3cli.parallel import one_blas_thread, without_plots
-from l3cli.stages.plan import Planned
 from l3cli.system.console import Logged
 from l3cli.system.ledger import close_ledger
 from l3cli.system.limits import require_address_space, require_settings
+from l3cli.system.plan import Planned
 from l3cli.system.signals import Terminated, heed, leave_to_python
 
 if TYPE_CHECKING:

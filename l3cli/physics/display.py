@@ -20,6 +20,7 @@ XYZ = ("X", "Y", "Z")  # names of outputs that are CIE 1931 tristimulus values
 CHROMATICITY = Quantity(0.001, 0.999)  # x or y of a white
 WHITE_PERCENTILE = 99  # of Y, shown white, as the authors of the method show their pictures
 LUMA = np.array([0.2126, 0.7152, 0.0722])  # of sRGB's primaries (Rec. 709)
+FLOAT_BITS = 32  # of linear values, in floating point
 CODES = {8: np.uint8, 16: np.uint16}  # bits of a picture's codes → their type
 
 

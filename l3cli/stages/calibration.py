@@ -18,9 +18,9 @@ from l3cli.io.measurements import inputs_of, inputs_of_photos, load_measurements
 from l3cli.io.photos import export_offsets, offset_paths
 from l3cli.options.pipeline import CalibrateOptions
 from l3cli.parallel import ordered_map
-from l3cli.stages.claims import OutputGuard
 from l3cli.stages.export import write
-from l3cli.stages.plan import Made, before_work
+from l3cli.system.output_guard import OutputGuard
+from l3cli.system.plan import Made, before_work
 
 
 def calibrate(

@@ -9,10 +9,10 @@ from typing import Any
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.comparison import Comparison, Curve, curve_of, require_comparable, same_scenes
 from l3cli.options.tools import CompareOptions
-from l3cli.stages.claims import OutputGuard
-from l3cli.stages.plan import Made, before_work
 from l3cli.system.files import write_whole
 from l3cli.system.limits import read_bounded
+from l3cli.system.output_guard import OutputGuard
+from l3cli.system.plan import Made, before_work
 from l3cli.system.text import short_names
 
 GIVE = 'give what "l3 evaluate --json" prints'

@@ -24,11 +24,11 @@ from l3cli.io.measurements import measurements_of
 from l3cli.io.photos import array_of
 from l3cli.options.pipeline import DraftOptions
 from l3cli.recipes.toml import parse_recipe
-from l3cli.stages.claims import OutputGuard
-from l3cli.stages.plan import Made, before_work, is_dry
 from l3cli.system.console import Console
 from l3cli.system.files import write_whole
 from l3cli.system.ledger import is_noting
+from l3cli.system.output_guard import OutputGuard
+from l3cli.system.plan import Made, before_work, is_dry
 from l3cli.system.text import counted
 
 MOST_LINES = 8  # assumptions and missing things of which each gets a line on the console

@@ -31,11 +31,11 @@ from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.stages.checkpoint import incomplete_folder, refuse_other_run, run_key
-from l3cli.stages.claims import OutputGuard
-from l3cli.stages.plan import Made, before_work
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
 from l3cli.system.limits import read_bounded
+from l3cli.system.output_guard import OutputGuard
+from l3cli.system.plan import Made, before_work
 
 MOST_KEPT = 8  # renderers: frames of one scene under several lights follow one another
 Planes = NDArray[np.float32]

@@ -19,11 +19,11 @@ from l3cli.simulation.lab import FOLDERS, LabCapture, chart_corners, plan, take
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.sensor_defects import DefectRecipe
 from l3cli.spectra.units import PHOTON_RADIANCE
-from l3cli.stages.claims import OutputGuard, refuse_unwritable
-from l3cli.stages.plan import Made, before_work
 from l3cli.system.files import refuse_existing, refuse_protected
 from l3cli.system.ledger import note_output
 from l3cli.system.locks import sole_writer_of_folder
+from l3cli.system.output_guard import OutputGuard, refuse_unwritable
+from l3cli.system.plan import Made, before_work
 
 MONO = "spectra/mono.csv"  # spectra of the monochromator's steps
 

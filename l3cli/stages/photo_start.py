@@ -11,13 +11,13 @@ from l3cli.io.raw.libraw import Stated, stated
 from l3cli.io.raw.registry import BY_SUFFIX, is_photo
 from l3cli.options.tools import InitOptions
 from l3cli.recipes.builtin import recipe_folder
-from l3cli.stages.claims import OutputGuard
 from l3cli.stages.photo_camera import photographed
 from l3cli.stages.photo_recipe import CURVES, PhotoCamera
-from l3cli.stages.plan import Made, before_work
 from l3cli.stages.starting import COMMON, known_camera, write_folder
 from l3cli.system.console import Console
 from l3cli.system.files import blamed_on, refuse_protected, require_regular
+from l3cli.system.output_guard import OutputGuard
+from l3cli.system.plan import Made, before_work
 
 NEW_FOLDER = "mine"  # as the documentation calls it
 SHOWN = "picture"  # and the photo's suffix: a link to it, for make cannot hold every name

@@ -35,11 +35,11 @@ from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
 from l3cli.simulation.procedural import chart_places
 from l3cli.stages import evaluation
-from l3cli.stages.claims import OutputGuard
 from l3cli.stages.evaluation import FrameRenderers, evaluate_frame, raw_of, warn_if_unlike
-from l3cli.stages.plan import Made, before_work
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256, write_whole
+from l3cli.system.output_guard import OutputGuard
+from l3cli.system.plan import Made, before_work
 from l3cli.system.text import counted, short_names
 
 # of all evaluated frames, of all pixels that can be looked into, of classes elsewhere, of all training sets: see page.LIMIT

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from l3cli.options.tools import InitOptions
 from l3cli.recipes.builtin import known_benchmarks, known_recipes, recipe_folder
-from l3cli.stages.claims import OutputGuard
-from l3cli.stages.plan import Made, before_work
 from l3cli.system.files import atomic_output
+from l3cli.system.output_guard import OutputGuard
+from l3cli.system.plan import Made, before_work
 
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
 COMMON = {

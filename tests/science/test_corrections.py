@@ -33,11 +33,11 @@ from l3cli.rendering.exposure import LightMeter
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.rendition import Rendition
 from l3cli.rendering.white.source import usual_balance
 from l3cli.simulation.sensor import expose, mosaic
 from l3cli.stages.rendering.corrections import CameraFile
-from l3cli.stages.rendering.executors import Local, Remote, RenderSetup
-from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread
+from l3cli.stages.rendering.executors import Exposed, Local, Remote, RenderSetup, Unread
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera
 from tests.helpers.flaws import Flaws, flaws, seen, shading

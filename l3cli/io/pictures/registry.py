@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from l3cli import __version__
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import Shot
+from l3cli.physics.display import FLOAT_BITS
 from l3cli.physics.spaces import SRGB, XYZ, Space
 from l3cli.system.files import write_whole
 
-FLOAT_BITS = 32  # of linear values, in floating point
 XYZ_AS_IT_IS = replace(XYZ, title="CIE XYZ", neutral=None)
 
 

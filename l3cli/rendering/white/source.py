@@ -1,4 +1,4 @@
-"""Sources of a scene's white: the file, a grey in the frame, or the frame as a whole (docs/method.md#scene-white)."""
+"""Sources of a scene's white: the file, a grey or a chart in the frame, or the whole frame (docs/method.md#scene-white)."""
 
 import re
 from typing import Protocol
@@ -11,11 +11,12 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import scene_white
 from l3cli.rendering.white.auto import AutoWhite
 from l3cli.rendering.white.balance import WhiteBalance, plain_balance
+from l3cli.rendering.white.chart import ChartWhite
 from l3cli.rendering.white.grey import Square
 from l3cli.rendering.white.scene_white import SceneWhite, Whites
 from l3cli.system.numbers import NoSuchNumber, Quantity
 
-CAMERA, AUTO = "camera", "auto"
+CAMERA, AUTO, CHART = "camera", "auto", "chart"
 USUAL_SIZE = 32  # pixels
 PLACE, SIZE = Quantity(0, 1_000_000, "pixels", whole=True), Quantity(2, 1000, "pixels", whole=True)
 
@@ -71,13 +72,18 @@ class SquareWhite:
         return self._whites.of_greys(frame, [self._square.within(frame)])
 
 
-def white_source(text: str, table: TransformTable, estimated_by: TransformTable | None = None) -> WhiteSource | None:
-    """Return the source that "camera", "auto" or "ROW,COL[,SIZE]" asks for; None where `text` is a white by itself, a
-    name or "x,y". `estimated_by`: the statistics of estimates; None: the table's (docs/method.md#several-lights)."""
+def white_source(text: str | None, table: TransformTable, estimated_by: TransformTable | None = None) -> WhiteSource | None:
+    """Return the source that "camera", "auto", "chart" or "ROW,COL[,SIZE]" asks for; None where `text` is a white by
+    itself, a name or "x,y"; None: the table's.
+    `estimated_by`: the statistics of estimates; None: the table's (docs/method.md#several-lights)."""
+    if text is None:
+        return None
     if text == CAMERA:
         return CameraWhite(table)
     if text == AUTO:
         return AutoWhite(Whites(estimated_by or table), Whites(table))
+    if text == CHART:
+        return ChartWhite(table)
     parts = text.split(",")
     if not (2 <= len(parts) <= 3 and (len(parts) == 3 or all(re.fullmatch(r"[+-]?\d+", part) for part in parts))):
         return None

@@ -10,10 +10,10 @@ from l3cli.report.camera import camera_section
 from l3cli.report.page import render_page
 from l3cli.stages.checking.check import Judgement
 from l3cli.stages.checking.kinds import CAMERA
-from l3cli.stages.claims import OutputGuard
 from l3cli.stages.report import figures_of_camera
 from l3cli.system.files import write_whole
 from l3cli.system.ledger import note_places
+from l3cli.system.output_guard import OutputGuard
 
 
 def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> None:

@@ -16,8 +16,6 @@ from l3cli.io.sequences import frame_files, is_still
 from l3cli.io.video import is_video
 from l3cli.options.render import RenderOptions
 from l3cli.stages.checkpoint import Checkpoint, run_key
-from l3cli.stages.claims import OutputGuard, refuse_unwritable
-from l3cli.stages.plan import Planned, is_dry
 from l3cli.stages.rendering.clip_inputs import name_of, refuse_one_name
 from l3cli.stages.rendering.clip_state import Entry, Standing, identity_of_clip, identity_of_output
 from l3cli.stages.rendering.destination import destination_of, overrides
@@ -28,6 +26,8 @@ from l3cli.system.console import Gathering
 from l3cli.system.files import FULL, STDIN, UNFINISHED, refuse_existing, refuse_filled_folder, sha256
 from l3cli.system.ledger import dated
 from l3cli.system.locks import sole_writer_of_folder
+from l3cli.system.output_guard import OutputGuard, refuse_unwritable
+from l3cli.system.plan import Planned, is_dry
 
 RENDERED, KEPT, FAILED = "rendered", "kept", "failed"  # of a clip
 MOST_WARNINGS = 1000  # of a clip, in its report

@@ -1,23 +1,28 @@
 """Destination of pictures, the files that exist there already, and the writer of new ones."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from l3cli.errors import RecipeError
 from l3cli.io.file_names import PATTERN, last_number, numbered_files, numbered_name
 from l3cli.io.pictures.pages import PAGED
-from l3cli.io.pictures.registry import FLOAT_BITS, format_of, holds_linear, holds_raw
+from l3cli.io.pictures.registry import format_of, holds_linear, holds_raw
 from l3cli.io.raw.files import RawOverrides
 from l3cli.io.sequences import FrameSequence
 from l3cli.io.video import USUAL_RATE, Y4M, VideoChoice, check_video, is_video
 from l3cli.options.render import RenderOptions
-from l3cli.stages.claims import OutputGuard, refuse_unwritable
-from l3cli.system.files import UNFINISHED, refuse_existing, refuse_protected
+from l3cli.physics.display import FLOAT_BITS
+from l3cli.rendering.temporal.chunks import CHUNK
+from l3cli.system.files import UNFINISHED, refuse_existing, refuse_protected, require_regular
+from l3cli.system.ledger import is_noting
 from l3cli.system.locks import sole_writer_of_folder
+from l3cli.system.output_guard import OutputGuard, refuse_unwritable
+from l3cli.system.plan import Made, before_work, is_dry
 
 STDOUT = Path("-")
+KINDS = {"stream": "y4m stream of", "video": "video of", "pattern": "numbered pictures of", "folder": "pictures of"}
 
 
 @dataclass(frozen=True)
@@ -185,3 +190,42 @@ def _pictures(destination: Destination) -> list[Path]:
     if destination.kind == "pattern":
         return list(numbered_files(destination.path).values())
     return sorted(destination.path.glob(f"*.{destination.suffix}"))
+
+
+def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> range:
+    """The places, from 0, of the frames that a shard (number from 1, of how many) renders; of a sequence that is filtered in
+    time whole chunks, where each shard has one. RecipeError if nobody knows how many frames there are, or they are too
+    few."""
+    number, shards = shard
+    if sequence.count is None:
+        raise RecipeError(f"{sequence.what} does not say how many frames it has; choose those of all shards with ‹frames›")
+    count = sequence.count - sequence.lost
+    if count < shards:
+        raise RecipeError(f"{sequence.what} has {count} frames, too few for {shards} shards")
+    # A shard that begins within a chunk filters what lies before it there, too.
+    grid = CHUNK if temporal and count >= shards * CHUNK else 1
+    first, last = (count * index // shards for index in (number - 1, number))
+    return range(_nearest(first, grid), count if number == shards else _nearest(last, grid))
+
+
+def _nearest(place: int, grid: int) -> int:
+    """Halves go up, so that places at least `grid` apart stay apart."""
+    return (place + grid // 2) // grid * grid
+
+
+def plan(
+    table: Path, inputs: Sequence[Path], sequence: FrameSequence, destination: Destination, options: RenderOptions
+) -> None:  # fmt: skip
+    """State the files that are read and made; in a dry run, after the refusals that come before work."""
+    if not (is_dry() or is_noting()):
+        return  # there may be many frames
+    frames = [] if sequence.is_stream else [frame for place, frame in enumerate(sequence.frames) if sequence.renders(place)]
+    files = [pending.source for pending in frames if pending.source is not None]
+    if is_dry():
+        refuse_outputs(destination, sequence, options.force or options.resume)
+        for file in files if not options.skip_bad else ():
+            require_regular(file)
+    rendered = sequence.rendered
+    count = "as many frames as come" if rendered is None else f"{rendered} frame{'s' * (rendered > 1)}"
+    made = Made(destination.path, f"{KINDS.get(destination.kind, 'picture of')} {count}")
+    before_work({"table": [table], "inputs": files or inputs, "dark frames": options.dark}, made)

@@ -9,26 +9,47 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from numpy.typing import NDArray
+
 from l3cli.errors import InputFileError, L3Error
 from l3cli.frames.frame import RawFrame, upright
-from l3cli.io.pictures.registry import BY_SUFFIX, Label
+from l3cli.io.pictures.dng import raw_values
+from l3cli.io.pictures.registry import BY_SUFFIX, Label, Picture, picture_file
 from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.io.sequences import FrameReference
 from l3cli.parallel import WorkerPool
 from l3cli.parallel.threads import BackgroundTask
 from l3cli.rendering.conditions import Mix, mixed
 from l3cli.rendering.display import Display
+from l3cli.rendering.rendition import Rendition, rendered, shown
 from l3cli.rendering.white.balance import WhiteBalance
-from l3cli.stages.plan import is_dry
 from l3cli.stages.rendering.corrections import CameraFile, correction_again
-from l3cli.stages.rendering.rendition import Exposed, Rendered, Rendition, Unread, file_of, rendered, shown
 from l3cli.system.files import require_same
+from l3cli.system.plan import is_dry
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
     from l3cli.frames.shading import Shading
     from l3cli.parallel.cluster import Scheduler
     from l3cli.rendering.renderer import Renderer
+
+
+@dataclass(frozen=True)
+class Unread:
+    """A frame that whoever renders it is to read."""
+
+    path: Path
+    digest: str  # SHA-256 of the file
+
+
+@dataclass(frozen=True)
+class Exposed:
+    """A frame to be rendered, and how it is shown."""
+
+    pending: FrameReference
+    frame: RawFrame | Unread
+    scale: float  # of its exposure, 0: automatic
+    balance: WhiteBalance | None  # its own; None: the rendition's
 
 
 class Local:
@@ -49,9 +70,8 @@ class Local:
         rendition, usual = self._rendition, self._rendition.balance
         if usual is None or rendition.is_linear:
             for each in exposed:
-                frame = _read(each)
-                label = label_of(frame, self._digest, each.pending.identity)
-                yield each.pending, rendered(self._renderer, frame, rendition, each.scale, label, each.balance)
+                made = rendered(self._renderer, frame := _read(each), rendition, each.scale, each.balance)
+                yield each.pending, self._picture(frame, each.pending, *made)
             return
 
         def displayed() -> Iterator[tuple[RawFrame, Display]]:
@@ -62,8 +82,11 @@ class Local:
 
         for picture in self._renderer.pictures(displayed()):
             pending, frame = at_work.popleft()
-            label = label_of(frame, self._digest, pending.identity)
-            yield pending, Rendered(upright(picture, frame.orientation), label)
+            yield pending, self._picture(frame, pending, upright(picture, frame.orientation))
+
+    def _picture(self, frame: RawFrame, pending: FrameReference, pixels: NDArray[Any], scale: float = 0.0) -> Picture:
+        label = label_of(frame, self._digest, pending.identity)
+        return picture_of(pixels, scale, self._rendition, label, self._renderer.table.outputs)
 
 
 def _read(exposed: Exposed) -> RawFrame:
@@ -120,6 +143,13 @@ class Remote:
             yield away.popleft(), made
 
 
+def picture_of(pixels: NDArray[Any], scale: float, rendition: Rendition, label: Label, outputs: tuple[str, ...]) -> Picture:
+    """Return the content of a rendered frame's file; `outputs`: names of the table's."""
+    names = outputs if rendition.balance is None else rendition.names
+    pixels = raw_values(pixels, rendition.mosaic) if rendition.raw else pixels
+    return Picture(pixels, rendition.space, label, names, scale)
+
+
 def label_of(frame: RawFrame, table: str, identity: str) -> Label:
     """Return the metadata of a frame's picture; `table`: SHA-256 of the table."""
     return Label(frame.shot, frame.exposure, table, identity)
@@ -142,8 +172,9 @@ def _rendered(job: RenderJob) -> Any:
     elif correction is not None and frame.shading is None:
         frame = replace(frame, shading=correction.shading)  # its defects are mended already
     label = label_of(frame, setup.digest, job.identity)
-    made = rendered(renderer, frame, setup.rendition, job.scale, label, job.balance)
-    return made if setup.suffix is None else file_of(Path(f"frame{setup.suffix}"), made, setup.rendition, table.outputs)
+    made = rendered(renderer, frame, setup.rendition, job.scale, job.balance)
+    picture = picture_of(*made, setup.rendition, label, table.outputs)
+    return picture if setup.suffix is None else picture_file(Path(f"frame{setup.suffix}"), picture)
 
 
 @functools.lru_cache(1)

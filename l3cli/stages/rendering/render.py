@@ -10,20 +10,21 @@ from typing import TYPE_CHECKING
 
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.errors import DeviceError, InputFileError, RecipeError
+from l3cli.errors import DeviceError, InputFileError, RecipeError, suggestion
+from l3cli.io.pictures.dng import MOSAICS
 from l3cli.io.sequences import FrameSequence, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, Pacing
 from l3cli.options.render import RenderOptions
+from l3cli.physics.spaces import REC2020
 from l3cli.rendering.conditions import mixed, nearest_for
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.raw_checks import odd_exposure_time
+from l3cli.rendering.rendition import Rendition, chosen_space, outputs_as_they_are
 from l3cli.rendering.temporal.chunks import Chunks, filters
 from l3cli.rendering.white.scene_white import far_from_training
-from l3cli.rendering.white.source import given_white, usual_balance
+from l3cli.rendering.white.source import given_white, usual_balance, white_source
 from l3cli.stages.checkpoint import run_key
-from l3cli.stages.claims import OutputGuard
-from l3cli.stages.rendering.chart_white import source_of
 from l3cli.stages.rendering.checkpoint import FrameOrigins, checkpointed
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
 from l3cli.stages.rendering.destination import (
@@ -32,17 +33,17 @@ from l3cli.stages.rendering.destination import (
     destination_of,
     overrides,
     paged,
+    part_of,
+    plan,
     refuse_missing,
     video_choice,
 )
 from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of, while_reading
 from l3cli.stages.rendering.lights import mix_of_first, mix_of_given
-from l3cli.stages.rendering.plan import plan
-from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
 from l3cli.stages.rendering.sequence import SequenceJob, Tally, render_frames
-from l3cli.stages.rendering.shards import part_of
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
+from l3cli.system.output_guard import OutputGuard
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -74,7 +75,7 @@ def render(
         model = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if options.hot == "auto" else None)
-        source = source_of(white, transforms) if white is not None else None
+        source = white_source(white, transforms)
         lit, mix = transforms, None if source else mix_of_given(white, transforms, nearest_for, console)
         transforms = mixed(lit, mix)
         rendition = _rendition(destination, None if source else white, transforms, options)
@@ -93,10 +94,10 @@ def render(
         pacing = Pacing(sequence.unit, stated, sequence.unit or 1)
         rate = options.fps or sequence.rate or USUAL_RATE
         choice = replace(video_choice(options), rate=rate, tick=pacing.tick if destination.has_times else None)
-        if source is not None and white is not None and lit.lights:
+        if source is not None and lit.lights:
             mix, sequence = mix_of_first(source, lit, sequence, console)
             transforms = mixed(lit, mix)
-            source, rendition = source_of(white, transforms, lit), replace(rendition, balance=usual_balance(transforms))
+            source, rendition = white_source(white, transforms, lit), replace(rendition, balance=usual_balance(transforms))
         setup = RenderSetup(
             table.absolute(), digest, options.backend, engine, known, rendition, destination.file_suffix, model, mix
         )
@@ -163,4 +164,8 @@ def _rendition(
     if white is not None and given is not None and (doubt := far_from_training(white, given, table)):
         options.console.warn(doubt)
     rendition = Rendition(balance, options.exposure.factor, options.bits, space_of, stops=options.exposure.stops)
-    return for_developers(rendition, options.remosaic) if destination.raw else rendition
+    if not destination.raw:
+        return rendition
+    if options.remosaic not in (None, *MOSAICS):
+        raise RecipeError(f'mosaic "{options.remosaic}" is unknown; {suggestion(options.remosaic, MOSAICS)}')
+    return replace(rendition, space=replace(REC2020, curve=None), raw=True, mosaic=options.remosaic)

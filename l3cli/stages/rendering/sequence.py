@@ -15,22 +15,24 @@ from typing import TYPE_CHECKING, Any
 from l3cli.errors import InputFileError, L3Error
 from l3cli.frames.frame import RawFrame, upright
 from l3cli.io.pictures.pages import new_pages
-from l3cli.io.pictures.registry import Picture, file_identity, values_identity
+from l3cli.io.pictures.registry import file_identity, picture_file, values_identity
 from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.io.video import Pacing, VideoChoice, new_video, new_y4m
 from l3cli.options.render import RenderOptions
 from l3cli.parallel.threads import WriteBehind, prefetched
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
+from l3cli.rendering.following import FrameWhites
 from l3cli.rendering.raw_checks import FrameWarnings
+from l3cli.rendering.rendition import Rendition
 from l3cli.rendering.temporal.chunks import Chunks, needed
 from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
-from l3cli.rendering.white.scene_white import SceneWhite
+from l3cli.rendering.white.chart import ChartSceneWhite
+from l3cli.rendering.white.scene_white import SceneWhite, implausible, unlike_stated
 from l3cli.rendering.white.source import WhiteSource
 from l3cli.stages.rendering.checkpoint import FrameOrigins, PictureCheckpoint
 from l3cli.stages.rendering.destination import Destination
-from l3cli.stages.rendering.executors import Local, Remote
-from l3cli.stages.rendering.frame_whites import FrameWhites, WhiteReport
-from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread, file_of
+from l3cli.stages.rendering.executors import Exposed, Local, Remote, Unread
+from l3cli.system.console import Console
 from l3cli.system.files import atomic_output, sha256
 
 if TYPE_CHECKING:
@@ -99,6 +101,45 @@ class Tally:
             raise error
         self.failures += count
         options.console.report(f"l3: {error}")
+
+
+class WhiteReport:
+    """Says which white was assumed: of every still, of the first frame of a sequence and, if it has moved, of the last."""
+
+    def __init__(self, source: WhiteSource | None, stills: bool, console: Console) -> None:
+        self._source, self._stills, self._console = source, stills, console
+        self._last: tuple[str, SceneWhite] | None = None
+        self._reported: SceneWhite | None = None
+        self._warned = False
+
+    def report_white(self, frame: RawFrame, white: SceneWhite | None) -> None:
+        """Take note of a frame."""
+        if self._source is None:
+            return
+        if white is None:
+            if self._stills:
+                self._console.info(f"{frame.name}: nothing to tell its white by; the table's is taken")
+            return
+        self._last = frame.name, white
+        if self._stills or self._reported is None:
+            self._report(frame.name, white)
+        if not self._warned:
+            self._warned = True
+            doubts = [implausible(f"{frame.name}: its white, {self._source.about},", white)]
+            if isinstance(white, ChartSceneWhite) and white.stated is not None:
+                doubts.append(unlike_stated(frame.name, white, white.stated))
+            for doubt in filter(None, doubts):
+                self._console.warn(doubt)
+
+    def report(self) -> None:
+        """At the end."""
+        if self._last and self._last[1] is not self._reported:
+            self._report(*self._last)
+
+    def _report(self, name: str, white: SceneWhite) -> None:
+        assert self._source is not None
+        self._reported = white
+        self._console.info(f"{name}: white {self._source.about}: {white}")
 
 
 def render_frames(
@@ -305,7 +346,7 @@ def _sink(
     job: SequenceJob, checkpoint: PictureCheckpoint | None
 ) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:
     """Open the writer of frames; give it and the number of threads that may call it at a time."""
-    destination, rendition = job.destination, job.rendition
+    destination = job.destination
 
     def timed(write: Callable[[Any, int], None]) -> Callable[[tuple[FrameReference, Any]], None]:
         return lambda item: write(item[1], job.pacing.time(item[0].number))
@@ -315,7 +356,7 @@ def _sink(
         def write(item: tuple[FrameReference, Any]) -> None:
             pending, made = item
             file = destination.file(pending.number, pending.stem)
-            content = made if isinstance(made, bytes) else file_of(file, made, rendition, job.table.outputs)
+            content = made if isinstance(made, bytes) else picture_file(file, made)
             with atomic_output(file) as temporary:
                 temporary.write_bytes(content)
                 if checkpoint:
@@ -324,7 +365,7 @@ def _sink(
         yield write, PICTURE_WRITERS
     elif destination.kind == "pages":
         with new_pages(destination.path, job.sequence.rendered) as pages:
-            yield timed(lambda made, _: pages.write(Picture(made.pixels, rendition.space, made.label))), 1
+            yield timed(lambda made, _: pages.write(made)), 1
     elif not destination.has_times:
         with new_y4m(None if destination.kind == "stream" else destination.path, job.choice) as stream:
             yield timed(lambda made, _: stream.write(made.pixels)), 1

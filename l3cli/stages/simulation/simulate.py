@@ -12,8 +12,6 @@ from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.checkpoint import incomplete_folder, refuse_other_run
-from l3cli.stages.claims import OutputGuard
-from l3cli.stages.plan import Made, before_work, is_dry
 from l3cli.stages.simulation.pictures import WRITTEN, write_pictures
 from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
 from l3cli.stages.simulation.run import SimulationRun
@@ -22,6 +20,8 @@ from l3cli.stages.simulation.units import frame_bytes, received, simulate_unit, 
 from l3cli.system.console import Console
 from l3cli.system.files import refuse_existing
 from l3cli.system.ledger import note_inputs, note_places
+from l3cli.system.output_guard import OutputGuard
+from l3cli.system.plan import Made, before_work, is_dry
 
 NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
 

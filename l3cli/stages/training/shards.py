@@ -22,14 +22,14 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
 from l3cli.options.pipeline import ShardOptions
 from l3cli.recipes.toml import parse_recipe
-from l3cli.stages.claims import OutputGuard
-from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.conditions import by_noise, passes_of, require_one_go, with_noises
 from l3cli.stages.training.layer_shards import merged_layer, write_layer_shard
 from l3cli.stages.training.passes import Execution, first_pass, pass_of, sum_unit, summed
 from l3cli.stages.training.refinement_layers import warn_of_left_out_layers
 from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun
 from l3cli.stages.training.whole import execution_of, report_table
+from l3cli.system.output_guard import OutputGuard
+from l3cli.system.plan import Made, before_work
 from l3cli.training.division import frame_blocks
 from l3cli.training.recipe import TrainingRecipe, check_layers
 from l3cli.training.sums import empty_sums

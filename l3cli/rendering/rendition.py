@@ -1,24 +1,26 @@
 """Rendition of a raw frame's outputs as a picture: white, exposure, colour space, bits; or the outputs as they are."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
 from l3cli.frames.frame import RawFrame, upright
-from l3cli.io.pictures.dng import MOSAICS, raw_values
-from l3cli.io.pictures.registry import FLOAT_BITS, NOTHING, Label, Picture, picture_file
-from l3cli.io.sequences import FrameReference
-from l3cli.physics.display import exposure_scale
-from l3cli.physics.spaces import REC2020, SPACES, SRGB, XYZ, Space, chromaticity_of
-from l3cli.rendering.display import Display, adapted_display, linear_matrix
+from l3cli.physics.display import FLOAT_BITS, exposure_scale
+from l3cli.physics.spaces import SPACES, SRGB, XYZ, Space, chromaticity_of
+from l3cli.rendering.display import Display, adapted_display, linear_matrix, require_xyz
 from l3cli.rendering.white.balance import WhiteBalance, balanced
+from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance, white_source
 
 if TYPE_CHECKING:
     from l3cli.rendering.renderer import Renderer
+
+DEPTHS = (8, 16, FLOAT_BITS)
+LEAST, MOST = 1e-9, 1e9  # times Y, of an exposure
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Rendition:
     bits: int
     space: Space | None = SRGB  # of the values; without a curve they are linear, in floating point. None: no colours
     raw: bool = False  # for raw developers: the exposure is stated, not carried out
-    mosaic: str | None = None  # … a mosaic of the pixels, one of MOSAICS
+    mosaic: str | None = None  # … a mosaic of the pixels, as their format names it
     stops: float = 0.0  # EV by which pictures are brighter than their exposure says
 
     @property
@@ -65,13 +67,6 @@ def chosen_space(name: str | None, linear: bool) -> Space:
     return space
 
 
-def for_developers(rendition: Rendition, mosaic: str | None) -> Rendition:
-    """The rendition that leaves exposure to raw developers; RecipeError if there is no such mosaic."""
-    if mosaic is not None and mosaic not in MOSAICS:
-        raise RecipeError(f'mosaic "{mosaic}" is unknown; {suggestion(mosaic, MOSAICS)}')
-    return replace(rendition, space=replace(REC2020, curve=None), raw=True, mosaic=mosaic)
-
-
 def outputs_as_they_are(table: TransformTable) -> Rendition:
     """The rendition that leaves a table's outputs as they are; X, Y, Z are colours."""
     if table.outputs != ("X", "Y", "Z"):
@@ -79,50 +74,40 @@ def outputs_as_they_are(table: TransformTable) -> Rendition:
     return replace(OUTPUTS, space=replace(XYZ, title="CIE XYZ", neutral=chromaticity_of(table.white_point)))
 
 
-@dataclass(frozen=True)
-class Unread:
-    """A frame that whoever renders it is to read."""
-
-    path: Path
-    digest: str  # SHA-256 of the file
-
-
-@dataclass(frozen=True)
-class Exposed:
-    """A frame to be rendered, and how it is shown."""
-
-    pending: FrameReference
-    frame: RawFrame | Unread
-    scale: float  # of its exposure, 0: automatic
-    balance: WhiteBalance | None  # its own; None: the rendition's
-
-
-@dataclass(frozen=True)
-class Rendered:
-    """A frame that has been rendered, and what its file says of it."""
-
-    pixels: Any  # (row, col, value), of a mosaic (row, col)
-    label: Label
-    scale: float = 0.0  # of its exposure, which the pixels of a raw file do not have
+def shown_as(
+    table: TransformTable, exposure: float | None, white: str | None, space: str, bits: int,
+    estimated_by: TransformTable | None = None,
+) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
+    """Return the rendition of pictures, and the source of the frames' white; None: all have that of the rendition.
+    `estimated_by`: as of white_source. RecipeError if there is no such exposure, white, space or depth, or the table's
+    outputs are not X, Y, Z."""
+    if exposure is not None and not (isinstance(exposure, Real) and LEAST <= exposure <= MOST):
+        given_as = f"{exposure:g}" if isinstance(exposure, Real) else f'"{exposure}"'
+        raise RecipeError(f"exposure {given_as} is not within {LEAST:g}…{MOST:g} times Y; leave it out: automatic")
+    if bits not in DEPTHS:
+        raise RecipeError(f"{bits} bits is not a depth of pictures; ask for 8, 16 or {FLOAT_BITS}")
+    require_xyz(table.outputs)
+    source = white_source(white, table, estimated_by)
+    given = None if source else given_white(white, table)
+    balance = given.balance if given else usual_balance(table)
+    return Rendition(balance, exposure, bits, chosen_space(space, bits == FLOAT_BITS)), source
 
 
 def rendered(
-    renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float, label: Label = NOTHING,
-    balance: WhiteBalance | None = None,
-) -> Rendered:  # fmt: skip
-    """A frame as the rendition wants it, upright; `scale`: of its exposure, 0: automatic; `balance`: the frame's own, None:
-    the rendition's."""
+    renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None = None
+) -> tuple[NDArray[Any], float]:
+    """Return the pixels (row, col, value) of a frame as the rendition wants it, upright, and the scale of its exposure,
+    which those for raw developers do not have. `scale` 0: automatic; `balance`: the frame's own, None: the rendition's."""
     balance = balance or rendition.balance
     if balance is not None and not rendition.is_linear:
         balanced_frame, display = shown(renderer, frame, rendition, balance, scale)
-        return Rendered(upright(renderer.picture(balanced_frame, display), frame.orientation), label)
+        return upright(renderer.picture(balanced_frame, display), frame.orientation), scale
     planes = renderer.outputs(frame if balance is None else balanced(frame, renderer.table, balance.gains))
     if balance is not None and rendition.space is not None:
         scale = (scale * balance.luminance or exposure_scale(planes[1])) * 2**rendition.stops
         matrix = linear_matrix(balance.adaptation, 1.0 if rendition.raw else scale, rendition.space)
         planes = np.einsum("po,orc->prc", matrix.astype(np.float32), planes)
-    pixels = upright(np.moveaxis(planes, 0, -1), frame.orientation)
-    return Rendered(raw_values(pixels, rendition.mosaic) if rendition.raw else pixels, label, scale)
+    return upright(np.moveaxis(planes, 0, -1), frame.orientation), scale
 
 
 def shown(
@@ -133,9 +118,3 @@ def shown(
     # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
     scale = (scale * balance.luminance or exposure_scale(renderer.outputs(frame)[1])) * 2**rendition.stops
     return frame, adapted_display(balance.adaptation, scale, rendition.bits, rendition.space or SRGB)
-
-
-def file_of(path: Path, made: Rendered, rendition: Rendition, outputs: tuple[str, ...]) -> bytes:
-    """The content of a frame's file: a picture, or linear values; `outputs`: names of the table's."""
-    names = outputs if rendition.balance is None else rendition.names
-    return picture_file(path, Picture(made.pixels, rendition.space, made.label, names, made.scale))

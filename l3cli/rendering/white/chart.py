@@ -1,5 +1,4 @@
-"""The white of a frame by the greys of a ColorChecker in it (docs/method.md#scene-white). What finds charts belongs to
-calibration, what makes whites to rendering; here they meet."""
+"""The white of a frame by the greys of a ColorChecker in it (docs/method.md#scene-white)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,12 +14,10 @@ from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.physics import charts
 from l3cli.rendering.white.grey import Grey
 from l3cli.rendering.white.scene_white import SceneWhite, Whites
-from l3cli.rendering.white.source import WhiteSource, white_source
 
 if TYPE_CHECKING:
     from l3cli.charts.locate import Located
 
-CHART = "chart"
 NEUTRALS = range(18, 24)  # patches, from white to black
 CORE = 0.25  # half the side of the square of a patch that is measured, in patches: their frames stay out
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # nm
@@ -64,11 +61,6 @@ class ChartWhite:
         made = self._whites.of_greys(frame, usable or greys)
         stated = None if frame.neutral is None else self._whites.of_neutral(np.array(frame.neutral))
         return ChartSceneWhite(made.balance, made.light, made.modelled, _place(frame, located), stated)
-
-
-def source_of(text: str, table: TransformTable, estimated_by: TransformTable | None = None) -> WhiteSource | None:
-    """Return the source that "chart" asks for, or that `white_source` knows; None where `text` is a white by itself."""
-    return ChartWhite(table) if text == CHART else white_source(text, table, estimated_by)
 
 
 def _greys(frame: RawFrame, located: "Located") -> Iterator[Grey]:

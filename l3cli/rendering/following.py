@@ -1,20 +1,15 @@
-"""Display of frames in memory: exposure and white as given, or as those of a rendered sequence."""
+"""Exposure and white of frames in their order: as given, or as they follow what is measured."""
 
 import itertools
 from fractions import Fraction
-from numbers import Real
 from typing import TYPE_CHECKING
 
-from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
-from l3cli.io.pictures.registry import FLOAT_BITS
-from l3cli.rendering.display import require_xyz
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
+from l3cli.rendering.rendition import Rendition
 from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
-from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance
-from l3cli.stages.rendering.chart_white import source_of
-from l3cli.stages.rendering.frame_whites import FrameWhites
-from l3cli.stages.rendering.rendition import Rendition, chosen_space
+from l3cli.rendering.white.scene_white import SceneWhite
+from l3cli.rendering.white.source import WhiteSource
 from l3cli.system.locks import ThreadLock
 
 if TYPE_CHECKING:
@@ -22,27 +17,29 @@ if TYPE_CHECKING:
     from l3cli.rendering.temporal.chunks import Chunks
 
 ANY_RATE = Fraction(30)  # frames/s, where only one frame is measured
-LEAST, MOST = 1e-9, 1e9  # times Y, of an exposure
-DEPTHS = (8, 16, FLOAT_BITS)
 
 
-def shown_as(
-    table: "TransformTable", exposure: float | None, white: str | None, space: str, bits: int,
-    estimated_by: "TransformTable | None" = None,
-) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
-    """Return the rendition of pictures, and the source of the frames' white; None: all have that of the rendition.
-    `estimated_by`: as of source_of. RecipeError if there is no such exposure, white, space or depth, or the table's outputs
-    are not X, Y, Z."""
-    if exposure is not None and not (isinstance(exposure, Real) and LEAST <= exposure <= MOST):
-        given_as = f"{exposure:g}" if isinstance(exposure, Real) else f'"{exposure}"'
-        raise RecipeError(f"exposure {given_as} is not within {LEAST:g}…{MOST:g} times Y; leave it out: automatic")
-    if bits not in DEPTHS:
-        raise RecipeError(f"{bits} bits is not a depth of pictures; ask for 8, 16 or {FLOAT_BITS}")
-    require_xyz(table.outputs)
-    source = source_of(white, table, estimated_by) if white is not None else None
-    given = None if source else given_white(white, table)
-    shown = given.balance if given else usual_balance(table)
-    return Rendition(shown, exposure, bits, chosen_space(space, bits == FLOAT_BITS)), source
+class FrameWhites:
+    """Measures frames in their order. `steady`: the balance follows from frame to frame, or stays that of the first one if
+    the source is held; without it each frame has its own."""
+
+    def __init__(self, source: WhiteSource, steady: SteadyWhite | None) -> None:
+        self._source, self._steady = source, steady
+        self._first: SceneWhite | None = None
+        self.balance: WhiteBalance | None = None  # of the last frame measured; None: there was nothing to tell it by
+
+    def measured(self, frame: RawFrame) -> SceneWhite | None:
+        """White of the next frame, None where there is nothing to tell it by; InputFileError if it cannot be taken."""
+        if self._steady is None:
+            white = self._source.white(frame)
+            self.balance = white.balance if white else None
+            return white
+        if self._first is not None and self._source.held:
+            return self._first
+        white = self._source.white(frame)
+        self._first = self._first or white
+        self.balance = self._steady.balance(white.balance if white else None)
+        return white
 
 
 class Following:
