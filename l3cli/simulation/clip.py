@@ -1,15 +1,19 @@
 """Frames of a clip: a scene sampled where the camera looks, leaves laid on it, and where each pixel's content was a frame
 before (docs/method.md#motion)."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.simulation import fields, leaves
-from l3cli.simulation.framing import resampled
-from l3cli.simulation.motion import Course, View, before
+from l3cli.frames.scene import ChannelPicture, Scene
+from l3cli.simulation import fields, leaves, sources
+from l3cli.simulation.framing import framed_size, resampled, scale_of, turned
+from l3cli.simulation.motion import Course, View, before, course
+from l3cli.simulation.reflectances import DRAWN, palette, surfaces
+from l3cli.simulation.run import SimulationRun
 
 Array = NDArray[np.float64]
 Cube = NDArray[np.float32]  # (row, col, band)
@@ -163,3 +167,59 @@ def _sure(shown: NDArray[np.intp]) -> NDArray[np.bool_]:
 
     side = 2 * UNSURE + 1
     return np.asarray(maximum_filter(shown, side) == minimum_filter(shown, side))
+
+
+# ------------------------------------------------------------------------------------------------- clips of a run
+
+MOVING, LEAVES, COLOURS = 1, 2, 3  # parts of a seed: course, shapes, and colours of the leaves
+
+
+def clip_of(
+    scene: Scene | ChannelPicture, wanted: sources.WantedScene, run: SimulationRun
+) -> Callable[[int], Scene | ChannelPicture]:
+    """The scene, as it was drawn or read, in each frame of its clip; ValueError if the camera moves beyond it."""
+    framing = wanted.source
+    samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
+    framed_size((samples.shape[0], samples.shape[1]), framing, run.camera)
+    canvas = np.ascontiguousarray(turned(samples, framing))
+    scale = scale_of(framing, run.camera, canvas.shape[1]) or 1.0
+    course = _course(wanted, run)
+    things = sprites(course, _colours(scene, len(course.radius), wanted, run), _seed(wanted, run, LEAVES))
+
+    def moment(number: int) -> Scene | ChannelPicture:
+        seen = frame(canvas, scale, course, things, number)
+        return replace(scene, signal=seen) if isinstance(scene, ChannelPicture) else replace(scene, reflectance=seen)
+
+    return moment
+
+
+def known_motion(wanted: sources.WantedScene, run: SimulationRun) -> Callable[[int], NDArray[np.float32]]:
+    """Return a function that gives the motion of each frame of a clip since the frame before, as `motion_between`
+    does."""
+    course = _course(wanted, run)
+    things = sprites(course, np.zeros((len(course.radius), 1)), _seed(wanted, run, LEAVES))
+    return lambda number: motion_between(course, things, number)
+
+
+def _course(wanted: sources.WantedScene, run: SimulationRun) -> Course:
+    motion = wanted.source.motion
+    assert motion is not None
+    return course(motion, _seed(wanted, run, MOVING))
+
+
+def _colours(
+    scene: Scene | ChannelPicture, count: int, wanted: sources.WantedScene, run: SimulationRun
+) -> NDArray[np.float32]:
+    """Reflectances or signals (leaf, band) of the leaves."""
+    rng = np.random.default_rng(_seed(wanted, run, COLOURS))
+    if isinstance(scene, ChannelPicture):
+        return rng.uniform(0.05, 0.9, (count, scene.signal.shape[2])).astype(np.float32)
+    if count == 0:
+        return np.zeros((0, scene.wavelength.size), np.float32)
+    every = np.union1d(DRAWN, scene.wavelength)
+    materials = palette(rng, surfaces(tuple(every)))[:, np.isin(every, scene.wavelength)]
+    return materials[rng.integers(len(materials), size=count)].astype(np.float32)
+
+
+def _seed(wanted: sources.WantedScene, run: SimulationRun, part: int) -> tuple[int, ...]:
+    return (run.seed, getattr(wanted.source, "seed", 0), wanted.number, part)

@@ -48,11 +48,11 @@ DOORS = {
     "gi": ("video_hosts/gstreamer.py", "video_hosts/plugins/"),
 }
 BUDGET = {  # at most; a change that lowers a number lowers it here, towards the goal behind it
-    "lines of l3cli": 48_960,  # 41 000
-    "lines of l3cli/stages": 6_430,  # 5 500
-    "lines of l3cli/cli": 1_610,  # 1 700
-    "lines of tests": 36_700,  # 32 000
-    "modules": 367,  # 290
+    "lines of l3cli": 48_890,  # 41 000
+    "lines of l3cli/stages": 6_240,  # 5 500
+    "lines of l3cli/cli": 1_600,  # 1 700
+    "lines of tests": 36_670,  # 32 000
+    "modules": 366,  # 290
     "modules in the root": 3,
     "lines of the longest module": 500,
     "modules of less than 60 lines with one importer": 7,  # 0
@@ -169,7 +169,7 @@ def test_the_budget_is_kept() -> None:
     slivers = [name for name in small if importers[name] == 1]
     spent = {
         "lines of l3cli": sum(lines.values()),
-        "lines of l3cli/stages": 6_400sum(number for where, number in lines.items() if where.startswith("l3cli/stages/")),
+        "lines of l3cli/stages": sum(number for where, number in lines.items() if where.startswith("l3cli/stages/")),
         "lines of l3cli/cli": sum(number for where, number in lines.items() if where.startswith("l3cli/cli/")),
         "lines of tests": sum(len(path.read_text().splitlines()) for path in (ROOT / "tests").rglob("*.py")),
         "modules": len(lines),

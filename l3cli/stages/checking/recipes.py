@@ -20,14 +20,13 @@ from l3cli.recipes.toml import KeyPath
 from l3cli.simulation.lab_recipe import LabRecipe, lab_faults
 from l3cli.simulation.light import MEASURED, SCENE_LIGHT, mixture
 from l3cli.simulation.recipe import SceneRecipe, scene_faults, shots
+from l3cli.simulation.run import SimulationRun
 from l3cli.simulation.sources import FileSource, name_of, wanted_scenes
 from l3cli.simulation.sources import Source as SceneSource
 from l3cli.simulation.summary import camera_figures, lab_figures
 from l3cli.stages.checking.source import Source
 from l3cli.stages.simulation.preparation import prepare, read_curve
-from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import refusals, size_of
-from l3cli.stages.simulation.units import frame_bytes
 from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults
 from l3cli.training.text import class_figures
 
@@ -172,7 +171,7 @@ def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> 
         sizes += [(size_of(wanted, run), each) for wanted in wanted_scenes(scene, paths)]
     if not sizes:
         return {"camera": run.camera.name}
-    a_pixel = frame_bytes(run) / (run.camera.rows * run.camera.cols)
+    a_pixel = run.frame_bytes / (run.camera.rows * run.camera.cols)
     pixels = [rows * cols for (rows, cols), _ in sizes]
     return {
         "camera": run.camera.name,

@@ -7,7 +7,7 @@ from l3cli.artifacts.training_set import TrainingPair, frame_name
 from l3cli.io.file_names import IDEAL, MOTION, RAW
 from l3cli.options.pipeline import SimulateOptions
 from l3cli.simulation.recipe import shots as asked
-from l3cli.stages.simulation.run import SimulationRun
+from l3cli.simulation.run import SimulationRun
 
 CHANNELS = ("down", "right", "seen")  # of a file of motion
 WRITTEN = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # into the folders of pictures
@@ -59,7 +59,7 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> 
     import numpy as np
 
     from l3cli.io.pictures.registry import write_picture
-    from l3cli.stages.simulation.clips import known_motion
+    from l3cli.simulation.clip import known_motion
 
     lengths = {}
     for wanted, shots in asked(run.recipe, files) if run.recipe.scene else ():

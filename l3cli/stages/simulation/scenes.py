@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.scenes.registry import format_of
 from l3cli.simulation import sources
-from l3cli.stages.simulation.clips import clip_of
-from l3cli.stages.simulation.run import SimulationRun
+from l3cli.simulation.run import SimulationRun
 
 if TYPE_CHECKING:
     from l3cli.frames.scene import ChannelPicture, Scene
@@ -24,6 +23,7 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
     all. InputFileError if it does not fit there."""
     from l3cli.frames.scene import ChannelPicture
     from l3cli.simulation import synthetic
+    from l3cli.simulation.clip import clip_of
     from l3cli.simulation.framing import framed, framed_picture
 
     scene: Scene | ChannelPicture

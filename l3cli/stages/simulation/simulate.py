@@ -11,12 +11,12 @@ from l3cli.options.pipeline import SimulateOptions
 from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.recipe import SceneRecipe, shots
+from l3cli.simulation.run import SimulationRun
 from l3cli.stages.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.stages.simulation.pictures import WRITTEN, write_pictures
 from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
-from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.stored_frames import StoredFrames, folder_of, is_of_run, key_of, remove_finished
-from l3cli.stages.simulation.units import frame_bytes, received, simulate_unit, units_of
+from l3cli.stages.simulation.units import received, simulate_unit, units_of
 from l3cli.system.console import Console
 from l3cli.system.files import refuse_existing
 from l3cli.system.ledger import note_inputs, note_places
@@ -89,7 +89,7 @@ def _plan(
     total = sum(len(each) for _, each in shots(run.recipe, files)) if run.recipe.scene else 0
     frames = f"{total + len(run.recipe.pair)} frames of {run.camera.rows}×{run.camera.cols}"
     how = ", some of which are stored" if going_on else ""
-    size = (total + len(run.recipe.pair)) * frame_bytes(run)
+    size = (total + len(run.recipe.pair)) * run.frame_bytes
     inputs = {"recipes": [recipes[0], *camera_files(recipes[1])], **input_files(run, files)}
     made = (Made(path, f"training set, {frames}{how}, {size} bytes before compression") for path in sets)
     before_work(inputs, *made, *(Made(folder, f"pictures of {frames}") for folder in folders))

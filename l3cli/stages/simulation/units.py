@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,17 +13,11 @@ from l3cli.errors import InputFileError
 from l3cli.parallel import WorkerPool
 from l3cli.parallel.cluster import scratch_folder
 from l3cli.simulation import sources
-from l3cli.simulation.light import SCENE_LIGHT
 from l3cli.simulation.recipe import Pair, Shot
-from l3cli.stages.simulation.run import SimulationRun
+from l3cli.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import files_of, scene_over_time
 from l3cli.stages.simulation.stored_frames import StoredFrames
 from l3cli.system.files import require_same, write_whole
-
-if TYPE_CHECKING:
-    from l3cli.frames.scene import ChannelPicture, Scene
-    from l3cli.simulation.frame import Averaging, Saturating
-    from l3cli.simulation.light import Light
 
 SENT = 64 << 20  # bytes of frames that a worker of another machine sends at a time, if it is more than one frame
 
@@ -85,9 +79,9 @@ def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
         scene = at(shot.moment)
         begins = replace(shot, index=0, moment=0)
         if shot.moment and begins not in times:  # a clip keeps the exposure of its first frame
-            times[begins] = _exposure_time(at(0), begins, run)
+            times[begins] = run.exposure_time(at(0), begins)
         uncovered = 0.0 if isinstance(scene, ChannelPicture) else uncovered_share(run.camera, scene.wavelength)
-        yield shot.index, _frame(scene, shot, run, times.get(begins)), uncovered
+        yield shot.index, run.frame(scene, shot, times.get(begins)), uncovered
 
 
 def received(
@@ -97,7 +91,7 @@ def received(
     frames are done, again and again."""
     needed = []
     for unit in work:
-        most = max(1, SENT // frame_bytes(unit.run))
+        most = max(1, SENT // unit.run.frame_bytes)
         hashes = {path: digests[path] for path in unit.files}
         parts = (unit.shots[start : start + most] for start in range(0, len(unit.shots), most))
         needed += [replace(unit, shots=part, digests=hashes) for part in parts]
@@ -118,61 +112,6 @@ def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
             write_part(folder / "frame.h5", frame, uncovered)
             sent.append((index, (folder / "frame.h5").read_bytes()))
         return sent
-
-
-def frame_bytes(run: SimulationRun) -> int:
-    """Return the size in bytes of the largest frame: electrons of every channel, raw mosaic, target."""
-    return run.camera.rows * run.camera.cols * (4 * len(run.camera.channels) + 2 + 4 * len(run.target.outputs))
-
-
-def _frame(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationRun, seconds: float | None = None) -> Any:
-    """A frame, exposed for `seconds`; None: as the recipe says."""
-    from l3cli.simulation.frame import simulate
-
-    falling = _light(scene, shot, run)
-    exposure = _exposure(falling, shot, run) if seconds is None else seconds
-    noise, seed = run.recipe.sensor.noise_model or run.recipe.sensor.noise, (run.seed, shot.index)
-    try:
-        return simulate(run.camera, scene, falling, exposure, run.recipe.lens, seed, run.target, noise)
-    except ValueError as error:
-        raise InputFileError(f"scene {scene.name}: {error}") from error
-
-
-def _exposure_time(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationRun) -> float:
-    """Seconds that the recipe exposes a frame for."""
-    from l3cli.simulation.frame import exposure_time
-
-    falling = _light(scene, shot, run)
-    exposure = _exposure(falling, shot, run)
-    if isinstance(exposure, float):
-        return exposure
-    try:
-        return exposure_time(run.camera, scene, falling, exposure, run.recipe.lens)
-    except ValueError as error:
-        raise InputFileError(f"scene {scene.name}: {error}") from error
-
-
-def _light(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationRun) -> "Light":
-    from l3cli.frames.scene import Scene
-    from l3cli.simulation.light import scene_light
-
-    if shot.illuminant == SCENE_LIGHT:
-        assert isinstance(scene, Scene)
-        return scene_light(scene, shot.luminance)
-    return run.lights[shot.illuminant].at(shot.luminance)
-
-
-def _exposure(falling: "Light", shot: Shot, run: SimulationRun) -> "float | Saturating | Averaging":
-    """Seconds, or how they follow from the frame."""
-    from l3cli.simulation.frame import Averaging, Saturating
-    from l3cli.simulation.light import automatic_exposure
-
-    control, _ = run.recipe.exposures()
-    if control == "share":
-        return automatic_exposure(run.camera, falling, shot.exposure)
-    if control == "saturated":
-        return Saturating(shot.exposure)
-    return Averaging(shot.exposure) if control == "mean" else shot.exposure
 
 
 def _pair(pair: Pair, run: SimulationRun) -> Any:
