@@ -90,6 +90,10 @@ class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
     shares: Given[Sequence[float | Fraction] | str | None, tuple[Fraction, ...] | None] = option(
         None, "Proportion of patches from each training set, not by frames.", Shares(), metavar="A,B…"
     )
+    draft: bool = option(
+        False,
+        "A draft in seconds, to try arrays: one layer, a tenth of the patches; 0.7 to 1.4 ΔE00 worse than default.",
+    )
 
 
 @options

@@ -26,11 +26,12 @@ class WorkShare:
         return tuple(sorted({site for _, sites in self.blocks for site in sites}))
 
 
-def frame_blocks(patches: Sequence[int], most: int = BATCH) -> list[range]:
-    """The frames, with so many `patches` (frame), in runs of about `most` or less, which are sorted together; whole blocks
-    are dealt to shards and processes. Blocks are nearly equal, so that nobody waits for the largest."""
+def frame_blocks(patches: Sequence[int], most: int | None = None) -> list[range]:
+    """The frames, with so many `patches` (frame), in runs of about `most`, BATCH if not given, or less, which are sorted
+    together; whole blocks are dealt to shards and processes. Blocks are nearly equal, so that nobody waits for the
+    largest."""
     total, before = sum(patches), 0
-    blocks = -(-total // most)
+    blocks = -(-total // (most or BATCH))
     starts: list[int] = []
     for index, count in enumerate(patches):
         if before * blocks // total >= len(starts):

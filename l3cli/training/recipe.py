@@ -148,6 +148,17 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     return msgspec.structs.replace(recipe, learning=msgspec.structs.replace(learning, darkest=darkest))
 
 
+def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
+    """The recipe of a draft: a tenth of the patches, one layer that suppresses noise as the last does, no conditions."""
+    learning = recipe.learning
+    last = recipe.layer[-1] if recipe.layer else learning
+    learning = msgspec.structs.replace(
+        learning, patches=-(-learning.patches // 10), luminance_noise=last.luminance_noise, chroma_noise=last.chroma_noise,
+        noise_left=0.0, per_light=False,
+    )  # fmt: skip
+    return msgspec.structs.replace(recipe, learning=learning, layer=())
+
+
 def check_learning(recipe: LearningRecipe) -> None:
     """RecipeError if a number of the learning recipe cannot be."""
     refuse_first(learning_faults(recipe))

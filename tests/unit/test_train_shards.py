@@ -39,6 +39,7 @@ from l3cli.stages.training.run import open_run
 from l3cli.system.console import Silent
 from l3cli.training import division
 from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, work_shares
+from l3cli.training.layers import learn
 from l3cli.training.patches import colourless_frame
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.sums import empty_sums
@@ -184,7 +185,8 @@ def test_three_layers_have_the_same_bytes_in_shards(
 ) -> None:
     """A layer by structure and one by a tree, each in a pass of its own, with a second set of all of them: by one process,
     by two, and in shards, more of them than frames; a shard takes only the table of the pass before."""
-    monkeypatch.setattr(division, "BATCH", 500)  # two blocks of frames, one for each shard
+    monkeypatch.setattr(division, "BATCH", 500)  # two blocks of frames, one for each shard …
+    monkeypatch.setattr(learn, "LAYER_ROWS", 2000)  # … of the refinement layers, too
     training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
     (tmp_path / "classes.toml").write_text(THREE_LAYERS.replace("draws = 2\n", "draws = 2\nnoise_left = 0.1\n"))
     run = (training, "--classes", tmp_path / "classes.toml", "--seed", 5)
@@ -233,6 +235,19 @@ def test_a_second_layer_follows_a_single_pass(bayer: CameraModel, tmp_path: Path
     assert "this is the first layer: go on with" in words
     _, table, _ = in_shards(l3, run, 2, tmp_path, "--first", one_layer)
     assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
+
+
+def test_a_draft_is_one_layer_of_a_tenth_of_the_patches(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+    """In shards, too; its history says that it is one."""
+    training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
+    (tmp_path / "classes.toml").write_text(TWO_LAYERS.replace("draws = 2\n", "draws = 2\nnoise_left = 0.1\n"))
+    run = (training, "--classes", tmp_path / "classes.toml", "--draft")
+    assert l3("train", *run, "-o", tmp_path / "whole.h5")[0] == 0
+    draft = load(TransformTable, tmp_path / "whole.h5")
+    assert (draft.later, draft.conditions, draft.history[-1].options["draft"]) == ((), (), True)
+    assert draft.first.samples.sum() == 4 * 90 * 2  # sites, patches, draws
+    _, first, _ = in_shards(l3, run, 2, tmp_path)
+    assert in_shards(l3, run, 2, tmp_path, "--first", first)[1].read_bytes() == (tmp_path / "whole.h5").read_bytes()
 
 
 def test_a_training_set_that_is_replaced_during_it_is_noticed(bayer: CameraModel, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.toml import load_recipe, read_text
 from l3cli.stages.training.held_frames import FRAMES
 from l3cli.system.files import require_same, sha256, stamp
-from l3cli.training.recipe import TrainingRecipe, for_camera
+from l3cli.training.recipe import TrainingRecipe, draft_of, for_camera
 from l3cli.training.training_pass import FIRST, spread_patches
 
 FIRST_PASS = "first"  # whose table is not the end of a run, as those of layers after which others follow are not
@@ -75,6 +75,7 @@ def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
     if shares is not None and len(shares) != len(training):
         raise RecipeError(f"‹shares› gives {len(shares)} shares for {len(training)} training sets")
     recipe = load_recipe(classes, TrainingRecipe)
+    recipe = draft_of(recipe) if options.draft else recipe
     stamps = {path: stamp(path) for path in training}
     head, frames = _common_head(training, noisy=not recipe.learning.noise_left)
     recipe = for_camera(recipe, head.camera)

@@ -31,7 +31,7 @@ from l3cli.stages.training.whole import execution_of, report_table
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
 from l3cli.training.division import frame_blocks
-from l3cli.training.recipe import TrainingRecipe, check_layers
+from l3cli.training.recipe import TrainingRecipe, check_layers, draft_of
 from l3cli.training.sums import empty_sums
 from l3cli.training.table import add_up, assemble, learn_site
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass
@@ -164,6 +164,7 @@ def _recipe_and_seed(reader: PartialSumsReader, path: Path) -> tuple[TrainingRec
     stage = head.history[-1] if head.history else Stage("", {})
     seed = stage.options.get("seed")
     recipe = parse_recipe(stage.recipe, TrainingRecipe, str(path))
+    recipe = draft_of(recipe) if stage.options.get("draft") else recipe
     is_of_recipe = len(recipe.learning.noises) == reader.conditions
     if type(seed) is not int or not is_of_recipe or (isinstance(head, PartialLayerSums) and not recipe.layer):
         raise InputFileError(f"{path} does not tell the run it is a shard of; make it again")
