@@ -24,7 +24,7 @@ def bench(options: BenchOptions) -> Result:
 
         devices = survey()
         return Result({"devices": devices}, lambda: show(*devices))
-    from l3cli.stages.benchmark import measure
+    from l3cli.stages.information import measure
 
     document = measure(options)
     return Result(document, lambda: _text(document))

@@ -49,7 +49,7 @@ def check(recipes: tuple[str, ...], options: CheckOptions) -> Result:
             f"{count} fault{'s' if count > 1 else ''} in {len(faulty)} of {len(judged)} files; correct them"
         )
     elif options.plot is not None:
-        from l3cli.stages.checking.plot import plot
+        from l3cli.stages.report import plot
 
         plot(judged, options.plot, options)
     lines = [line for judgement in judged for line in as_text(judgement, terminal.width())]

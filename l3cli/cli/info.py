@@ -55,7 +55,7 @@ def _content(file: Path) -> dict[str, Any]:
 
 
 def _versions() -> dict[str, Any]:
-    from l3cli.stages.versions import versions
+    from l3cli.stages.information import versions
 
     return versions()
 

@@ -3,7 +3,7 @@
 Frames are gone through one by one, each time from their files, so that memory never grows with their number.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -191,3 +191,29 @@ class Measurements:
     )
     lamp_drift: float = 0.0  # relative standard deviation between a light and its measured spectrum
     wavelength_uncertainty: float = 0.0  # nm, standard deviation of the spectrometer's scale
+
+
+@dataclass(frozen=True)
+class StatedMatrix:
+    """From XYZ of a surface under a light to what the camera collects."""
+
+    light: str  # its name
+    assumed: bool  # whether the file does not name it
+    rows: dict[int, NDArray[np.float64]]  # colour code → (3) its row
+
+    def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
+        """Return the rows (channel, 3) of these colours."""
+        return np.array([self.rows[code] for code in codes if code is not None])
+
+
+@dataclass(frozen=True)
+class Stated:
+    """Facts that a raw file states about its camera; None and "" where it does not."""
+
+    camera: str  # make and model
+    matrices: tuple[StatedMatrix, ...]
+    noise: tuple[float, float] | None  # variance = slope · signal + constant, as shares of full scale above black
+    iso: float | None
+    pitch_um: float | None
+    focal_length_mm: float | None
+    f_number: float | None

@@ -4,6 +4,9 @@ From it follow the option of the command line (cli/options.py), the keyword of t
 in the key of a run. Imported by every command before anything else: nothing here is slow to import.
 """
 
+import hashlib
+import json
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
 from os import PathLike, fspath
@@ -11,8 +14,10 @@ from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, dataclass_transform, get_args, get_origin
 
+from l3cli import __version__
 from l3cli.errors import RecipeError, shortened, suggestion
 from l3cli.system.console import Console, Silent
+from l3cli.system.files import sha256
 from l3cli.system.numbers import Quantity
 
 Name = str | PathLike[str]
@@ -197,6 +202,16 @@ class Options:
             if _is_file(each) and not isinstance(each.reader, Output) and (all or each.bytes)
         }
         return {name: held if isinstance(held, tuple) else (held,) for name, held in read.items() if held}
+
+    def run_key(self, *facts: Any, files: Callable[[Path], Iterable[Path]] | None = None) -> str:
+        """Return what tells a run from others: a digest of all that the bytes of its outputs depend on, the options with
+        the `files` that they name, None: those of frames, and `facts` about its inputs."""
+        from l3cli.io.sequences import frame_files
+
+        named = self.inputs(all=False).items()
+        inputs = {name: [sha256(file) for path in paths for file in (files or frame_files)(path)] for name, paths in named}
+        about = [__version__, self.chosen(), inputs, *facts]
+        return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def _is_file(declared: Declaration) -> bool:

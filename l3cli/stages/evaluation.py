@@ -30,7 +30,7 @@ from l3cli.rendering.conditions import Mix, described, mix_for, mixed
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
-from l3cli.stages.checkpoint import incomplete_folder, refuse_other_run, run_key
+from l3cli.system.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
 from l3cli.system.limits import read_bounded
@@ -68,7 +68,7 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
                     )
             made = []
             if pictures is not None:
-                key = run_key(options, sha256(table), sha256(frames), files=picture_files)
+                key = options.run_key(sha256(table), sha256(frames), files=picture_files)
                 refuse_other_run(pictures, key, options.force)
                 made = [Made(pictures, f"pictures of {len(reader)} frames")]
             theirs = {f"pictures of {name}": files for name, (_, files) in others.items()}

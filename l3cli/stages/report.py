@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.schema import Artifact, equal
 from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
@@ -17,7 +18,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures, holds_chart, patch_colours
 from l3cli.io.pictures.openimageio import jpeg
-from l3cli.options.tools import ReportOptions
+from l3cli.options.tools import CheckOptions, ReportOptions
 from l3cli.physics.display import XYZ
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.report.camera import camera_section
@@ -35,9 +36,12 @@ from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
 from l3cli.simulation.procedural import chart_places
 from l3cli.stages import evaluation
+from l3cli.stages.checking.check import Judgement
+from l3cli.stages.checking.kinds import CAMERA
 from l3cli.stages.evaluation import FrameRenderers, evaluate_frame, raw_of, warn_if_unlike
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256, write_whole
+from l3cli.system.ledger import note_places
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
 from l3cli.system.text import counted, short_names
@@ -373,3 +377,26 @@ def _side_by_side(judged: list[Judged], limit: int, backend: str) -> Section:
             renderers = FrameRenderers(backend, each.pair.transforms, Silent())  # each has been judged before
             pictures.append(_pictures(Evaluation(each.pair.transforms, reader.head), renderers, reader, index))
     return side_by_side_section(sides, pictures, limit, jpeg)
+
+
+# ----------------------------------------------------------------------------------- cameras that recipes describe
+
+
+def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> None:
+    """Draw array, responsivities and noise of the camera recipes without faults; RecipeError if there is none, or if the
+    output is no page, L3Error if it cannot be written."""
+    paths = [judgement.path for judgement in judged if judgement.kind == CAMERA and not judgement.findings]
+    if output.suffix != ".html":
+        raise RecipeError(f"{output}: a plot is a page; name a file that ends in .html")
+    if not paths:
+        raise RecipeError(f"{output}: there is no camera recipe without faults to draw; give one beside ‹plot›")
+    with OutputGuard(options.console) as claims:
+        claims.protect(*(file for each in judged for file in (each.path, *each.files)))
+        claims.protect(*(file for path in paths for file in camera_files(path)))
+        claims.claim_file(output, options.force)
+        note_places([output])
+        cameras = [(path, load_camera(path)) for path in paths]
+        sections = [camera_section(camera, figures_of_camera(camera), path.name) for path, camera in cameras]
+        title = ", ".join(camera.name for _, camera in cameras)
+        write_whole(output, render_page(title, "Described by recipes, not measured.", sections).encode())
+        options.console.info(f"{output}: {len(cameras)} camera{'s' if len(cameras) > 1 else ''}")

@@ -1,43 +1,35 @@
-"""A folder to start from: the recipes of one kind of camera, and the pipelines from them on; or a benchmark."""
+"""Stage of `l3 init`: a folder to start from, of recipes that come with l3 or for each camera that took some raw files."""
 
-import itertools
 import re
 import shlex
-import textwrap
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.calibration import acceptance, model
+from l3cli.calibration.photo import matrices
+from l3cli.calibration.photo.matrices import ColourMatrix
+from l3cli.calibration.photo.recipe import CURVES, PhotoCamera, SensorNoise, noise_of
+from l3cli.errors import InputFileError, RecipeError
+from l3cli.frames.measurement import Measurements, Stated
+from l3cli.io.curves import shipped_statistics
+from l3cli.io.measurements import photo_measurements
+from l3cli.io.raw.cfa_codes import code_of
+from l3cli.io.raw.libraw import stated
+from l3cli.io.raw.registry import BY_SUFFIX, is_photo
 from l3cli.options.tools import InitOptions
-from l3cli.recipes.builtin import known_benchmarks, known_recipes, recipe_folder
-from l3cli.system.files import atomic_output
+from l3cli.recipes.builtin import recipe_folder
+from l3cli.recipes.starters import COMMON, curves_of, folder_files, known_camera, summary
+from l3cli.system.console import Console
+from l3cli.system.files import atomic_output, blamed_on, refuse_protected, require_regular
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
 
-# What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
-COMMON = {
-    "lab.toml": "lab/default.toml",
-    "scenes.toml": "scenes/default.toml",
-    "bands_scenes.toml": "scenes/bands.toml",
-    "unseen.toml": "scenes/demo_unseen.toml",
-    "classes.toml": "classes/default.toml",
-    "bands_classes.toml": "classes/bands.toml",
-    "Makefile": "pipelines/Makefile",
-    "Snakefile": "pipelines/Snakefile",
-    "slurm.sh": "pipelines/slurm.sh",
-}
-KNOWN = {  # what the pipelines take for the camera where its recipe is no invented truth: the recipe itself, no virtual lab
-    "Makefile": ("CAMERA ?= camera.h5", "CAMERA ?= camera.toml"),
-    "Snakefile": ('config.get("camera", "snakemake/camera.h5")', 'config.get("camera", "camera.toml")'),
-    "slurm.sh": ("${CAMERA:-camera.h5}", "${CAMERA:-camera.toml}"),
-}
-# Camera recipes whose classes are not those of `default`: their class recipe, by name.
-CLASSES = {"nona_bayer_hdr": "blocks", "rgbir4x4": "long_period"}
-
-
-def starters() -> dict[str, Path]:
-    """Return what a folder may be made of, by name: camera recipes, and folders of benchmarks."""
-    return known_recipes("cameras") | known_benchmarks()
+NEW_FOLDER = "mine"  # as the documentation calls it
+SHOWN = "picture"  # and the photo's suffix: a link to it, for make cannot hold every name
+SEARCHED = 4  # photos of a camera that a chart is looked for in
+Taken = Sequence[tuple[Path, Stated]]  # the raw files of a camera, and what each states of it
 
 
 def start(starter: Path, folder: Path, options: InitOptions) -> None:
@@ -57,16 +49,6 @@ def start(starter: Path, folder: Path, options: InitOptions) -> None:
         options.console.info(f"{folder}: {summary(starter)}; next: {edits}make -C {shlex.quote(str(folder))}")
 
 
-def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return the pipelines among `contents` as those of a camera that its recipe describes: nothing is measured."""
-    known = {}
-    for name, (usual, recipe) in KNOWN.items():
-        text = contents[name].decode()
-        assert usual in text
-        known[name] = text.replace(usual, recipe).encode()
-    return known
-
-
 def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Write files, each whole or not at all, into a folder, which is made; scripts may be run."""
     for name, content in contents.items():
@@ -75,48 +57,213 @@ def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
             temporary.chmod(0o755 if name.endswith(".sh") else 0o644)
 
 
-def summary(starter: Path) -> str:
-    """One line on a camera recipe, or that of a benchmark: the period of its array, its channels, the first sentence of the
-    file's first comment."""
-    camera = starter / "camera.toml" if starter.is_dir() else starter
-    text = camera.read_text(encoding="utf-8")
-    cfa = tomllib.loads((_base(camera) or camera).read_text(encoding="utf-8"))["cfa"]
-    comment = " ".join(
-        line.lstrip("# ") for line in itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
+# --------------------------------------------------------------------------------------------------- from raw files
+
+
+def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> list[Path]:
+    """Write the recipe folder of the camera that took the raw files `photos`, or that lie in folders among them; of several
+    cameras a folder each within `folder`. The folders.
+
+    InputFileError if a file is no raw file that states its array and levels, L3Error if the folder cannot be written.
+    """
+    names = (*COMMON, "camera.toml", CURVES)
+    console = options.console
+    with OutputGuard(console) as claims:
+        files = [file for photo in photos for file in _raw_files(photo)]
+        claims.protect(*files)
+        claims.claim_folder(folder, options.force, *names, *(f"*/{name}" for name in names))
+        listed = {file for photo in photos if photo.is_dir() for file in _raw_files(photo)}
+        cameras = _sorted_by_camera(files, listed, console)
+        places = _places(folder, list(cameras))
+        made = {
+            places[name]: photographed(taken, options.light, console)
+            for name, taken in console.progress(cameras.items(), len(cameras), "cameras")
+        }
+        contents = {place: _contents(camera) for place, camera in made.items()}
+        sizes = {place / name: len(content) for place, texts in contents.items() for name, content in texts.items()}
+        links = {place / _shown(camera): camera.photo.resolve() for place, camera in made.items()}
+        for link in links:
+            if not link.is_symlink():  # a link of an earlier call leads to the photo, and may go
+                refuse_protected(link)
+        before_work(
+            {"photos": files},
+            *(Made(path, "recipe", size) for path, size in sizes.items()),
+            *(Made(path, f"link to {photo}") for path, photo in links.items()),
+        )
+        for place, camera in made.items():
+            write_folder(place, contents[place])
+            load_camera(place / "camera.toml")  # what cannot be simulated is refused now
+            _link(place / _shown(camera), links[place / _shown(camera)])
+            console.info(_photo_line(place, camera))
+    return list(made)
+
+
+def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
+    """Refuse a camera's raw file in the place of a table: RecipeError, with the commands that lead to a picture, or
+    InputFileError if there is no such file."""
+    require_regular(photo, "give a table and a raw file")
+    if table := next((each for each in inputs if each.suffix == ".h5"), None):
+        others = [photo, *(each for each in inputs if each != table)]
+        raise RecipeError(f"{photo} is a raw file; the table comes first: {_rendering(table, others, output)}")
+    photos = [photo, *inputs]
+    making = f"l3 init --from {shlex.join(map(str, photos))} {NEW_FOLDER} && make -C {NEW_FOLDER} table.h5"
+    rendering = _rendering(Path(NEW_FOLDER, "table.h5"), photos, output)
+    raise RecipeError(
+        f"{photo} is a raw file, and no table is given; make one for its camera, then the picture: {making}; {rendering}"
     )
-    sentence = textwrap.shorten(re.split(r"[:;] |[.] (?=[A-Z])", comment)[0].rstrip("."), 84, placeholder=" …")
-    period = f"{len(cfa['pattern'])}×{len(cfa['pattern'][0].split())}"
-    return f"{period}, {len(cfa['channels']):2} channels  {sentence}"
 
 
-def classes_of(camera: Path) -> str:
-    """The class recipe of a camera recipe that l3 brings, by name."""
-    return CLASSES.get(camera.stem, "default")
+def _rendering(table: Path, photos: Sequence[Path], output: Path) -> str:
+    """Return the command that renders raw files."""
+    return shlex.join(["l3", "render", *map(str, (table, *photos)), "-o", str(output)])
 
 
-def folder_files(starter: Path) -> dict[str, Path]:
-    """Return the files of the recipe folder of a camera recipe or a benchmark, by name: those it is copied from."""
-    if starter.is_dir():
-        return {path.name: path for path in sorted(starter.iterdir())}
-    sources = COMMON | {"classes.toml": f"classes/{classes_of(starter)}.toml"}
-    files = {name: recipe_folder() / source for name, source in sources.items()} | {"camera.toml": starter}
-    return files | {path.name: path for path in _named(starter)}
+def _contents(camera: PhotoCamera) -> dict[str, bytes]:
+    """Return the content of a camera's folder, by name."""
+    common = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
+    common |= known_camera(common)
+    makefile = common["Makefile"].decode()
+    for line, value in (("PHOTO ?=\n", _shown(camera)), ("WHITE ?=\n", camera.light)):
+        assert line in makefile
+        makefile = makefile.replace(line, f"{line.rstrip()} {value}\n" if value else line)
+    texts = {"camera.toml": camera.recipe(), CURVES: camera.curve_file(), "Makefile": makefile}
+    return common | {name: text.encode() for name, text in texts.items()}
 
 
-def _base(camera: Path) -> Path | None:
-    """The camera recipe that this one builds on, beside it."""
-    named = tomllib.loads(camera.read_text(encoding="utf-8")).get("base")
-    return None if named is None else camera.parent / named
+def _link(path: Path, photo: Path) -> None:
+    """Make `path` a symbolic link to the photo, in place of what is there."""
+    with blamed_on(path):
+        path.unlink(missing_ok=True)
+        path.symlink_to(photo)
 
 
-def curves_of(starter: Path) -> Path | None:
-    """The file of curves that a camera recipe names."""
-    if starter.is_dir():
+def _shown(camera: PhotoCamera) -> str:
+    """The name, in the folder, of the photo that its picture.png shows."""
+    suffix = camera.photo.suffix.lower()
+    return f"{SHOWN}{suffix if is_photo(camera.photo) else ''}"
+
+
+def _photo_line(place: Path, camera: PhotoCamera) -> str:
+    """One line on a folder: the camera, what is from where, what is assumed, what comes next."""
+    body, frame = camera.body, camera.frame
+    pattern = "/".join("".join(body.channels[site] for site in row) for row in body.cfa)
+    white = f" ‹white› {camera.light}" if camera.light else ""
+    others = f"l3 render {shlex.quote(str(place / 'table.h5'))} RAW{white} -o PICTURE.png"
+    levels = f"{frame.black_level:g}…{frame.white_level:g} DN"
+    return (
+        f"{place}: {camera.name}, {pattern}, {body.rows}×{body.cols}, {levels}; curves {camera.origin}; noise "
+        f"{camera.noise.source}; assumed: {', '.join(camera.assumed)}; next: make -C {shlex.quote(str(place))} picture.png; "
+        f"another photo: {others}"
+    )
+
+
+def _raw_files(photo: Path) -> list[Path]:
+    """The raw files of a folder, or the file itself."""
+    if not photo.is_dir():
+        if photo.exists() and photo.suffix.lower() in BY_SUFFIX and not is_photo(photo):
+            raise InputFileError(
+                f"{photo} does not say which camera took it; give a DNG or a camera's own raw file, or start from a recipe, "
+                'such as "l3 init bayer DIR"'
+            )
+        return [photo]
+    files = sorted(path for path in photo.iterdir() if is_photo(path) and path.is_file())
+    if not files:
+        raise InputFileError(f"{photo} holds no raw files of cameras; give one with DNG, CR2, NEF, ARW… files")
+    return files
+
+
+def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console) -> dict[str, list[tuple[Path, Stated]]]:
+    """The files by make and model. Those of a folder that are no raw files are left out with a line each."""
+    cameras: dict[str, list[tuple[Path, Stated]]] = {}
+    for path in dict.fromkeys(files):
+        try:
+            facts = stated(path)
+        except InputFileError as error:
+            if path not in listed:
+                raise
+            console.report(f"left out: {error}")
+            continue
+        cameras.setdefault(facts.camera, []).append((path, facts))
+    if not cameras:
+        raise InputFileError(f"{files[0].parent}: none of its files can be read; give raw files with the mosaic of a camera")
+    return cameras
+
+
+def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
+    """Return the place of each camera's folder."""
+    if len(names) == 1:
+        return {names[0]: folder}
+    places: dict[str, Path] = {}
+    for name in names:
+        plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "unknown_camera"
+        while folder / plain in places.values():
+            plain += "_"
+        places[name] = folder / plain
+    return places
+
+
+# ----------------------------------------------------------------------------- a camera as its raw files show it
+
+
+def photographed(taken: Taken, light: str | None, console: Console) -> PhotoCamera:
+    """The camera that took these raw files. `light`: of the charts in them; None: guessed. InputFileError if the first is
+    none that states its array and levels, or if nothing tells its curves."""
+    path, known = taken[0]
+    measured = _measurements(path, light)
+    frame = measured.photos[0].frames[0]
+    noise = noise_of(known, frame.white_level - frame.black_level)
+    for other, _ in taken[:SEARCHED]:
+        found = _by_chart(measured if other == path else _measurements(other, light), console)
+        if found is None or found.channels != measured.body.channels:
+            continue
+        assert found.fit is not None
+        assert found.fit.photo is not None
+        fit = found.fit.photo
+        light_of = f"{fit.lights[0]}{' (guessed)' if fit.guessed[0] else ''}"
+        origin = f"of the {fit.charts[0]} ColorChecker in {other.name}, under {light_of}"
+        if known.noise is None:
+            noise = SensorNoise(found.gain, found.noise.read_noise, "as the patches of the chart show it")
+        curves = found.responsivity / found.responsivity.max()
+        return PhotoCamera(other, measured.body, frame, known, found.wavelength, curves, origin, noise, fit.lights[0])
+    curves, origin = _without_chart(path, known, measured)
+    return PhotoCamera(path, measured.body, frame, known, curves.wavelength, curves.relative, origin, noise)
+
+
+def _measurements(path: Path, light: str | None) -> Measurements:
+    try:
+        return photo_measurements([path], light)
+    except InputFileError as error:
+        reason, other_cure, _ = str(error).partition("; write a measurement file")
+        cure = '; start from a recipe instead, such as "l3 init bayer DIR"' if other_cure else ""
+        raise InputFileError(reason + cure) from error
+
+
+def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
+    """The camera by the chart in its photo; None if there is none, or none to rely on."""
+    try:
+        camera = model.calibrate(measured)
+    except InputFileError:
         return None
-    named = tomllib.loads((_base(starter) or starter).read_text(encoding="utf-8"))["responsivity"].get("file")
-    return None if named is None else starter.parent / named
+    wrong = acceptance.shortfall(camera)
+    if wrong:
+        console.warn(f"no chart is taken: {wrong}")
+    return None if wrong else camera
 
 
-def _named(camera: Path) -> list[Path]:
-    """The files beside a camera recipe that it needs: its base, its curves."""
-    return [path for path in (_base(camera), curves_of(camera)) if path is not None]
+def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[matrices.Curves, str]:
+    """The curves by the colour matrices of a file, or the usual ones, and where they are from."""
+    channels = measured.body.channels
+    prior = matrices.prior_of(channels, shipped_statistics())
+    codes = [code_of(name) for name in channels]
+    chosen = [each for each in known.matrices if set(codes) <= each.rows.keys()]
+    if chosen:
+        stated = [ColourMatrix(each.light, each.of(codes)) for each in chosen]
+        lights = " and ".join(f"{each.light}{' (assumed)' if each.assumed else ''}" for each in chosen)
+        what = "the colour matrices" if len(chosen) > 1 else "the colour matrix"
+        return matrices.curves_of_matrices(stated, prior), f"of {what} for {lights}; a photo of a ColorChecker tells more"
+    if prior.measured:
+        return matrices.usual_curves(prior), "assumed: the mean of 52 measured cameras, for the file states no colour matrix"
+    raise InputFileError(
+        f"{path} shows no chart and states no colour matrix, so nothing tells the curves of {', '.join(channels)}; "
+        'photograph a ColorChecker, or start from curves, "l3 init from_curves DIR"'
+    )

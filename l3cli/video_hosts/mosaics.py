@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from l3cli.api import Renderer
 from l3cli.errors import RecipeError
+from l3cli.frames.camera_file import CameraFile, correction_in
 from l3cli.frames.frame import RawFrame
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.files import RawOverrides, frame_of
 from l3cli.rendering.raw_checks import beyond_converter
 from l3cli.rendering.temporal.chunks import AnyOrder, filters
-from l3cli.stages.rendering.corrections import CameraFile, correction_in
 from l3cli.system.files import sha256
 from l3cli.system.numbers import NoSuchNumber, Quantity
 

@@ -12,7 +12,7 @@ from l3cli.evaluation.demosaic import interpolate
 from l3cli.evaluation.quality import psnr
 from l3cli.io.images import read_image
 from l3cli.recipes.builtin import known_benchmarks, known_recipes
-from l3cli.stages.starting import CLASSES, COMMON
+from l3cli.recipes.starters import CLASSES, COMMON
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import SMALL

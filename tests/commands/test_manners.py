@@ -86,7 +86,7 @@ def test_versions_and_devices(l3: L3, refused: Refused, monkeypatch: pytest.Monk
         ((SECCOMP,), "isolated process with limits of time and memory and seccomp; Landlock missing in this kernel"),
         ((), "isolated process with limits of time and memory; Landlock and seccomp missing in this kernel"),
     ):
-        monkeypatch.setattr("l3cli.stages.versions.measures", lambda path, holds=holds: holds)
+        monkeypatch.setattr("l3cli.stages.information.measures", lambda path, holds=holds: holds)
         assert f"Decoder of foreign files: {words}" in " ".join(l3("info", "--version")[1].split())
     monkeypatch.setitem(sys.modules, "pyopencl", None)
     assert 'pip install "pyopencl[pocl]"' in l3("info", "--version")[1]

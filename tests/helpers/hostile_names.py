@@ -13,8 +13,8 @@ import tempfile
 from pathlib import Path
 
 from l3cli.recipes.builtin import recipe_folder
+from l3cli.recipes.starters import folder_files
 from l3cli.recipes.toml import toml_value
-from l3cli.stages.starting import folder_files
 from tests.helpers.hostile_spoiling import Choices, one_of
 from tests.helpers.workplace import PATH, SBATCH
 

@@ -21,6 +21,7 @@ from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.calibration.corrections import corner_falloff, flat_field
 from l3cli.calibration.defects import as_map, counts, join, outliers
 from l3cli.errors import InputFileError
+from l3cli.frames.camera_file import CameraFile
 from l3cli.frames.correction import NEIGHBOURS, Correction, correction_of, plan_correction
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.hot_pixels import HotTest
@@ -36,7 +37,6 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.rendition import Rendition
 from l3cli.rendering.white.source import usual_balance
 from l3cli.simulation.sensor import expose, mosaic
-from l3cli.stages.rendering.corrections import CameraFile
 from l3cli.stages.rendering.executors import Exposed, Local, Remote, RenderSetup, Unread
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera

@@ -350,7 +350,6 @@ import inspect
 import l3cli as l3
 from l3cli.cli import run
 from l3cli.errors import RecipeError
-from l3cli.stages.checkpoint import run_key
 from l3cli.options.render import RenderOptions
 
 assert run(["render", "--help"]) == 0
@@ -361,7 +360,8 @@ try:
     l3.render("a.h5", "b", "c", grain=10)
 except RecipeError as error:
     print("in Python:", error)
-keys = [run_key(RenderOptions(**options)) for options in ({}, {"grain": None}, {"grain": 1}, {"grain": 2}, {"resume": True})]
+chosen = {}, {"grain": None}, {"grain": 1}, {"grain": 2}, {"resume": True}
+keys = [RenderOptions(**options).run_key() for options in chosen]
 assert keys[0] == keys[1] == keys[4] and len(set(keys)) == 3, keys
 """
 

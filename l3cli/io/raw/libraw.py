@@ -2,8 +2,7 @@
 states beside the frame: names, colour matrices, noise, lens (DNG 1.7, Exif, LibRaw)."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import with_one_black_level
+from l3cli.frames.measurement import Stated, StatedMatrix
 from l3cli.io.isolated import isolated, named_in_utf8
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.registry import RawContent
@@ -132,32 +132,6 @@ USUAL_LIGHT = "D65"  # of a matrix without one, as of those in LibRaw
 UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of Exif's FocalPlaneResolutionUnit
 PITCHES_UM = 0.5, 50.0  # that are believed
 LONGEST = 60  # letters of a name
-
-
-@dataclass(frozen=True)
-class StatedMatrix:
-    """From XYZ of a surface under a light to what the camera collects."""
-
-    light: str  # its name
-    assumed: bool  # whether the file does not name it
-    rows: dict[int, NDArray[np.float64]]  # colour code → (3) its row
-
-    def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
-        """Return the rows (channel, 3) of these colours."""
-        return np.array([self.rows[code] for code in codes if code is not None])
-
-
-@dataclass(frozen=True)
-class Stated:
-    """Facts that a raw file states about its camera; None and "" where it does not."""
-
-    camera: str  # make and model
-    matrices: tuple[StatedMatrix, ...]
-    noise: tuple[float, float] | None  # variance = slope · signal + constant, as shares of full scale above black
-    iso: float | None
-    pitch_um: float | None
-    focal_length_mm: float | None
-    f_number: float | None
 
 
 def stated(path: Path) -> Stated:

@@ -18,8 +18,8 @@ from l3cli.frames.frame import RawFrame
 from l3cli.io.pictures.registry import file_identity
 from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.options.render import RenderOptions
-from l3cli.stages.checkpoint import Checkpoint, key_in
 from l3cli.stages.rendering.destination import Destination, refuse_outputs
+from l3cli.system.checkpoint import Checkpoint, key_in
 from l3cli.system.files import sha256
 from l3cli.system.ledger import fingerprint
 

@@ -15,13 +15,13 @@ from l3cli.io.file_names import PATTERN
 from l3cli.io.sequences import frame_files, is_still
 from l3cli.io.video import is_video
 from l3cli.options.render import RenderOptions
-from l3cli.stages.checkpoint import Checkpoint, run_key
 from l3cli.stages.rendering.clip_inputs import name_of, refuse_one_name
 from l3cli.stages.rendering.clip_state import Entry, Standing, identity_of_clip, identity_of_output
 from l3cli.stages.rendering.destination import destination_of, overrides
 from l3cli.stages.rendering.executors import Renderers
 from l3cli.stages.rendering.render import render
 from l3cli.stages.rendering.sequence import Tally
+from l3cli.system.checkpoint import Checkpoint
 from l3cli.system.console import Gathering
 from l3cli.system.files import FULL, STDIN, UNFINISHED, refuse_existing, refuse_filled_folder, sha256
 from l3cli.system.ledger import dated
@@ -106,7 +106,7 @@ class ClipJob:
         self._path, self._options = table, options
         self._table, self._dated = load(TransformTable, table), dated(table)
         destination_of(folder / f"clip.{options.format}", options)
-        self._checkpoint = Checkpoint(folder / STATE, run_key(options, sha256(table)))
+        self._checkpoint = Checkpoint(folder / STATE, options.run_key(sha256(table)))
 
     def output_of(self, source: Path) -> tuple[Path, bool]:
         """Return the output of a clip, and whether it is a single file; InputFileError if the clip must be read to know

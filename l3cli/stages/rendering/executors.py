@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, L3Error
+from l3cli.frames.camera_file import CameraFile, correction_again
 from l3cli.frames.frame import RawFrame, upright
 from l3cli.io.pictures.dng import raw_values
 from l3cli.io.pictures.registry import BY_SUFFIX, Label, Picture, picture_file
@@ -23,7 +24,6 @@ from l3cli.rendering.conditions import Mix, mixed
 from l3cli.rendering.display import Display
 from l3cli.rendering.rendition import Rendition, rendered, shown
 from l3cli.rendering.white.balance import WhiteBalance
-from l3cli.stages.rendering.corrections import CameraFile, correction_again
 from l3cli.system.files import require_same
 from l3cli.system.plan import is_dry
 

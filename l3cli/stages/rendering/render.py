@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, InputFileError, RecipeError, suggestion
+from l3cli.frames.camera_file import CameraFile, correction_in, hot_test
 from l3cli.io.pictures.dng import MOSAICS
 from l3cli.io.sequences import FrameSequence, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, Pacing
@@ -24,9 +25,7 @@ from l3cli.rendering.rendition import Rendition, chosen_space, outputs_as_they_a
 from l3cli.rendering.temporal.chunks import Chunks, filters
 from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import given_white, usual_balance, white_source
-from l3cli.stages.checkpoint import run_key
 from l3cli.stages.rendering.checkpoint import FrameOrigins, checkpointed
-from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
 from l3cli.stages.rendering.destination import (
     Destination,
     claim,
@@ -102,7 +101,7 @@ def render(
             table.absolute(), digest, options.backend, engine, known, rendition, destination.file_suffix, model, mix
         )
         chunks = _chunks(options.backend, engine, transforms, scheduler, sequence, console) if options.temporal else None
-        key = run_key(options, digest, os.environ.get("L3_DEVICE"), choice, mix and astuple(mix))
+        key = options.run_key(digest, os.environ.get("L3_DEVICE"), choice, mix and astuple(mix))
         job = SequenceJob(sequence, destination, transforms, rendition, source, choice, pacing, chunks, options)
         origins = functools.partial(FrameOrigins, inputs[0], job.follows)
         with (

@@ -12,11 +12,11 @@ from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.simulation.run import SimulationRun
-from l3cli.stages.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.stages.simulation.pictures import WRITTEN, write_pictures
 from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
 from l3cli.stages.simulation.stored_frames import StoredFrames, folder_of, is_of_run, key_of, remove_finished
 from l3cli.stages.simulation.units import received, simulate_unit, units_of
+from l3cli.system.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.system.console import Console
 from l3cli.system.files import refuse_existing
 from l3cli.system.ledger import note_inputs, note_places

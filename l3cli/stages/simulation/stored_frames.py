@@ -11,7 +11,7 @@ from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.store import open_artifact, read_history
 from l3cli.artifacts.training_set import SceneCoverage, TrainingPair, TrainingSetWriter, read_part, whole_part, write_part
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.stages.checkpoint import Checkpoint, key_in
+from l3cli.system.checkpoint import Checkpoint, key_in
 from l3cli.system.files import is_ours, refuse_protected, sweep
 from l3cli.system.ledger import dated
 

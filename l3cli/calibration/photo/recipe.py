@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, LEAST_F_NUMBER, LEAST_FOCAL_MM, PITCH_UM
 from l3cli.frames.frame import RawFrame
-from l3cli.frames.measurement import Body
-from l3cli.io.raw.libraw import Stated
+from l3cli.frames.measurement import Body, Stated
 from l3cli.recipes.toml import toml_value
 from l3cli.system.text import printable
 

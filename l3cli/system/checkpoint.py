@@ -8,26 +8,13 @@ is not listed is not taken for the run's, and one that is listed but not there i
 
 import contextlib
 import errno
-import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from l3cli import __version__
-from l3cli.io.sequences import frame_files
-from l3cli.options.option import Options
-from l3cli.system.files import UNFINISHED, is_ours, refuse_filled_folder, sha256, sweep, write_whole
-
-
-def run_key(options: Options, *facts: Any, files: Callable[[Path], Iterable[Path]] = frame_files) -> str:
-    """Return what tells a run from others: a digest of all that the bytes of its outputs depend on, the options with the
-    `files` that they name, and `facts` about its inputs."""
-    named = options.inputs(all=False).items()
-    inputs = {name: [sha256(file) for path in paths for file in files(path)] for name, paths in named}
-    about = [__version__, options.chosen(), inputs, *facts]
-    return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()
+from l3cli.system.files import UNFINISHED, is_ours, refuse_filled_folder, sweep, write_whole
 
 
 class Checkpoint:
