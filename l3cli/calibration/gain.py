@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.calibration.defects import Defects
+from l3cli.calibration.statistics import Defects
 from l3cli.charts import patches
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES, Body, ChartCapture

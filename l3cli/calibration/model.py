@@ -1,16 +1,25 @@
 """Measurements → camera model: the steps of docs/method.md#calibration in their order."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel, Noise
+from l3cli.artifacts.camera import CameraModel, Noise, Readout
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
-from l3cli.calibration import agreement, gain, responsivity, settings
-from l3cli.calibration import curves as finished
-from l3cli.calibration.captures import Charts, Sensor, measure_charts, measure_sensor, measure_sweep
-from l3cli.calibration.corrections import correct_by_frames, with_corrections
-from l3cli.calibration.curves import Curves, check_efficiency, efficiency
+from l3cli.calibration import agreement, gain, responsivity
+from l3cli.calibration import responsivity as finished
+from l3cli.calibration.captures import (
+    Charts,
+    Sensor,
+    correct_by_frames,
+    measure_charts,
+    measure_sensor,
+    measure_sweep,
+    with_corrections,
+)
 from l3cli.calibration.photo.responsivity import fit_photos
+from l3cli.calibration.responsivity import Curves, check_efficiency, efficiency
 from l3cli.calibration.series import fit_series
 from l3cli.calibration.statistics import Each, channel_shares
 from l3cli.errors import InputFileError
@@ -19,6 +28,8 @@ from l3cli.frames.measurement import Body, Measurements, SensorFigures
 DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothings tried in Eq. 1
 LEAST_R_SQUARED = 0.5  # charts that fit worse were not measured as the measurement file says
 Array = NDArray[np.float64]
+TOLERANCE = 0.1  # relative, by which a setting may differ from what frames say of it
+CERTAIN = 4.0  # standard deviations of a gain that do
 
 
 def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
@@ -157,7 +168,7 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
     channels have other gains than the measurement file says."""
     dark, transfer = sensor.dark, sensor.transfer
     own = conversion_gain(sensor, body) * body.channel_gains  # (channel) DN/e-
-    settings.check_gains(transfer.gain, transfer.gain_error, body)
+    check_gains(transfer.gain, transfer.gain_error, body)
     return NoiseFit(
         conversion_gain=transfer.gain,
         conversion_gain_error=transfer.gain_error,
@@ -208,10 +219,10 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
         band = band if curves.band.any() else np.zeros_like(band)  # the scale's error alone is no band of the curve
-        settings.check_exposures(curve, body)
+        check_exposures(curve, body)
         check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
     elif body.readout is not None:
-        curve, band = settings.filter_curves(curve, band, body)
+        curve, band = filter_curves(curve, band, body)
     try:
         return CameraModel(
             name=body.name,
@@ -233,7 +244,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
             optics=body.optics,
             declared=_declared(fit),
             fit=fit,
-            readout=settings.measured_readout(body, fit.noise, sensor.noise.read_noise),
+            readout=measured_readout(body, fit.noise, sensor.noise.read_noise),
         )
     except ValueError as error:
         raise InputFileError(f"the measurements make no camera: {error}; check dark and white frames") from error
@@ -246,3 +257,52 @@ def _declared(fit: Fit) -> tuple[str, ...]:
     if fit.photo is None:
         return ("gain", "black level", "white level", "noise")
     return ("dark current", "DSNU", "PRNU") if fit.photo.noise_from_patches else ("gain", "noise")
+
+
+def check_gains(measured: Array, error: Array, body: Body) -> None:
+    """Raise InputFileError if conversion gains (channel), known to `error`, contradict the gains of the measurement file."""
+    if body.readout is None:
+        return
+    relative = measured / body.channel_gains
+    lowest = body.channel_gains == body.channel_gains.min()
+    usual = float(np.average(relative[lowest], weights=1.0 / error[lowest] ** 2))
+    certain = np.abs(relative - usual) > CERTAIN * error / body.channel_gains
+    for channel in np.flatnonzero(certain & (np.abs(relative / usual - 1.0) > TOLERANCE)).tolist():
+        name, seen = body.channels[channel], measured[channel] / usual
+        raise InputFileError(
+            f"channel {name}: white frames say a gain of {seen:.3g} times that of the others, the measurement file "
+            f"{body.channel_gains[channel]:.3g}; correct channel.{name}.gain"
+        )
+
+
+def check_exposures(responsivity: Array, body: Body) -> None:
+    """Raise InputFileError if efficiencies (channel, wavelength) of channels with one filter differ, as they do if an
+    exposure is not that of the measurement file."""
+    if body.readout is None:
+        return
+    whole = responsivity.sum(axis=1)
+    for channel, first in enumerate(body.readout.same_filter.tolist()):
+        ratio = float(whole[channel] / whole[first])
+        if abs(ratio - 1.0) > TOLERANCE:
+            name, seen = body.channels[channel], body.channel_exposures[channel] * ratio
+            raise InputFileError(
+                f"channel {name} responds as if exposed for {seen:.3g} of the frame's time beside {body.channels[first]}, "
+                f"the measurement file says {body.channel_exposures[channel]:.3g}; correct channel.{name}.exposure"
+            )
+
+
+def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]:
+    """Return the relative curves and bands (channel, wavelength) of what channels give, as those of their filters, peak
+    1."""
+    setting = (body.channel_gains * body.channel_exposures)[:, None]
+    peak = float((curves / setting).max())
+    return curves / setting / peak, band / setting / peak
+
+
+def measured_readout(body: Body, noise: NoiseFit | None, read_noise: float) -> Readout | None:
+    """Return the settings with the read noise that was measured, `read_noise` (e-) where none was; None: all channels
+    alike."""
+    if body.readout is None:
+        return None
+    each = np.full(len(body.channels), read_noise) if noise is None else noise.read_noise
+    return replace(body.readout, channel_read_noise=np.asarray(each, np.float64))

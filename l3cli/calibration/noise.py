@@ -12,14 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.calibration import agreement
-from l3cli.calibration import defects as defective
-from l3cli.calibration.defects import Defects
 from l3cli.calibration.statistics import (
+    LEAST_LOSS,
+    Defects,
     Each,
     Level,
     by_site,
+    joined_defects,
     mean_value,
     measure_level,
+    no_defects,
+    outliers,
+    patched,
     pooled,
     share_from,
     weighted_sums,
@@ -43,7 +47,7 @@ class DarkNoise:
     slope: Array  # DN/s
     variance: Array  # DN² at zero exposure, quantisation taken out
     dsnu: Array  # DN
-    hot: Defects = field(default_factory=defective.none)
+    hot: Defects = field(default_factory=no_defects)
 
 
 @dataclass(frozen=True)
@@ -80,8 +84,8 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     intercept, slope = line_weights(exposures)
     weights = np.repeat(np.stack([intercept, slope])[..., None], len(body.channels), axis=2)
     offsets, slopes = weighted_sums(captures, weights, body, each)
-    hot = defective.join(defective.outliers(offsets, body.cfa), defective.outliers(slopes, body.cfa))
-    offsets = defective.patched(offsets, body.cfa, hot)
+    hot = joined_defects(outliers(offsets, body.cfa), outliers(slopes, body.cfa))
+    offsets = patched(offsets, body.cfa, hot)
     levels = list(each(functools.partial(measure_level, body=body, defects=hot), captures))
     mean = np.array([mean_value(level.counts) for level in levels])
     agreement.check_darks(captures, mean.mean(axis=1))
@@ -190,7 +194,7 @@ def prnu(
     variance = np.array([level.variance for level in levels])
     trials = np.array([level.trials for level in levels])
     temporal = (weights**2 * variance / trials[:, None]).sum(axis=0)
-    slopes = defective.patched(weighted_sums(captures, weights[None], body, each)[0], body.cfa, hot)
+    slopes = patched(weighted_sums(captures, weights[None], body, each)[0], body.cfa, hot)
     dead, slopes = dead_pixels(slopes, body.cfa)
     spread = [_local_spread(site, temporal[channel]) for channel, site in by_site(slopes, body.cfa)]
     return np.sqrt(np.maximum(pooled(spread, body.cfa), 0.0)), dead, slopes
@@ -199,12 +203,12 @@ def prnu(
 def dead_pixels(response: Array, cfa: NDArray[np.uint8]) -> tuple[Defects, Array]:
     """Return the pixels whose response (row, col) to even light differs from its local mean by a tenth or more, and the
     responses with theirs patched. Neighbours of a line or cluster are judged by a mean that those have been taken out of."""
-    suspect = defective.outliers(_over_local_mean(response, response, cfa), cfa, defective.LEAST_LOSS)
+    suspect = outliers(_over_local_mean(response, response, cfa), cfa, LEAST_LOSS)
     if not suspect.size:
         return suspect, response
-    patched = defective.patched(response, cfa, suspect)
-    dead = defective.outliers(_over_local_mean(response, patched, cfa), cfa, defective.LEAST_LOSS)
-    return dead, defective.patched(response, cfa, dead)
+    corrected = patched(response, cfa, suspect)
+    dead = outliers(_over_local_mean(response, corrected, cfa), cfa, LEAST_LOSS)
+    return dead, patched(response, cfa, dead)
 
 
 def _local_mean(site: Array) -> Array:

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.fit import SeriesFit
-from l3cli.calibration import agreement, defects, gain, noise
-from l3cli.calibration.curves import Curves
-from l3cli.calibration.responsivity import COVERAGE, light_centre
-from l3cli.calibration.statistics import count_values, mean_value
+from l3cli.calibration import agreement, gain, noise
+from l3cli.calibration.responsivity import COVERAGE, Curves, light_centre
+from l3cli.calibration.statistics import count_values, mean_value, no_defects
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import PATCHES, BandCapture, Body, Capture
 from l3cli.physics import spectra
@@ -71,7 +70,7 @@ def measure_series(
     names = list(dict.fromkeys(capture.illuminant for capture in captures))
     names.sort(key=lambda name: next(band_centre(capture) for capture in captures if capture.illuminant == name))
     dark = dark_levels([capture.exposure for capture in captures], darks, body, black_level)
-    readings = [gain.patch_values(capture, body, limit, defects.none()) for capture in captures]
+    readings = [gain.patch_values(capture, body, limit, no_defects()) for capture in captures]
     return Series(
         lights=tuple(names),
         light=np.array([names.index(capture.illuminant) for capture in captures]),
@@ -86,7 +85,7 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
     if not darks:
         return np.full((len(exposures), len(body.channels)), black_level)
     known = np.array([capture.exposure for capture in darks])
-    means = np.array([mean_value(count_values(capture, body, defects.none())) for capture in darks])
+    means = np.array([mean_value(count_values(capture, body, no_defects())) for capture in darks])
     order = np.argsort(known)
     return np.array([np.interp(exposures, known[order], column[order]) for column in means.T]).T
 

@@ -16,8 +16,7 @@ from l3cli.classes.ratios import DARKEST as RATIO_DARKEST
 from l3cli.classes.structure import NOISE_TRACE
 from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP, turned_tests
 from l3cli.classes.windows import neighbourhoods
-from l3cli.export.vector import make_vector
-from l3cli.export.wordlengths import ENOUGH, SEED, SHAPE, Cost, Words, chosen_words, word_costs
+from l3cli.export.wordlengths import ENOUGH, SEED, SHAPE, Cost, Words, chosen_words, make_vector, word_costs
 from l3cli.rendering.conditions import noise_limits
 from l3cli.rendering.display import require_known_layers
 from l3cli.rendering.reference import SPECTRA_DARKEST

@@ -20,8 +20,17 @@ from l3cli.classes.structure import NOISE_TRACE
 from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP
 from l3cli.errors import InputFileError, RecipeError, shortened
 from l3cli.export.c_arrays import TAP_GROUP, TYPES, Array, filled, table_arrays
-from l3cli.export.vector import Vector, make_vector
-from l3cli.export.wordlengths import OUTPUT_FRACTION, OUTPUT_TOP, ShortWords, offset_of, short_cost, short_words, split_of
+from l3cli.export.wordlengths import (
+    OUTPUT_FRACTION,
+    OUTPUT_TOP,
+    ShortWords,
+    Vector,
+    make_vector,
+    offset_of,
+    short_cost,
+    short_words,
+    split_of,
+)
 from l3cli.physics.display import XYZ
 from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers

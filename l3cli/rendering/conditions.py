@@ -17,7 +17,7 @@ from l3cli.artifacts.layers import MosaicLayer, PlaneLayer, PlaneRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.features import further_features
-from l3cli.classes.kernel import kernel_macros
+from l3cli.classes.plane_kernel import kernel_macros
 from l3cli.classes.planes import FixedPoint, fixed_point
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame

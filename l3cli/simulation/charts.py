@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from l3cli.physics import spectra
 from l3cli.physics.display import srgb_from_lab
-from l3cli.simulation import rgb
+from l3cli.simulation import reflectances
 from l3cli.simulation.reflectances import dyed, materials, surfaces
 
 Array = NDArray[np.floating]
@@ -77,7 +77,7 @@ def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
     excess = np.maximum((linear - 1) / np.maximum(linear - grey, 1e-9), -linear / np.maximum(grey - linear, 1e-9))
     share = 1 - np.maximum(excess.max(axis=1, keepdims=True), 0)
     inside = np.clip(grey + share * (linear - grey), 0, 1).astype(np.float32)
-    reflectance = rgb.raise_to_spectra(inside[None], np.asarray(wavelength, float), "munsell").reflectance[0]
+    reflectance = reflectances.raise_to_spectra(inside[None], np.asarray(wavelength, float), "munsell").reflectance[0]
     return patch_grid(reflectance, len(MUNSELL_VALUES) * len(MUNSELL_CHROMAS), size)
 
 

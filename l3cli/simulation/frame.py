@@ -1,18 +1,29 @@
-"""One frame: a scene under a light, through lens and sensor, beside its target (docs/method.md#simulation)."""
+"""One frame: a scene under a light, through lens and sensor, beside its target; or a raw file beside its picture
+(docs/method.md#simulation, docs/method.md#optics)."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import Shown, TrainingFrame
+from l3cli.artifacts.camera import CameraModel, Optics
+from l3cli.artifacts.training_set import Shown, TrainingFrame, TrainingPair
+from l3cli.frames.frame import RawFrame, as_taken
 from l3cli.frames.scene import ChannelPicture, Scene
-from l3cli.physics.lens import relative_illumination
-from l3cli.simulation import optics, sensor
-from l3cli.simulation.light import Light, electron_weights, white_rates
-from l3cli.simulation.recipe import Lens
+from l3cli.physics import spectra
+from l3cli.physics.lens import diffraction_transfer, gaussian_transfer, relative_illumination
+from l3cli.simulation import sensor
+from l3cli.simulation.light import Light, electron_weights, make_light, white_rates
+from l3cli.simulation.recipe import Lens, Pair
 from l3cli.simulation.targets import XYZ, Target, output_weights
+
+LIGHT = "picture"  # the light of a pair: whatever it was, its picture shows it as D65
+BRIGHT = 0.9  # of full scale and of picture white: brighter pixels do not tell the scale
+Array = NDArray[np.floating]
+
+LOW_RANK_ERROR = 5e-5  # largest error of the transfer function at any sampled frequency and wavelength
+RADIAL_SAMPLES = 2048
 
 
 @dataclass(frozen=True)
@@ -91,17 +102,17 @@ def _collected(
     bands, pitch = scene.wavelength, camera.pixel_pitch
     wanted = output_weights(target, camera, light, bands)
     collected = electron_weights(camera, light, bands)
-    transfer = optics.lens_transfer(camera.optics, pitch, bands, lens.diffraction, lens.defocus_um * 1e-6)
+    transfer = lens_transfer(camera.optics, pitch, bands, lens.diffraction, lens.defocus_um * 1e-6)
     terms = np.ones((1, bands.size)) if transfer is None else transfer.spectral
     unit = (
         collected.max() or 1.0
     )  # taken out of what is rounded to float32, so that rounding is the same for every luminance
     through = (collected[:, None] / unit * terms).reshape(-1, bands.size)
-    planes = optics.project(scene.reflectance, np.concatenate([wanted, through]))
+    planes = project(scene.reflectance, np.concatenate([wanted, through]))
     ideal, rates = planes[: len(wanted)], planes[len(wanted) :]
     if transfer is not None:
         shape = (len(collected), len(terms), *rates.shape[1:])
-        rates = optics.blurred_channels(rates.reshape(shape), transfer, pitch)
+        rates = blurred_channels(rates.reshape(shape), transfer, pitch)
         np.maximum(rates, 0.0, out=rates)  # diffraction of a point may ring below zero
     rates *= np.float32(unit)
     if lens.off_axis:
@@ -131,3 +142,123 @@ def _seconds(camera: CameraModel, rates: NDArray[np.float32], exposure: float | 
     if isinstance(exposure, Averaging):
         return sensor.averaging_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
     return exposure
+
+
+def make_pair(
+    raw: RawFrame, picture: NDArray[np.float32], outputs: tuple[str, ...], camera: CameraModel, pair: Pair, name: str
+) -> TrainingPair:
+    """Return the pair of `raw` and a linear `picture` (row, col, output) that is upright as the camera was held.
+
+    Both are cut so that they begin with CFA site (0, 0). The picture's values times `pair.scale` are shares of full scale of
+    a white as bright; without it the scale is that of a grey world. ValueError if the picture reaches beyond the raw frame,
+    or this beyond the camera's bits.
+    """
+    picture = as_taken(picture, raw.orientation)
+    own_levels = (raw.black_level, raw.white_level) == (camera.black_level, camera.white_level)
+    if own_levels and raw.values.max() >= 2**camera.bits:
+        raise ValueError(f"the raw frame holds {raw.values.max()} DN, more than {camera.bits} bits; check sensor.bits")
+    levelled = raw.at_levels(camera.black_level, camera.white_level, camera.bits).values
+    rows, cols = picture.shape[:2]
+    top, left = pair.offset
+    if top + rows > levelled.shape[0] or left + cols > levelled.shape[1]:
+        raise ValueError(
+            f"the picture of {rows}×{cols} at offset {top}, {left} reaches beyond the raw frame of "
+            f"{levelled.shape[0]}×{levelled.shape[1]}; cut it to what the raw shows"
+        )
+    down, across = (
+        -(phase + start) % period for phase, start, period in zip(raw.phase, pair.offset, camera.cfa.shape, strict=True)
+    )
+    if down >= rows or across >= cols:
+        raise ValueError("the picture is smaller than the CFA's super-pixel")
+    values = levelled[top + down : top + rows, left + across : left + cols]
+    wanted = np.moveaxis(picture[down:, across:], 2, 0)
+    scale = pair.scale / raw.light_share if pair.scale else _grey_world_scale(values, wanted, camera)
+    white = spectra.white_point("D65") if outputs == ("X", "Y", "Z") else np.ones(len(outputs))
+    unit = scale * camera.saturation_exposure  # one second's exposure
+    return TrainingPair(
+        raw=np.ascontiguousarray(values),
+        target=np.ascontiguousarray(wanted * np.float32(unit)),
+        white=white * unit,
+        scene=name,
+        illuminant=LIGHT,
+        luminance=unit,
+        exposure=1.0,
+    )
+
+
+def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], camera: CameraModel) -> float:
+    """Return the share of full scale per picture value, from the means of both, were the scene grey under D65."""
+    share = (values - camera.black_level) / (camera.white_level - camera.black_level)
+    bright = picture[1] if len(picture) == 3 else picture.mean(axis=0)
+    usable = (share < BRIGHT) & (bright < BRIGHT)
+    if not usable.any() or bright[usable].mean() <= 0:
+        raise ValueError("the picture is black or white everywhere; give another, or scale")
+    rates = white_rates(camera, make_light("D65", {}, camera.wavelength))
+    response = (rates / rates.max())[camera.cfa].mean()
+    return float(max(share[usable].mean(), 1e-6) / response / bright[usable].mean())
+
+
+@dataclass(frozen=True)
+class LowRankTransfer:
+    """A family of transfer functions, one a wavelength, as the product of a few radial and spectral terms."""
+
+    frequency: Array  # (sample) cycles/m
+    radial: Array  # (term, sample)
+    spectral: Array  # (term, wavelength)
+
+
+@functools.lru_cache(maxsize=4)
+def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: float) -> LowRankTransfer:
+    """Return the diffraction MTF up to `highest` cycles/m within LOW_RANK_ERROR in as few terms as that takes (singular
+    values)."""
+    frequency = np.linspace(0.0, highest, RADIAL_SAMPLES)
+    exact = diffraction_transfer(frequency, np.array(wavelength), f_number)
+    left, strength, right = np.linalg.svd(exact, full_matrices=False)
+    terms = 1
+    while abs((left[:, :terms] * strength[:terms]) @ right[:terms] - exact).max() > LOW_RANK_ERROR:
+        terms += 1
+    return LowRankTransfer(frequency, (left[:, :terms] * strength[:terms]).T, right[:terms])
+
+
+def lens_transfer(
+    optics: Optics, pixel_pitch: float, wavelength: Array, diffraction: bool, defocus: float
+) -> LowRankTransfer | None:
+    """Return the blur of each wavelength by the lens: diffraction and a Gaussian of standard deviation `defocus` in m on
+    the sensor; None if it blurs nothing."""
+    highest = float(np.sqrt(0.5) / pixel_pitch)
+    if diffraction:
+        transfer = low_rank_transfer(highest, tuple(wavelength), optics.f_number)
+    elif defocus > 0:
+        frequency = np.linspace(0.0, highest, RADIAL_SAMPLES)
+        transfer = LowRankTransfer(frequency, np.ones((1, RADIAL_SAMPLES)), np.ones((1, wavelength.size)))
+    else:
+        return None
+    gaussian = gaussian_transfer(transfer.frequency, defocus)
+    return LowRankTransfer(transfer.frequency, transfer.radial * gaussian, transfer.spectral)
+
+
+def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pixel_pitch: float) -> NDArray[np.float32]:
+    """planes (channel, term, row, col), each term filtered by its radial part and summed: (channel, row, col).
+
+    The planes hold Σ_band weight · spectral (term, band) · reflectance: the bands are projected on the channels before any
+    transform. Beyond its border a frame is mirrored, which the discrete cosine transform does by itself. Overwrites
+    `planes`.
+    """
+    from scipy import fft
+
+    rows, cols = planes.shape[2:]
+    frequency = np.hypot(np.arange(rows)[:, None] / (2 * rows), np.arange(cols) / (2 * cols)) / pixel_pitch
+    maps = [np.interp(frequency, transfer.frequency, radial).astype(np.float32) for radial in transfer.radial]
+    blurred = np.empty((len(planes), rows, cols), np.float32)
+    for channel, terms in enumerate(planes):
+        total = fft.dctn(terms[0], overwrite_x=True) * maps[0]
+        for plane, factor in zip(terms[1:], maps[1:], strict=True):
+            total += fft.dctn(plane, overwrite_x=True) * factor
+        blurred[channel] = fft.idctn(total, overwrite_x=True)
+    return blurred
+
+
+def project(cube: NDArray[np.float32], weights: Array) -> NDArray[np.float32]:
+    """cube (row, col, band) summed with weights (channel, band): (channel, row, col)."""
+    rows, cols, bands = cube.shape
+    return (weights.astype(np.float32) @ cube.reshape(-1, bands).T).reshape(-1, rows, cols)

@@ -11,8 +11,7 @@ from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES
 from l3cli.physics import spectra
 from l3cli.physics.lens import relative_illumination
 from l3cli.simulation.lab_recipe import SPECTROMETER_MARGIN, LabRecipe, MonoRecipe, check, slit_centres
-from l3cli.simulation.sensor import FixedPattern, fixed_pattern, read_out
-from l3cli.simulation.sensor_defects import DefectRecipe, defects_of
+from l3cli.simulation.sensor import DefectRecipe, FixedPattern, defects_of, fixed_pattern, read_out
 
 FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # of captures by kind, and of what the spectrometer saw
 PATCH_SIDE = 0.8  # of a chart cell; the rest is black mount

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, CameraModel
 from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import Count, CountOrNone, Positive, Recipe
-from l3cli.simulation.sensor_defects import DefectRecipe, defect_faults
+from l3cli.simulation.sensor import DefectRecipe, defect_faults
 
 SPECTROMETER_MARGIN = 5.0  # nm that the spectrometer sees beyond camera and slits
 MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # beyond, a slit is no slit and a lamp no lamp

@@ -1,16 +1,19 @@
-"""Scenes from mathematics: dead leaves to train on, and a composition to look at (docs/method.md#procedural-scenes)."""
+"""Scenes that need no file: dead leaves to train on, a composition to look at, charts (docs/method.md#procedural-scenes)."""
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.simulation import charts, fields, leaves
+from l3cli.frames.scene import NO_ILLUMINANT, Scene
+from l3cli.physics.spectra import COLORCHECKER_WAVELENGTH
+from l3cli.simulation import charts, fields, leaves, sources
+from l3cli.simulation.fields import TEXTURES, Textures, draw_textures, sampled
 from l3cli.simulation.patterns import Patterns, coverage, draw_patterns
 from l3cli.simulation.reflectances import DRAWN, drawn_bands, palette, surfaces
-from l3cli.simulation.textures import TEXTURES, Textures, draw_textures, sampled
 
 Array = NDArray[np.floating]
 Cube = NDArray[np.float32]  # (row, col, band)
@@ -19,6 +22,8 @@ OVERSAMPLING = 2  # scenes are drawn finer and averaged, so that their edges fal
 SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # pixels of the scene
 BRIGHTEST = 3.0  # of a perfect white, highlights included
 STRIP = 8  # rows drawn at once, which stay in the cache
+Wavelength = NDArray[np.float64]
+Painter = Callable[[Any, np.random.Generator, Wavelength], NDArray[np.float32]]
 
 
 def grid(wavelength: Array) -> NDArray[np.float64]:
@@ -247,3 +252,30 @@ def chart_places(size: tuple[int, int]) -> list[list[tuple[slice, slice]]]:
         for rows, cols in charts.colorchecker_patches(shape)
     ]
     return [charts.colorchecker_patches(size), within]
+
+
+PAINTERS: dict[type, Painter] = {
+    sources.DeadLeaves: lambda s, rng, nm: dead_leaves(rng, s.size, nm, s.patterned),
+    sources.Composition: lambda s, rng, nm: composition(rng, s.size, nm),
+    sources.Skin: lambda s, rng, nm: charts.material_patches("skin", rng, s.patches, s.size, nm),
+    sources.Foliage: lambda s, rng, nm: charts.material_patches("leaf", rng, s.patches, s.size, nm),
+    sources.Surfaces: lambda s, rng, nm: charts.surface_patches(rng, s.patches, s.size, nm),
+    sources.ColorChecker: lambda s, rng, nm: charts.colorchecker(s.size, nm),
+    sources.Munsell: lambda s, rng, nm: charts.munsell(s.size, nm),
+    sources.SlantedEdge: lambda s, rng, nm: charts.slanted_edge(s.size, nm, s.angle_deg, s.dark, s.bright),
+    sources.ZonePlate: lambda s, rng, nm: charts.zone_plate(s.size, nm, s.highest),
+    sources.Frequencies: lambda s, rng, nm: charts.frequencies(s.size, nm, s.orders),
+    sources.GreyRamp: lambda s, rng, nm: charts.grey_ramp(s.size, nm, s.octaves),
+}
+
+
+def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) -> Scene:
+    """Return the scene `wanted` for a camera that sees `camera_wavelength`: the same for the same `seed`.
+
+    The ColorChecker lies on the wavelengths where it was measured, everything else on procedural.grid.
+    """
+    source = wanted.source
+    measured = isinstance(source, sources.ColorChecker)
+    wavelength = COLORCHECKER_WAVELENGTH if measured else grid(camera_wavelength)
+    rng = np.random.default_rng([seed, getattr(source, "seed", 0), wanted.number])
+    return Scene(wanted.name, wavelength, PAINTERS[type(source)](source, rng, wavelength), NO_ILLUMINANT)

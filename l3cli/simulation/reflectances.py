@@ -1,7 +1,8 @@
-"""Reflectance spectra for procedural scenes: wide, smooth, physically valid (docs/method.md#procedural-scenes).
+"""Reflectance spectra: wide, smooth, physically valid (docs/method.md#procedural-scenes), or of RGB pictures.
 
 A third is drawn from measured surfaces as they are or mixed, a third from a Gaussian fitted to them in logit space, the
 rest are the materials that pictures are full of: skin, leaves, hair. Saturation is low and varies from frame to frame.
+Pictures get the smoothest reflectances of their colours (docs/method.md#pictures-raised-to-spectra).
 """
 
 import functools
@@ -10,9 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.frames.scene import SHOWN
+from l3cli.frames.scene import NO_ILLUMINANT, SHOWN, Scene
 from l3cli.physics import spectra
+from l3cli.physics.display import srgb_from_xyz_matrix
 from l3cli.physics.paint import LARGEST, SMALLEST, kubelka_munk, with_saturation, with_titanium_white
+from l3cli.simulation.light import make_light, matching_weights
 
 Array = NDArray[np.floating]
 
@@ -39,6 +42,8 @@ DEOXYGENATED = np.array(
     + [53412, 53788, 45072, 37020, 28324, 14677, 9443, 6509, 5148, 4345, 3750, 3226, 2795, 2407, 2052, 1794, 1540, 1326]
     + [1102, 1116, 1405, 1549, 1312, 1075]
 )
+
+EXACTNESS = 1e4  # weight of the colour equations against roughness
 
 
 @dataclass(frozen=True)
@@ -185,3 +190,44 @@ _DRAW = {
     "leaf": _leaf,
     "hair": _hair,
 }
+
+
+def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64], name: str) -> Scene:
+    """Return the scene of a linear sRGB picture (row, col, 3): reflectance = red · R + green · G + blue · B.
+
+    The three spectra are at least 0 and sum to 1 at every wavelength, so that values in 0…1 give reflectances in 0…1.
+    `wavelength` (band) in nm are some of DRAWN and any beyond, where spectra are held.
+    """
+    cube = np.maximum(linear, np.float32(0.0)) @ primaries().astype(np.float32)
+    if not np.array_equal(wavelength, DRAWN):  # taken of one product, so that every camera is shown the same values
+        cube = cube[..., abs(np.subtract.outer(wavelength, DRAWN)).argmin(axis=1)]
+    return Scene(name, wavelength, cube, NO_ILLUMINANT)
+
+
+def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:
+    """Return a linear picture (row, col, 3) with each `by` × `by` pixels averaged to one; what is left over at the end is
+    cut."""
+    rows, cols = (length // by * by for length in linear.shape[:2])
+    return linear[:rows, :cols].reshape(rows // by, by, cols // by, by, 3).mean(axis=(1, 3))
+
+
+@functools.cache
+def primaries() -> Array:
+    """Return reflectances (3, band) at DRAWN whose colours under D65 are the sRGB primaries: the smoothest that are not
+    negative and sum to 1 (after Mallett and Yuksel, "Spectral primary decomposition", 2019)."""
+    from scipy.optimize import lsq_linear
+
+    count = DRAWN.size
+    rough = np.diff(np.eye(count), axis=0)
+    light = make_light("D65", {}, DRAWN)
+    observer = spectra.colour_matching_functions(light.wavelength)
+    to_rgb = srgb_from_xyz_matrix() @ matching_weights(observer, light, DRAWN)
+    rows = [
+        np.kron(np.eye(3), rough),
+        EXACTNESS * np.kron(np.eye(3), to_rgb),
+        EXACTNESS * np.kron(np.ones(3), np.eye(count)),
+    ]
+    colours = np.eye(3) * to_rgb.sum(axis=1)  # a perfect white is (1, 1, 1) but for the grid's own error
+    wanted = np.concatenate([np.zeros(3 * (count - 1)), EXACTNESS * colours.ravel(), EXACTNESS * np.ones(count)])
+    solution = lsq_linear(np.concatenate(rows), wanted, bounds=(0.0, 1.0), tol=1e-12).x.reshape(3, count)
+    return solution / solution.sum(axis=0)

@@ -10,7 +10,7 @@ from typing import Any
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.store import save
-from l3cli.calibration import acceptance, figures, model
+from l3cli.calibration import figures, model
 from l3cli.errors import L3Error, RecipeError
 from l3cli.export.profiles import ALWAYS, file_names
 from l3cli.frames.measurement import FinishedCurves, SweepTable
@@ -63,7 +63,7 @@ def calibrate(
 
         camera = model.calibrate(measured, each)
         earlier = measured.base.history if measured.base else ()
-        shortfall = None if measured.base else acceptance.shortfall(camera)
+        shortfall = None if measured.base else figures.shortfall(camera)
         if shortfall and not options.accept:
             culprit = "" if measurements is None else f"{measurements}: "
             raise L3Error(f"{culprit}{shortfall}, or add ‹accept›")

@@ -13,9 +13,8 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.calibration.draft.compose import Survey, compose
 from l3cli.calibration.draft.matching import Spectra
-from l3cli.calibration.draft.names import natural, read_name, with_bare_wavelengths
+from l3cli.calibration.draft.names import altered, drawn, natural, period_of, read_name, summarise, with_bare_wavelengths
 from l3cli.calibration.draft.sorting import Frame, scale_of, sort_frames, with_plain_kinds
-from l3cli.calibration.draft.summary import altered, drawn, period_of, summarise
 from l3cli.calibration.draft.tables import compose_tables
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.frames import CaptureFolder, RawFile, list_captures, read_capture, read_spectra

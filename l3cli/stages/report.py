@@ -259,8 +259,7 @@ def _cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
     """Return what `l3 calibrate --json` says of a camera, as far as it was measured, and why not to trust it."""
-    from l3cli.calibration.acceptance import shortfall
-    from l3cli.calibration.figures import camera_figures, figures
+    from l3cli.calibration.figures import camera_figures, figures, shortfall
 
     if camera.fit is not None:
         return figures(camera) | {"shortfall": (shortfall(camera) or "").partition(";")[0]}

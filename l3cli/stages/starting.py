@@ -7,10 +7,10 @@ from pathlib import Path
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.calibration import acceptance, model
-from l3cli.calibration.photo import matrices
-from l3cli.calibration.photo.matrices import ColourMatrix
+from l3cli.calibration import figures, model
+from l3cli.calibration.photo import responsivity
 from l3cli.calibration.photo.recipe import CURVES, PhotoCamera, SensorNoise, noise_of
+from l3cli.calibration.photo.responsivity import ColourMatrix
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.measurement import Measurements, Stated
 from l3cli.io.curves import shipped_statistics
@@ -244,25 +244,29 @@ def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
         camera = model.calibrate(measured)
     except InputFileError:
         return None
-    wrong = acceptance.shortfall(camera)
+    wrong = figures.shortfall(camera)
     if wrong:
         console.warn(f"no chart is taken: {wrong}")
     return None if wrong else camera
 
 
-def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[matrices.Curves, str]:
+def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[responsivity.Curves, str]:
     """The curves by the colour matrices of a file, or the usual ones, and where they are from."""
     channels = measured.body.channels
-    prior = matrices.prior_of(channels, shipped_statistics())
+    prior = responsivity.prior_of(channels, shipped_statistics())
     codes = [code_of(name) for name in channels]
     chosen = [each for each in known.matrices if set(codes) <= each.rows.keys()]
     if chosen:
         stated = [ColourMatrix(each.light, each.of(codes)) for each in chosen]
         lights = " and ".join(f"{each.light}{' (assumed)' if each.assumed else ''}" for each in chosen)
         what = "the colour matrices" if len(chosen) > 1 else "the colour matrix"
-        return matrices.curves_of_matrices(stated, prior), f"of {what} for {lights}; a photo of a ColorChecker tells more"
+        return responsivity.curves_of_matrices(
+            stated, prior
+        ), f"of {what} for {lights}; a photo of a ColorChecker tells more"
     if prior.measured:
-        return matrices.usual_curves(prior), "assumed: the mean of 52 measured cameras, for the file states no colour matrix"
+        return responsivity.usual_curves(
+            prior
+        ), "assumed: the mean of 52 measured cameras, for the file states no colour matrix"
     raise InputFileError(
         f"{path} shows no chart and states no colour matrix, so nothing tells the curves of {', '.join(channels)}; "
         'photograph a ColorChecker, or start from curves, "l3 init from_curves DIR"'

@@ -10,7 +10,7 @@ import tifffile
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
-from l3cli.calibration.photo.prior import WAVELENGTH
+from l3cli.calibration.photo.estimate import WAVELENGTH
 from l3cli.io.pictures.dng import write_dng
 from l3cli.physics import spectra
 from tests.helpers import photos

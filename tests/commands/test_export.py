@@ -12,8 +12,8 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load, save
-from l3cli.export import camera_profile
-from l3cli.export.camera_profile import datasheet
+from l3cli.export import profiles
+from l3cli.export.profiles import datasheet
 from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, delta_e_2000, lab, srgb_from_xyz_matrix, white_point
 from l3cli.physics.matrices import colour_errors
@@ -189,19 +189,19 @@ def test_names_of_channels_and_order_do_not_matter(exported: Path, bayer: Camera
     channels = [2, 0, 1]  # of b, r, g
     cfa = np.array([[channels.index(channel) for channel in row] for row in bayer.cfa.tolist()], np.uint8)
     turned = replace(bayer, channels=("Blue", "Red", "Green"), cfa=cfa, responsivity=bayer.responsivity[channels])
-    order = camera_profile.bayer_order(turned.channels, turned.cfa)
+    order = profiles.bayer_order(turned.channels, turned.cfa)
     assert order == (1, 2, 0)
-    assert camera_profile.bayer_order(bayer.channels, bayer.cfa) == (0, 1, 2)
+    assert profiles.bayer_order(bayer.channels, bayer.cfa) == (0, 1, 2)
     for names in (("r", "g", "w"), ("r", "red", "g"), ("r", "g", "b", "w")):
-        assert camera_profile.bayer_order(names, bayer.cfa) is None
-    assert camera_profile.bayer_order(bayer.channels, np.array([[0, 1], [2, 1]], np.uint8)) is None
+        assert profiles.bayer_order(names, bayer.cfa) is None
+    assert profiles.bayer_order(bayer.channels, np.array([[0, 1], [2, 1]], np.uint8)) is None
     write(replace(turned, name="c\udcff\nm"), tmp_path, Silent())  # of a file whose name is no text
     assert "camera,,c??m,,recipe" in (tmp_path / "datasheet.csv").read_text()
     ours, theirs = (read_tuning(folder / "libcamera_rpi.json") for folder in (tmp_path, exported))
-    profiles = [json.loads((folder / "dcp.json").read_text()) for folder in (tmp_path, exported)]
-    assert [profile["Channels"] for profile in profiles] == [["Red", "Green", "Blue"], ["r", "g", "b"]]
+    dcps = [json.loads((folder / "dcp.json").read_text()) for folder in (tmp_path, exported)]
+    assert [profile["Channels"] for profile in dcps] == [["Red", "Green", "Blue"], ["r", "g", "b"]]
     for tag in ("ColorMatrix1", "ForwardMatrix2"):
-        np.testing.assert_allclose(profiles[0][tag], profiles[1][tag], atol=1e-3)
+        np.testing.assert_allclose(dcps[0][tag], dcps[1][tag], atol=1e-3)
     assert ours["rpi.awb"] == theirs["rpi.awb"]
     for one, other in zip(ours["rpi.ccm"]["ccms"], theirs["rpi.ccm"]["ccms"], strict=True):
         np.testing.assert_allclose(one["ccm"], other["ccm"], atol=1e-3)

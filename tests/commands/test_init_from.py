@@ -15,8 +15,8 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.calibration.photo.prior import WAVELENGTH
-from l3cli.export.camera_profile import light_matrices
+from l3cli.calibration.photo.estimate import WAVELENGTH
+from l3cli.export.profiles import light_matrices
 from l3cli.io.images import read_image
 from l3cli.io.pictures.dng import write_dng
 from l3cli.physics import spectra

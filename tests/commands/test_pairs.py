@@ -15,7 +15,7 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.cli import run
 from l3cli.frames.frame import RawFrame, as_taken, upright
 from l3cli.io.images import read_image
-from l3cli.simulation.pairs import make_pair
+from l3cli.simulation.frame import make_pair
 from l3cli.simulation.recipe import Pair
 from l3cli.training.patches import expose_patches, noise_share, sample_pair
 from l3cli.training.symmetry import site_maps

@@ -25,9 +25,9 @@ IMPORTS = (
     "l3cli.stages.rendering.render l3cli.stages.report l3cli.cli.train l3cli.cli.lab l3cli.cli.calibrate "
     "l3cli.stages.training.shards l3cli.stages.simulation.simulate "
     "l3cli.cli.evaluate l3cli.cli.report l3cli.cli.compare l3cli.cli.info l3cli.cli.simulate l3cli.cli.init "
-    "l3cli.calibration.model l3cli.training.table l3cli.simulation.frame l3cli.simulation.synthetic "
+    "l3cli.calibration.model l3cli.training.table l3cli.simulation.frame l3cli.simulation.procedural "
     "l3cli.rendering.reference l3cli.evaluation.evaluation l3cli.io.measurements l3cli.io.curves l3cli.simulation.lab "
-    "l3cli.calibration.figures l3cli.calibration.acceptance l3cli.stages.calibration l3cli.stages.lab"
+    "l3cli.calibration.figures l3cli.calibration.figures l3cli.stages.calibration l3cli.stages.lab"
 )
 
 ENDING = (signal.SIGINT, signal.SIGTERM)

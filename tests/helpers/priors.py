@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.calibration.photo.prior import ROLES, statistics
+from l3cli.calibration.photo.estimate import ROLES, statistics
 from l3cli.frames.measurement import CurveStatistics
 from l3cli.io.curves import prior_files, read_cameras
 from tests.helpers.paths import ROOT

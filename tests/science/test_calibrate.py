@@ -12,11 +12,11 @@ import pytest
 from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
-from l3cli.calibration import defects, gain, noise, responsivity
+from l3cli.calibration import gain, noise, responsivity
 from l3cli.calibration.captures import Sensor, measure_charts, measure_sweep
 from l3cli.calibration.model import from_data_sheet
 from l3cli.calibration.series import fit_series
-from l3cli.calibration.statistics import mean_value, measure_level
+from l3cli.calibration.statistics import mean_value, measure_level, no_defects
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import (
     CHART_COLS,
@@ -204,7 +204,7 @@ def test_a_saturated_monochromatic_capture_is_left_out_of_its_channel_alone() ->
 def test_dark_current_is_no_light(body: Body) -> None:
     """A long exposure in weak light: 40 DN of light above 60 DN of dark signal, in mono and chart captures alike."""
     sensor = Sensor(
-        replace(DARK, slope=np.full(3, 30.0)), white_transfer(), np.zeros(3), np.ones(1), defects.none(), np.ones((16, 16))
+        replace(DARK, slope=np.full(3, 30.0)), white_transfer(), np.zeros(3), np.ones(1), no_defects(), np.ones((16, 16))
     )
     wavelength, slit = np.arange(500.0, 521.0), np.r_[0.0, np.ones(19), 0.0]
     frame = np.full((192, 256), 64 + 60 + 40, dtype=np.uint16)
@@ -310,7 +310,7 @@ def drawn(mean: np.ndarray, sigma: float, trials: int, rng: np.random.Generator)
 def test_temporal_variance_knows_no_fixed_pattern_and_no_drift(body: Body) -> None:
     rng = np.random.default_rng(0)
     pattern = 500.0 + rng.normal(0, 50.0, (192, 256))
-    level = measure_level(Capture("flat", 0.1, drawn(pattern, 4.0, 4, rng)), body, defects.none())
+    level = measure_level(Capture("flat", 0.1, drawn(pattern, 4.0, 4, rng)), body, no_defects())
     assert level.trials == 4
     np.testing.assert_allclose(level.variance, 16.0 + 1 / 12, rtol=0.05)
     np.testing.assert_allclose(mean_value(level.counts), 500.0, atol=2.0)
@@ -348,7 +348,7 @@ def white_levels(well: float, exposures: list[float], trials: int) -> tuple[list
 
 def test_photon_transfer_stops_where_the_well_is_full(body: Body) -> None:
     captures, _ = white_levels(9000.0, [0.1, 0.25, 0.4, 0.55, 0.74, 2.0], trials=4)
-    levels = [measure_level(capture, body, defects.none()) for capture in captures]
+    levels = [measure_level(capture, body, no_defects()) for capture in captures]
     transfer = noise.photon_transfer(levels, body, DARK)
     assert transfer.white_level == 9000 * 0.25 + 64
     assert transfer.white_level_reached
@@ -360,8 +360,8 @@ def test_photon_transfer_stops_where_the_well_is_full(body: Body) -> None:
 
 def test_prnu_of_uneven_light(body: Body) -> None:
     captures, response = white_levels(9000.0, [0.1, 0.25, 0.4, 0.55], trials=20)
-    levels = [measure_level(capture, body, defects.none()) for capture in captures]
-    measured, dead, _ = noise.prnu(captures, levels, np.ones((4, 3), dtype=bool), body, defects.none())
+    levels = [measure_level(capture, body, no_defects()) for capture in captures]
+    measured, dead, _ = noise.prnu(captures, levels, np.ones((4, 3), dtype=bool), body, no_defects())
     assert not dead.size
     sites = (response[0::2, 0::2], np.stack([response[0::2, 1::2], response[1::2, 0::2]]), response[1::2, 1::2])
     # Known to ~0.4 %; a local mean that shrinks what it is subtracted from would cost 1 %.
@@ -371,12 +371,12 @@ def test_prnu_of_uneven_light(body: Body) -> None:
 def test_single_frames_and_single_exposures_are_refused(body: Body) -> None:
     frame = np.full((192, 256), 64, dtype=np.uint16)
     with pytest.raises(InputFileError, match=r"alone\.tif is a single frame"):
-        measure_level(Capture("alone.tif", 0.1, [frame]), body, defects.none())
+        measure_level(Capture("alone.tif", 0.1, [frame]), body, no_defects())
     with pytest.raises(InputFileError, match="single exposure"):
         noise.dark_noise([Capture("a", 0.1, [frame, frame])], body)
     captures, _ = white_levels(9000.0, [0.3, 0.3], trials=2)
     with pytest.raises(InputFileError, match="channel r has 1 white exposures below saturation"):
-        noise.photon_transfer([measure_level(capture, body, defects.none()) for capture in captures], body, DARK)
+        noise.photon_transfer([measure_level(capture, body, no_defects()) for capture in captures], body, DARK)
 
 
 def test_a_saturated_patch_is_named(body: Body) -> None:
@@ -386,10 +386,9 @@ def test_a_saturated_patch_is_named(body: Body) -> None:
     wavelength, radiance = np.arange(400.0, 701.0), np.ones((24, 301))
     chart = ChartCapture("chart.tif", 0.1, [frame], "A", corners, wavelength, radiance)
     with pytest.raises(InputFileError, match=r"chart\.tif: patch 19 is saturated in channel r"):
-        gain.unsaturated_values(chart, body, 3900.0, defects.none())
+        gain.unsaturated_values(chart, body, 3900.0, no_defects())
     assert (
-        gain.unsaturated_values(replace(chart, frames=[np.minimum(frame, 1000)]), body, 3900.0, defects.none())[18, 0]
-        == 1000
+        gain.unsaturated_values(replace(chart, frames=[np.minimum(frame, 1000)]), body, 3900.0, no_defects())[18, 0] == 1000
     )
 
 

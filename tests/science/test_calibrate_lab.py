@@ -11,14 +11,14 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
-from l3cli.calibration import defects, gain
-from l3cli.calibration.curves import Curves, efficiency
+from l3cli.calibration import gain, statistics
+from l3cli.calibration.responsivity import Curves, efficiency
 from l3cli.cli import run
 from l3cli.frames.measurement import Body
 from l3cli.io.curves import write_curves
 from l3cli.simulation import lab
 from l3cli.simulation.lab_recipe import LabRecipe
-from l3cli.simulation.sensor_defects import DefectRecipe, defects_of
+from l3cli.simulation.sensor import DefectRecipe, defects_of
 from l3cli.spectra.file import read_table
 from tests.helpers.calls import L3
 
@@ -63,7 +63,7 @@ def test_defective_pixels_are_listed_and_left_out(mean_lab: Path, fine_bayer_rec
     result = compared(mean_lab, "MEASUREMENTS.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
     recipe = DefectRecipe(hot_pixels_per_million=400.0, dead_pixels_per_million=400.0)
     simulated = defects_of(load_camera(fine_bayer_recipe), recipe)
-    known = defects.join(simulated.hot, simulated.dead)
+    known = statistics.joined_defects(simulated.hot, simulated.dead)
     assert len(known) == 40
     assert result["defects"] == known.tolist()
     errors = {name: entry["error %"] for name, entry in result["truth"]["camera"].items()}
@@ -137,9 +137,9 @@ def test_defects_are_patched_by_their_channel() -> None:
     spoilt = picture.copy()
     spots = np.array([[0, 0], [5, 6], [15, 15]])
     spoilt[tuple(spots.T)] = 999.0
-    np.testing.assert_array_equal(defects.outliers(spoilt, cfa, 1.0), spots)
-    np.testing.assert_array_equal(defects.patched(spoilt, cfa, spots), picture)
-    assert defects.outliers(picture, cfa, 1.0).shape == (0, 2)
+    np.testing.assert_array_equal(statistics.outliers(spoilt, cfa, 1.0), spots)
+    np.testing.assert_array_equal(statistics.patched(spoilt, cfa, spots), picture)
+    assert statistics.outliers(picture, cfa, 1.0).shape == (0, 2)
 
 
 def test_finished_curves_get_no_band_by_the_scale_of_charts(

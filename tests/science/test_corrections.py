@@ -18,8 +18,8 @@ from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
-from l3cli.calibration.corrections import corner_falloff, flat_field
-from l3cli.calibration.defects import as_map, counts, join, outliers
+from l3cli.calibration.captures import corner_falloff, flat_field
+from l3cli.calibration.statistics import defect_counts, defect_map, joined_defects, outliers
 from l3cli.errors import InputFileError
 from l3cli.frames.camera_file import CameraFile
 from l3cli.frames.correction import NEIGHBOURS, Correction, correction_of, plan_correction
@@ -480,8 +480,8 @@ def test_lines_clusters_and_kinds() -> None:
     shape = (20, 30)
     column = np.array([(row, 7) for row in range(20) if row != 3])
     single, cluster = np.array([(5, 20)]), np.array([(10, 10), (11, 11), (12, 10)])
-    found = as_map(join(column, single, cluster), single, shape)
-    assert counts(found, shape) == {"hot": 1, "dead": 3, "rows": 0, "columns": 1, "clusters": 1}
+    found = defect_map(joined_defects(column, single, cluster), single, shape)
+    assert defect_counts(found, shape) == {"hot": 1, "dead": 3, "rows": 0, "columns": 1, "clusters": 1}
     assert found.pixel_kind.count("column") == 20  # the one that had seemed sound, too
 
 

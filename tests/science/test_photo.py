@@ -16,8 +16,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.fit import PhotoFit
 from l3cli.artifacts.store import load
 from l3cli.calibration.photo import lights
-from l3cli.calibration.photo.estimate import Posterior, estimate, terms
-from l3cli.calibration.photo.prior import WAVELENGTH, Prior, camera_prior, smooth
+from l3cli.calibration.photo.estimate import WAVELENGTH, Posterior, Prior, camera_prior, estimate, smooth, terms
 from l3cli.charts import locate, patches
 from l3cli.charts.patches import corner_cells, homography, through
 from l3cli.io.curves import shipped_statistics

@@ -24,8 +24,7 @@ from l3cli.classes import direction
 from l3cli.errors import InputFileError
 from l3cli.export.folder import folder_files
 from l3cli.export.source import Words, c_files
-from l3cli.export.vector import drawn_mosaic
-from l3cli.export.wordlengths import OUTPUT_FRACTION, OUTPUT_TOP, SEED, SHAPE, short_cost, short_words
+from l3cli.export.wordlengths import OUTPUT_FRACTION, OUTPUT_TOP, SEED, SHAPE, drawn_mosaic, short_cost, short_words
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.tables import random_table, with_first, with_low_noise, with_refinement, with_spectra, with_tree

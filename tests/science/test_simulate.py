@@ -16,11 +16,11 @@ from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.io.pictures.registry import write_picture
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
-from l3cli.simulation import charts, light, optics, patterns, procedural, sensor
-from l3cli.simulation.frame import Saturating, simulate
+from l3cli.simulation import charts, light, patterns, procedural, sensor
+from l3cli.simulation.frame import Saturating, blurred_channels, lens_transfer, low_rank_transfer, project, simulate
+from l3cli.simulation.procedural import draw
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sources import ColorChecker, WantedScene
-from l3cli.simulation.synthetic import draw
 from l3cli.simulation.targets import make_target
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
@@ -324,7 +324,7 @@ def test_targets_of_every_kind_are_of_one_scene(fiveband: CameraModel) -> None:
 @pytest.mark.parametrize(("pitch", "f_number"), [(5e-6, 2.8), (1e-6, 2.8), (3e-6, 16.0)])
 def test_low_rank_diffraction_stays_within_its_error(pitch: float, f_number: float) -> None:
     wavelength = np.arange(400.0, 701.0, 10.0)
-    transfer = optics.low_rank_transfer(np.sqrt(0.5) / pitch, tuple(wavelength), f_number)
+    transfer = low_rank_transfer(np.sqrt(0.5) / pitch, tuple(wavelength), f_number)
     frequency = np.random.default_rng(0).uniform(0, np.sqrt(0.5) / pitch, 5000)
     radial = np.array([np.interp(frequency, transfer.frequency, term) for term in transfer.radial])
     exact = diffraction_transfer(frequency, wavelength, f_number)
@@ -339,10 +339,10 @@ def test_diffraction_blurs_each_band_by_its_transfer(bayer: CameraModel) -> None
     wave = np.cos(2 * np.pi * cycles * (np.arange(64) + 0.5))
     cube = np.broadcast_to(0.5 + 0.4 * wave[:, None, None], (64, 64, wavelength.size)).astype(np.float32)
     weights = np.random.default_rng(0).random((3, wavelength.size))
-    lens = optics.lens_transfer(Optics(0.05, f_number, 0.0), pitch, wavelength, True, 0.0)
+    lens = lens_transfer(Optics(0.05, f_number, 0.0), pitch, wavelength, True, 0.0)
     assert lens is not None
-    planes = optics.project(cube, (weights[:, None] * lens.spectral).reshape(-1, wavelength.size))
-    got = optics.blurred_channels(planes.reshape(3, -1, 64, 64), lens, pitch)
+    planes = project(cube, (weights[:, None] * lens.spectral).reshape(-1, wavelength.size))
+    got = blurred_channels(planes.reshape(3, -1, 64, 64), lens, pitch)
     transfer = diffraction_transfer(np.array([cycles / pitch]), wavelength, f_number)[0]
     expected = 0.5 * weights.sum(axis=1)[:, None] + 0.4 * (weights @ transfer)[:, None] * wave
     assert np.allclose(got[:, :, 32], expected, atol=1e-4 * weights.sum(axis=1).max())
@@ -355,9 +355,9 @@ def test_the_transfer_function_of_a_simulated_edge_is_that_of_the_method(f_numbe
     """The edge's spread function, four samples a pixel across a 2° edge, blurred against sharp (ISO 12233)."""
     pitch, band, angle = 1.5e-6, np.array([nanometres]), 2.0
     edge = charts.slanted_edge((400, 400), band, angle, 0.05, 0.8).transpose(2, 0, 1)
-    lens = optics.lens_transfer(Optics(0.05, f_number, 0.0), pitch, band, True, 0.0)
+    lens = lens_transfer(Optics(0.05, f_number, 0.0), pitch, band, True, 0.0)
     assert lens is not None
-    blurred = optics.blurred_channels(edge[None].copy(), lens, pitch)
+    blurred = blurred_channels(edge[None].copy(), lens, pitch)
     down, across = np.ogrid[-199.5:200, -199.5:200]
     distance = across * np.cos(np.radians(angle)) + down * np.sin(np.radians(angle))
     edges = np.arange(-640, 641) / 4
@@ -377,13 +377,13 @@ def test_defocus_is_a_gaussian_of_its_width() -> None:
     pitch, sigma = 4e-6, 6e-6
     point = np.zeros((1, 1, 65, 65), np.float32)
     point[0, 0, 32, 32] = 1
-    lens = optics.lens_transfer(Optics(0.05, 4.0, 0.0), pitch, np.array([550.0]), False, sigma)
+    lens = lens_transfer(Optics(0.05, 4.0, 0.0), pitch, np.array([550.0]), False, sigma)
     assert lens is not None
-    got = optics.blurred_channels(point, lens, pitch)[0]
+    got = blurred_channels(point, lens, pitch)[0]
     axis = np.arange(65) - 32
     assert got.sum() == pytest.approx(1.0, rel=1e-5)
     assert (got.sum(axis=0) * axis**2).sum() == pytest.approx((sigma / pitch) ** 2, rel=1e-3)
-    assert optics.lens_transfer(Optics(0.05, 4.0, 0.0), pitch, np.array([550.0]), False, 0.0) is None
+    assert lens_transfer(Optics(0.05, 4.0, 0.0), pitch, np.array([550.0]), False, 0.0) is None
 
 
 def test_off_axis_light_falls_as_the_fourth_power_of_the_cosine(fiveband: CameraModel) -> None:

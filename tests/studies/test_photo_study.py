@@ -12,9 +12,8 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from l3cli.calibration.photo import lights
-from l3cli.calibration.photo.estimate import estimate
-from l3cli.calibration.photo.matrices import ColourMatrix, curves_of_matrices, usual_curves
-from l3cli.calibration.photo.prior import WAVELENGTH, Prior, camera_prior, statistics
+from l3cli.calibration.photo.estimate import WAVELENGTH, Prior, camera_prior, estimate, statistics
+from l3cli.calibration.photo.responsivity import ColourMatrix, curves_of_matrices, usual_curves
 from l3cli.frames.measurement import FinishedCurves
 from l3cli.io.curves import prior_files, read_cameras, read_finished
 from l3cli.physics import spectra

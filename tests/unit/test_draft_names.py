@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from l3cli.calibration.draft.names import Name, natural, read_name, with_bare_wavelengths
-from l3cli.calibration.draft.summary import altered, drawn, period_of, summarise
+from l3cli.calibration.draft import names
+from l3cli.calibration.draft.names import Name, altered, drawn, period_of, read_name, summarise, with_bare_wavelengths
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_wavelengths_without_unit_are_no_counters() -> None:
     assert read(*(f"mono_{number}.tif" for number in range(400, 406))) == [None] * 6
     assert read(*(f"mono_0{number}.tif" for number in range(400, 460, 10))) == [None] * 6
     assert read(*(f"white_{number}.tif" for number in range(400, 460, 10))) == [None] * 6
-    assert sorted(["b10", "b9", "a"], key=natural) == ["a", "b9", "b10"]
+    assert sorted(["b10", "b9", "a"], key=names.natural) == ["a", "b9", "b10"]
     assert Name("x_too-long.tif").words == {"x", "too", "long"}
 
 

@@ -11,7 +11,7 @@ from l3cli.artifacts.camera_recipe import ChannelRecipe, channel_faults, load_ca
 from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.training_set import TrainingFrame
-from l3cli.calibration import settings
+from l3cli.calibration import model
 from l3cli.classes.contrast import noise_of_grey
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.level import clipped_mean, stored_edges, unclipped_level
@@ -242,14 +242,14 @@ def a_body(model: CameraModel) -> Body:
 
 def test_settings_that_frames_contradict_are_refused() -> None:
     body, error = a_body(camera(0.25, 4.0)), np.full(4, 0.001)
-    settings.check_gains(np.array([0.2, 0.2, 0.8, 0.8]), error, body)
+    model.check_gains(np.array([0.2, 0.2, 0.8, 0.8]), error, body)
     with pytest.raises(InputFileError, match=r"channel x?\w+: white frames say a gain of 2 .* correct channel\.\w+\.gain"):
-        settings.check_gains(np.array([0.2, 0.2, 0.4, 0.8]), error, body)
+        model.check_gains(np.array([0.2, 0.2, 0.4, 0.8]), error, body)
     curves = np.ones((4, 5))
-    settings.check_exposures(curves, body)
+    model.check_exposures(curves, body)
     curves[2] *= 2
     with pytest.raises(InputFileError, match=r"responds as if exposed for 0\.5 of the frame's time"):
-        settings.check_exposures(curves, body)
+        model.check_exposures(curves, body)
 
 
 def test_a_measurement_file_reports_the_settings_back() -> None:

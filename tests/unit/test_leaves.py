@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from l3cli.simulation import fields, leaves, textures
+from l3cli.simulation import fields, leaves
 
 Array = NDArray[np.floating]
 SHAPE = (60, 90)
@@ -137,24 +137,24 @@ def test_a_piece_changes_as_the_whole_field_does(exponent: float, stretch: float
 
 
 def test_textures_have_about_unit_variance_and_differ_from_leaf_to_leaf(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(textures, "WIDEST", 128)
+    monkeypatch.setattr(fields, "WIDEST", 128)
     rng, count = np.random.default_rng(2), 800
-    texture = np.arange(count) % textures.TEXTURES
-    of = textures.draw_textures(rng, (256, 256), texture, 2)
+    texture = np.arange(count) % fields.TEXTURES
+    of = fields.draw_textures(rng, (256, 256), texture, 2)
     label = np.repeat(np.arange(count), 32 * 8).reshape(count * 32, 8)  # a row of blocks of 32 x 8 samples
     down = np.tile(np.arange(32.0, dtype=np.float32), count)[:, None]
-    value = textures.sampled(of, label, down, np.arange(8, dtype=np.float32)).reshape(count, 32, 8)
+    value = fields.sampled(of, label, down, np.arange(8, dtype=np.float32)).reshape(count, 32, 8)
     assert value.dtype == np.float32
-    for number in range(textures.TEXTURES):
+    for number in range(fields.TEXTURES):
         drawn = value[texture == number]
         assert np.mean(drawn**2) == pytest.approx(1.0, abs=0.35), number
-        if number != textures.STRIPES:  # these have one phase all over the picture
+        if number != fields.STRIPES:  # these have one phase all over the picture
             assert np.ptp(drawn[:, 0, 0]) > 1, number
-    assert set(np.unique(value[texture == textures.STRIPES])) == {-1.0, 1.0}
-    blotches = value[texture == textures.BLOTCHES]
+    assert set(np.unique(value[texture == fields.STRIPES])) == {-1.0, 1.0}
+    blotches = value[texture == fields.BLOTCHES]
     assert abs(blotches).max() <= 1
     assert np.mean(abs(blotches) > 0.9) > 0.5
-    whole = textures.sampled(of, np.zeros((4, 600), np.intp), np.arange(4.0)[:, None], np.arange(600.0))
+    whole = fields.sampled(of, np.zeros((4, 600), np.intp), np.arange(4.0)[:, None], np.arange(600.0))
     assert np.array_equal(whole[:, :128], whole[:, 128:256])  # periodic
 
 

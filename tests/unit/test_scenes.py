@@ -13,7 +13,7 @@ from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.io.scenes.rgb import read as read_rgb_picture
 from l3cli.physics import paint, spectra
 from l3cli.physics.display import srgb_curve, srgb_from_xyz_matrix
-from l3cli.simulation import charts, light, procedural, reflectances, rgb
+from l3cli.simulation import charts, light, procedural, reflectances
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 
@@ -143,14 +143,14 @@ def test_globs_are_sorted_and_relative_to_the_recipe(tmp_path: Path) -> None:
 
 def test_raised_spectra_have_the_colours_of_the_picture_and_stay_reflectances() -> None:
     picture = np.random.default_rng(0).random((8, 9, 3)).astype(np.float32)
-    scene = rgb.raise_to_spectra(picture, WAVELENGTH, "random")
+    scene = reflectances.raise_to_spectra(picture, WAVELENGTH, "random")
     assert scene.reflectance.min() >= 0
     assert scene.reflectance.max() <= 1 + 1e-6
     d65 = light.make_light("D65", {}, WAVELENGTH)
     functions = spectra.colour_matching_functions(d65.wavelength)
     xyz = scene.reflectance @ light.matching_weights(functions, d65, WAVELENGTH).T
     assert np.allclose(xyz @ srgb_from_xyz_matrix().T, picture, atol=1e-3)
-    grey = rgb.raise_to_spectra(np.full((1, 1, 3), 0.4, np.float32), WAVELENGTH, "grey")
+    grey = reflectances.raise_to_spectra(np.full((1, 1, 3), 0.4, np.float32), WAVELENGTH, "grey")
     assert np.allclose(grey.reflectance, 0.4, atol=1e-6)
 
 
@@ -214,7 +214,7 @@ DRAWINGS = {
     "surfaces": lambda rng, nm: charts.surface_patches(rng, (4, 4), (48, 48), nm),
     "skin": lambda rng, nm: charts.material_patches("skin", rng, (4, 4), (48, 48), nm),
     "munsell": lambda rng, nm: charts.munsell((48, 60), nm),
-    "picture": lambda rng, nm: rgb.raise_to_spectra(rng.random((8, 8, 3), np.float32), nm, "picture").reflectance,
+    "picture": lambda rng, nm: reflectances.raise_to_spectra(rng.random((8, 8, 3), np.float32), nm, "picture").reflectance,
 }
 
 

@@ -16,7 +16,7 @@ from l3cli.physics import spectra
 from l3cli.physics.display import lab
 from l3cli.simulation import charts, sources
 from l3cli.simulation.framing import framed
-from l3cli.simulation.synthetic import draw
+from l3cli.simulation.procedural import draw
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cubes import WAVELENGTH, a_cube, basis_file
 

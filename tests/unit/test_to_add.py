@@ -203,7 +203,7 @@ ADDITIONS: dict[str, dict[str, str | Edits]] = {
             ),
             ("Source = (\n", "Source = (\n    Rings |"),
         ],
-        "l3cli/simulation/synthetic.py": [
+        "l3cli/simulation/procedural.py": [
             ("import charts, procedural, sources", "import charts, procedural, rings, sources"),
             (
                 "= {\n    sources.DeadLeaves:",

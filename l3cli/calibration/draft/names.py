@@ -1,10 +1,14 @@
-"""Kind, wavelength, exposure time, light and number from the names of captures and their folders."""
+"""Content of a capture: by its name and its folder, and by its values alone."""
 
+import itertools
 import operator
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
+
+import numpy as np
+from numpy.typing import NDArray
 
 KINDS = {
     "dark": ("dark", "darks", "cap", "lenscap", "bias", "offset"),
@@ -21,6 +25,17 @@ LIGHT = re.compile(r"(?<![A-Za-z0-9])(A|D\d\d|FL?\d{1,2}|HP\d|LED[-_]?[A-Z0-9]+|
 WORD = re.compile(r"[a-z]+|[A-Z][a-z]+|[A-Z]+(?![a-z])")
 BARE, LEAST_STEPS = (300.0, 1200.0), 5  # nm without a unit, of so many steps
 VISIBLE = (200.0, 2000.0)  # nm that a name may mean
+BLOCKS = 16  # rows and columns of blocks that a frame is summarised by
+PERIODS = (1, 2, 3, 4, 5, 6, 8)  # rows or columns of the arrays that are searched for
+LARGEST_CROP = 960  # pixels a side, from which an array's period is taken; divisible by all periods
+EXPLAINED = 0.98  # of what all periods explain: the smallest array that explains as much is taken
+SIGNIFICANT = 0.02  # share of the variance that an array explains
+EVEN = 0.05  # of the signal: what a lens and a lamp leave after a smooth fit
+TERMS = 4  # degree of that fit
+COMMON, LEAST_CODES = 12, 16  # pixels that make a value frequent, and frequent values to judge by
+MOST_GAPS = 0.25  # of these without a next value: more are not the converter's
+PLAIN, DRAWN = 0.8, 8  # share of pixels that equal their neighbours, and the range in DN, from which a frame is a drawing
+Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -101,3 +116,104 @@ def natural(path: str) -> tuple[tuple[str | float, ...], ...]:
 
 def _number(text: str) -> float:
     return float(re.sub("[,p]", ".", text))
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A frame in few numbers, by the sites of its array."""
+
+    blocks: Array  # (block_row, block_col, site) mean DN
+    high: Array  # (site) DN that a tenth of the pixels exceeds
+    noise: float  # DN, standard deviation within blocks
+    top: int  # DN, the largest value
+
+    @property
+    def level(self) -> Array:
+        """(site) mean DN."""
+        return np.asarray(self.blocks.mean(axis=(0, 1)))
+
+    def unevenness(self, black: float) -> float:
+        """Return the RMS of what a smooth surface leaves of the blocks, over the mean signal, of the site where it is least
+        noisy."""
+        rows, cols = self.blocks.shape[:2]
+        y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
+        powers = [(i, j) for i in range(TERMS + 1) for j in range(TERMS + 1 - i)]
+        design = np.stack([(y**i * x**j).ravel() for i, j in powers], axis=1)
+        values = self.blocks.reshape(rows * cols, -1) - black
+        left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+        brightest = int(values.mean(axis=0).argmax())
+        return float(np.sqrt(np.mean(left[:, brightest] ** 2)) / max(values[:, brightest].mean(), 1e-9))
+
+
+def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
+    """Return a frame (row, col) of DN by the sites of an array of `period` rows and columns."""
+    rows, cols = period
+    down, across = (max(1, length // each // BLOCKS) for length, each in zip(values.shape, period, strict=True))
+    high, wide = (min(BLOCKS, length // each) for length, each in zip(values.shape, period, strict=True))
+    cut = values[: high * down * rows, : wide * across * cols].astype(np.float32)
+    sites = cut.reshape(high, down, rows, wide, across, cols).transpose(0, 3, 1, 4, 2, 5)
+    sites = sites.reshape(high, wide, down * across, rows * cols)
+    quantile = np.quantile(sites.reshape(-1, rows * cols), 0.9, axis=0)
+    return Summary(sites.mean(axis=2, dtype=np.float64), quantile, float(np.median(sites.std(axis=2))), int(values.max()))
+
+
+def period_of(frames: Sequence[NDArray[np.uint16]]) -> tuple[int, int]:
+    """Return the rows and columns of the smallest array whose sites tell the values of the frames apart: the largest that a
+    third of those that show one agree on, since one light may not tell all channels apart; 1×1 where none does."""
+    found = [each for each in map(_period, frames) if each != (1, 1)]
+    often = [each for each in found if len(frames) == 1 or 3 * found.count(each) >= len(found)]
+    return max(often, key=lambda each: each[0] * each[1], default=(1, 1))
+
+
+def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
+    rows, cols = (min(length, LARGEST_CROP) for length in frame.shape)
+    cut = frame[:rows, :cols].astype(np.float64)
+    # Neighbours share their light: what is left of a local mean is array and noise.
+    smooth = cut - _local_mean(cut)
+    explained = {each: _explained(smooth, each) for each in itertools.product(PERIODS, PERIODS)}
+    most = max(explained.values())
+    if most <= SIGNIFICANT * cut.size:
+        return 1, 1
+    enough = [each for each, share in explained.items() if share >= EXPLAINED * most]
+    return min(enough, key=lambda each: each[0] * each[1])
+
+
+def _local_mean(values: Array) -> Array:
+    from scipy import ndimage
+
+    return np.asarray(ndimage.uniform_filter(values, 2 * max(PERIODS) + 1))
+
+
+def _explained(values: Array, period: tuple[int, int]) -> float:
+    """Return the sum of squares that the means of sites explain, over the variance, less what chance explains."""
+    rows, cols = (length // each for length, each in zip(values.shape, period, strict=True))
+    if min(rows, cols) < 4:
+        return 0.0
+    cut = values[: rows * period[0], : cols * period[1]]
+    means = cut.reshape(rows, period[0], cols, period[1]).mean(axis=(0, 2))
+    variance = float(cut.var()) or 1.0
+    return float(rows * cols * np.sum((means - cut.mean()) ** 2) / variance / cut.size * values.size - means.size)
+
+
+def altered(values: NDArray[np.uint16]) -> str | None:
+    """Return the processing of a frame's numbers after the converter, as far as they show it; None if they show none."""
+    counts = np.bincount(values.ravel())
+    codes = np.flatnonzero(counts)
+    step = int(np.gcd.reduce(codes))
+    if step > 1 and codes.size > DRAWN:
+        return f"all values are multiples of {step}: stored shifted, a step of the converter is {step} DN"
+    # Beside a value that many pixels have, the next one is never left out by chance.
+    common = np.flatnonzero(counts[:-1] >= COMMON)
+    gaps = float(np.mean(counts[common + 1] == 0)) if common.size else 0.0
+    if common.size >= LEAST_CODES and gaps > MOST_GAPS:
+        return f"behind {gaps:.0%} of the frequent values the next one never occurs: stretched or companded"
+    return None
+
+
+def drawn(values: NDArray[np.uint16]) -> bool:
+    """Return whether a frame has no noise where it is neither black nor clipped, as masks and drawings have none."""
+    inner = values[1:, 1:]
+    same = (inner == values[:-1, 1:]) & (inner == values[1:, :-1])
+    low, high = int(values.min()), int(values.max())
+    between = (inner > low) & (inner < high)
+    return high - low > DRAWN and bool(between.mean() > 0.02) and bool(same[between].mean() > PLAIN)

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.calibration.draft.names import Name, natural
-from l3cli.calibration.draft.summary import EVEN, Summary
+from l3cli.calibration.draft.names import EVEN, Name, Summary, natural
 from l3cli.charts.locate import locate
 from l3cli.charts.patches import corner_cells, through
 from l3cli.physics import charts

@@ -4,10 +4,9 @@ import re
 from collections.abc import Sequence
 
 from l3cli.artifacts.camera import MAX_CHANNELS, CameraModel
-from l3cli.calibration.draft.compose import HEAD, PITCH, known_body, unknown_optics
+from l3cli.calibration.draft.compose import HEAD, PITCH, DraftText, known_body, unknown_optics
 from l3cli.calibration.draft.matching import Spectra
 from l3cli.calibration.draft.names import read_name
-from l3cli.calibration.draft.text import DraftText
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import DIODE
 from l3cli.system.text import counted

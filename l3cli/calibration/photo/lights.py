@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.calibration.photo.estimate import ERRORS, SHOT_SPREAD, Posterior, Shot, estimate, evidence
-from l3cli.calibration.photo.prior import Prior
+from l3cli.calibration.photo.estimate import ERRORS, SHOT_SPREAD, Posterior, Prior, Shot, estimate, evidence
 
 IMPROBABLE = 0.02  # of a light: below it adds nothing to a band
 NOTICED = 3.0  # natural logarithm: a light that is e³ times less probable than another is questioned

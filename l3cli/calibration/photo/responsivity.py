@@ -1,22 +1,31 @@
-"""Photographs of charts → responsivities with their band, and what the photos say of themselves
-(docs/method.md#charts-in-photographs)."""
+"""Photographs of charts, or colour matrices of a raw file → responsivities (docs/method.md#charts-in-photographs)."""
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import Noise
 from l3cli.artifacts.fit import PhotoFit
-from l3cli.calibration.curves import Curves
+from l3cli.calibration.photo import estimate as priors
 from l3cli.calibration.photo import lights
-from l3cli.calibration.photo import prior as priors
-from l3cli.calibration.photo.estimate import FLOOR, Posterior, Shot, estimate, evidence
-from l3cli.calibration.photo.prior import ROLES, WAVELENGTH, Prior
+from l3cli.calibration.photo.estimate import (
+    FLOOR,
+    ROLES,
+    WAVELENGTH,
+    Posterior,
+    Prior,
+    Shot,
+    camera_prior,
+    estimate,
+    evidence,
+    smooth,
+    turned,
+)
 from l3cli.calibration.photo.shots import Photograph, measure
-from l3cli.calibration.responsivity import BAND_FLOOR, COVERAGE
+from l3cli.calibration.responsivity import BAND_FLOOR, COVERAGE, Curves
 from l3cli.charts import patches
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import CurveStatistics, Measurements, SensorFigures
@@ -30,6 +39,7 @@ SURFACES_EVERY = 7  # of the library
 FAR, MOST_FAR = 4.0, 4  # standard deviations from which a patch is left out; values in all
 MEASURED, SMOOTH = "measured cameras", "smooth"
 Array = NDArray[np.floating]
+ERROR = 0.02  # of a patch's value: what no matrix of nine numbers says of a camera, beside the misfit that is found
 
 
 def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigures]:
@@ -197,3 +207,45 @@ def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tu
     gain, dark_noise = transfer
     well = (first.white_level - first.black_level) / gain
     return SensorFigures(gain, first.black_level, first.white_level, Noise(dark_noise / gain, 0.0, 0.0, 0.0, well)), True
+
+
+@dataclass(frozen=True)
+class ColourMatrix:
+    """Colours of a camera under one light as a raw file states them (DNG 1.7, ColorMatrix)."""
+
+    light: str  # its name
+    values: Array  # (channel, 3) XYZ → channels
+
+
+def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves:
+    """Return the most probable curves, relative, with 95 % bands, of a camera that has these matrices: the posterior of
+    `prior` given the responses that the matrices predict for a ColorChecker under their lights."""
+    reflectance = spectra.colorchecker(WAVELENGTH)[1]
+    shots = [_shot(matrix, reflectance) for matrix in matrices]
+    return curves_of(estimate(shots, prior))
+
+
+def usual_curves(prior: Prior) -> Curves:
+    """Return the mean of measured cameras, for one of which nothing is known."""
+    peaks = np.exp(prior.log_peak)[:, None]
+    deviation = np.sqrt(np.diag(prior.covariance)).reshape(prior.mean.shape)
+    mean = np.asarray(prior.mean * peaks, np.float64)
+    return Curves(WAVELENGTH, mean, COVERAGE * deviation * peaks).to_common_peak()
+
+
+def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
+    """Return the prior of measured cameras for channels r, g and b, that of smoothness for others."""
+    if sorted(channels) != sorted(ROLES):
+        return smooth(len(channels))
+    return camera_prior(turned(known, [ROLES.index(name) for name in channels]))
+
+
+def _shot(matrix: ColourMatrix, reflectance: Array) -> Shot:
+    """Return the chart as the matrix predicts it, evenly lit and without glare."""
+    light = spectra.illuminant(matrix.light, WAVELENGTH)
+    weights = spectra.xyz_weights(WAVELENGTH)
+    xyz = (reflectance * light) @ weights.T / (weights[1] @ light)
+    values = np.asarray(xyz @ matrix.values.T, np.float64)
+    place = np.zeros((len(values), 2))
+    deviation = ERROR * np.abs(values)
+    return Shot(light, reflectance, place, values, deviation, values > 0, uneven=0.0, glare=0.0)

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.calibration import noise
-from l3cli.calibration.photo.estimate import Shot
-from l3cli.calibration.photo.prior import WAVELENGTH
+from l3cli.calibration.photo.estimate import WAVELENGTH, Shot
 from l3cli.charts import locate, patches
 from l3cli.charts.patches import PatchValues, corner_cells, homography, through
 from l3cli.errors import InputFileError

@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, PlaneRule
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.kernel import joined, kernel_arrays, kernel_macros, snippets
-from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippets
+from l3cli.classes.plane_kernel import (
+    joined,
+    kernel_arrays,
+    kernel_macros,
+    rule_constants,
+    rule_macros,
+    rule_snippets,
+    snippets,
+)
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, opponent_basis, raw_middle, refined_fixed_point
 from l3cli.classes.ratios import DARKEST
 from l3cli.classes.refinement import first_label_words

@@ -22,13 +22,13 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
     """The scene, read or synthetic, as it lies on the sensor in each frame of its clip; one that stands still is the same in
     all. InputFileError if it does not fit there."""
     from l3cli.frames.scene import ChannelPicture
-    from l3cli.simulation import synthetic
+    from l3cli.simulation import procedural
     from l3cli.simulation.clip import clip_of
     from l3cli.simulation.framing import framed, framed_picture
 
     scene: Scene | ChannelPicture
     if wanted.path is None:
-        scene = synthetic.draw(wanted, run.seed, run.camera.wavelength)
+        scene = procedural.draw(wanted, run.seed, run.camera.wavelength)
     else:
         scene = _from_file(wanted, wanted.path, run)
     culprit = str(wanted.path or wanted.name)
@@ -62,17 +62,17 @@ def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "
             return scene_of(content, source, path.stem, run.recorded[source.light] if source.light else None)
         except ValueError as error:
             raise InputFileError(f"{path}: {error}") from error
-    from l3cli.simulation import procedural, rgb
+    from l3cli.simulation import procedural, reflectances
 
     assert isinstance(source, sources.RgbPictures)
-    linear = rgb.shrunk(content, source.shrink)
+    linear = reflectances.shrunk(content, source.shrink)
     if sources.holds_codes(source):
         order = [sources.CODED.index(channel) for channel in run.camera.channels]
         try:
             return ChannelPicture(path.stem, linear[..., order])
         except ValueError as error:
             raise InputFileError(f"{path}: {error}") from error
-    return rgb.raise_to_spectra(linear, procedural.grid(run.camera.wavelength), path.stem)
+    return reflectances.raise_to_spectra(linear, procedural.grid(run.camera.wavelength), path.stem)
 
 
 def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, Any]:

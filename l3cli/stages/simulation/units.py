@@ -120,7 +120,7 @@ def _pair(pair: Pair, run: SimulationRun) -> Any:
     from l3cli.io.raw.files import RawOverrides, read_raw
     from l3cli.io.scenes.rgb import read as read_rgb_picture
     from l3cli.physics.display import xyz_from_srgb_matrix
-    from l3cli.simulation.pairs import make_pair
+    from l3cli.simulation.frame import make_pair
 
     raw_path, path = run.base / pair.raw, run.base / pair.picture
     raw = read_raw(raw_path, run.camera, RawOverrides(phase=pair.phase))
