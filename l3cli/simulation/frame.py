@@ -2,6 +2,7 @@
 (docs/method.md#simulation, docs/method.md#optics)."""
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,30 +22,16 @@ from l3cli.simulation.targets import XYZ, Target, output_weights
 LIGHT = "picture"  # the light of a pair: whatever it was, its picture shows it as D65
 BRIGHT = 0.9  # of full scale and of picture white: brighter pixels do not tell the scale
 Array = NDArray[np.floating]
-
+Automatic = Callable[[CameraModel, NDArray[np.float32]], float]  # s for the e-/s (row, col) of a mosaic
 LOW_RANK_ERROR = 5e-5  # largest error of the transfer function at any sampled frequency and wavelength
 RADIAL_SAMPLES = 2048
-
-
-@dataclass(frozen=True)
-class Saturating:
-    """An exposure that makes this share of all pixels reach full scale."""
-
-    share: float
-
-
-@dataclass(frozen=True)
-class Averaging:
-    """An exposure that makes the mosaic's mean reach this share of full scale, were nothing clipped."""
-
-    share: float
 
 
 def simulate(
     camera: CameraModel,
     scene: Scene | ChannelPicture,
     light: Light,
-    exposure: float | Saturating | Averaging,
+    exposure: float | Automatic,
     lens: Lens,
     seed: tuple[int, ...],
     target: Target = XYZ,
@@ -58,8 +45,8 @@ def simulate(
     blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. Of a picture of channel signals only
     the sensor is simulated. ValueError if an automatic exposure finds no light.
     """
-    ideal, rates, white = _seen(camera, scene, light, lens, target)
-    seconds = _seconds(camera, rates, exposure)
+    ideal, rates, white = _collected(camera, scene, light, lens, target)
+    seconds = exposure(camera, sensor.mosaic(rates, camera.cfa)) if callable(exposure) else exposure
     electrons = rates * np.float32(seconds)
     rng = np.random.default_rng(seed)
     return TrainingFrame(
@@ -78,27 +65,19 @@ def simulate(
 
 
 def exposure_time(
-    camera: CameraModel, scene: Scene | ChannelPicture, light: Light, exposure: Saturating | Averaging, lens: Lens
+    camera: CameraModel, scene: Scene | ChannelPicture, light: Light, exposure: Automatic, lens: Lens
 ) -> float:
     """Return the seconds of an automatic exposure, as `simulate` takes them of this scene; ValueError as there."""
-    return _seconds(camera, _seen(camera, scene, light, lens, XYZ)[1], exposure)
-
-
-def _seen(
-    camera: CameraModel, scene: Scene | ChannelPicture, light: Light, lens: Lens, target: Target
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Return as `_collected` does, and the target (output) of a perfect white."""
-    if isinstance(scene, ChannelPicture):
-        return _signalled(camera, scene, light)
-    ideal, rates = _collected(camera, scene, light, lens, target)
-    return ideal, rates, output_weights(target, camera, light, light.wavelength).sum(axis=1)
+    return exposure(camera, sensor.mosaic(_collected(camera, scene, light, lens, XYZ)[1], camera.cfa))
 
 
 def _collected(
-    camera: CameraModel, scene: Scene, light: Light, lens: Lens, target: Target
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the picture without lens or noise (output, row, col), and what the channels collect (channel, row, col)
-    e-/s."""
+    camera: CameraModel, scene: Scene | ChannelPicture, light: Light, lens: Lens, target: Target
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+    """Return the picture without lens or noise (output, row, col), the photo-electrons of the channels (channel, row, col)
+    e-/s, and the target (output) of a perfect white."""
+    if isinstance(scene, ChannelPicture):
+        return _signalled(camera, scene, light)
     bands, pitch = scene.wavelength, camera.pixel_pitch
     wanted = output_weights(target, camera, light, bands)
     collected = electron_weights(camera, light, bands)
@@ -118,7 +97,7 @@ def _collected(
     if lens.off_axis:
         distance, shape = camera.optics.image_distance, (rates.shape[1], rates.shape[2])
         rates *= relative_illumination(distance, pitch, shape).astype(np.float32)
-    return ideal, rates
+    return ideal, rates, output_weights(target, camera, light, light.wavelength).sum(axis=1)
 
 
 def _signalled(
@@ -133,15 +112,6 @@ def _signalled(
     if camera.readout is not None:
         rates *= (camera.sensitivity / camera.channel_gains).astype(np.float32)[:, None, None]
     return ideal, rates, np.full(len(signal), white)
-
-
-def _seconds(camera: CameraModel, rates: NDArray[np.float32], exposure: float | Saturating | Averaging) -> float:
-    """Return the exposure in seconds."""
-    if isinstance(exposure, Saturating):
-        return sensor.saturating_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
-    if isinstance(exposure, Averaging):
-        return sensor.averaging_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
-    return exposure
 
 
 def make_pair(

@@ -1,30 +1,19 @@
 """Framing of a scene on the sensor: cropped, mirrored, turned, scaled."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.simulation.motion import Motion, room
 from l3cli.simulation.sources import Framing
 
 
-def framed(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
-    """Return the scene as `framing` lays it on the sensor of `camera`; ValueError if the crop reaches beyond the scene."""
-    return replace(scene, reflectance=_framed(scene.reflectance, framing, camera))
-
-
-def framed_picture(picture: ChannelPicture, framing: Framing, camera: CameraModel) -> ChannelPicture:
-    """Frame as `framed` does, for a picture of channel signals."""
-    return replace(picture, signal=_framed(picture.signal, framing, camera))
-
-
-def _framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> NDArray[np.float32]:
-    """Return the samples (row, col, band) as they lie on the sensor."""
+def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> NDArray[np.float32]:
+    """Return the samples (row, col, band) of a scene as `framing` lays them on the sensor; ValueError if the crop
+    reaches beyond the scene."""
     cube = turned(cube, framing)
     scale = scale_of(framing, camera, cube.shape[1])
     if scale is not None:

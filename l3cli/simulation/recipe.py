@@ -30,7 +30,7 @@ from l3cli.simulation.sources import (
 )
 from l3cli.simulation.targets import CAMERA, OUTPUTS
 
-EXPOSURES = ("exposure_share", "exposure_saturated", "exposure_mean", "exposure_s")
+EXPOSURES = {"exposure_share": "share", "exposure_saturated": "saturated", "exposure_mean": "mean", "exposure_s": "seconds"}
 
 
 class Lens(Recipe):
@@ -83,14 +83,8 @@ class SceneRecipe(Recipe):
     target: TargetRecipe = msgspec.field(default_factory=TargetRecipe)
 
     def exposures(self) -> tuple[str, list[float]]:
-        """Return the kind of the exposures (a key of `units`) and their values; RecipeError unless exactly one is given."""
-        units = {
-            "share": self.exposure_share,
-            "saturated": self.exposure_saturated,
-            "mean": self.exposure_mean,
-            "seconds": self.exposure_s,
-        }
-        given = {unit: values for unit, values in units.items() if values is not None}
+        """Return the kind of the exposures, as in EXPOSURES, and their values; RecipeError unless exactly one is given."""
+        given = {kind: values for key, kind in EXPOSURES.items() if (values := getattr(self, key)) is not None}
         if len(given) != 1:
             automatic = "exposure_share, exposure_saturated, exposure_mean (automatic)"
             raise RecipeError(f"give exactly one of {automatic} and exposure_s (fixed)")

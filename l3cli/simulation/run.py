@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.errors import InputFileError
 from l3cli.frames.scene import ChannelPicture, Scene
-from l3cli.simulation.frame import Averaging, Saturating, exposure_time, simulate
+from l3cli.simulation.frame import Automatic, exposure_time, simulate
 from l3cli.simulation.light import SCENE_LIGHT, Light, automatic_exposure, scene_light
 from l3cli.simulation.recipe import SceneRecipe, Shot
+from l3cli.simulation.sensor import averaging_exposure, saturating_exposure
 from l3cli.simulation.targets import Target
 
 
@@ -59,11 +61,11 @@ class SimulationRun:
             return scene_light(scene, shot.luminance)
         return self.lights[shot.illuminant].at(shot.luminance)
 
-    def _exposure(self, light: Light, shot: Shot) -> float | Saturating | Averaging:
+    def _exposure(self, light: Light, shot: Shot) -> float | Automatic:
         """Return seconds, or how they follow from the frame."""
         control, _ = self.recipe.exposures()
         if control == "share":
             return automatic_exposure(self.camera, light, shot.exposure)
         if control == "saturated":
-            return Saturating(shot.exposure)
-        return Averaging(shot.exposure) if control == "mean" else shot.exposure
+            return partial(saturating_exposure, share=shot.exposure)
+        return partial(averaging_exposure, share=shot.exposure) if control == "mean" else shot.exposure

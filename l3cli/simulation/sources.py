@@ -8,7 +8,7 @@ from typing import Literal
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import L3Error, RecipeError
-from l3cli.recipes.faults import Fault, fault, refuse_first
+from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, Recipe, Seed, Share
 from l3cli.simulation.motion import Motion, motion_faults
 from l3cli.spectra.file import other_unit
@@ -165,11 +165,6 @@ def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
     if isinstance(source, FileSource):
         return [WantedScene(source, path) for path in files]
     return [WantedScene(source, number=number) for number in range(getattr(source, "count", 1))]
-
-
-def check_source(source: Source, camera: CameraModel, name: str) -> None:
-    """Raise RecipeError if `source`, called `name`, asks for what cannot be."""
-    refuse_first(source_faults(source, camera, name))
 
 
 def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iterator[Fault]:

@@ -174,7 +174,7 @@ def test_a_size_is_that_of_the_framed_scene(bayer: CameraModel, tmp_path: Path) 
     for text in ({}, {"crop": (1, 2, 20, 30)}, {"rotate": 90}, {"scale": 0.7}, {"scale": 9.0, "rotate": 270},
                  {"field_of_view_deg": 2.0}, {"crop": (0, 0, 17, 33), "rotate": 90, "field_of_view_deg": 1.0}):  # fmt: skip
         framing = Framing(**text)
-        assert framed_size((31, 45), framing, bayer) == framed(scene, framing, bayer).reflectance.shape[:2], text
+        assert framed_size((31, 45), framing, bayer) == framed(scene.reflectance, framing, bayer).shape[:2], text
 
 
 def test_headers_give_the_size_that_reading_gives(tmp_path: Path, bayer: CameraModel) -> None:

@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import json
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from l3cli.io.pictures.registry import write_picture
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
 from l3cli.simulation import charts, light, patterns, procedural, sensor
-from l3cli.simulation.frame import Saturating, blurred_channels, lens_transfer, low_rank_transfer, project, simulate
+from l3cli.simulation.frame import blurred_channels, lens_transfer, low_rank_transfer, project, simulate
 from l3cli.simulation.procedural import draw
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sources import ColorChecker, WantedScene
@@ -257,7 +258,7 @@ def test_an_exposure_by_saturated_pixels_saturates_as_many(bayer: CameraModel) -
     cube = np.random.default_rng(0).random((100, 120, 31)).astype(np.float32)
     falling = light.make_light("A", {}, bayer.wavelength).at(30.0)
     scene = Scene("noise", np.arange(400.0, 701.0, 10.0), cube, None)
-    frame = simulate(bayer, scene, falling, Saturating(0.05), PLAIN, (0,))
+    frame = simulate(bayer, scene, falling, partial(sensor.saturating_exposure, share=0.05), PLAIN, (0,))
     assert (sensor.mosaic(frame.electrons, bayer.cfa) >= bayer.full_scale).mean() == pytest.approx(0.05, abs=2e-3)
 
 

@@ -11,6 +11,7 @@ of a still scene without noise over time. How far pictures are from those withou
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,9 +31,10 @@ from l3cli.rendering.conditions import with_edges_for
 from l3cli.rendering.renderer import NoiseRenderer, make_renderer
 from l3cli.rendering.temporal.chunks import filters
 from l3cli.simulation import procedural, sensor
-from l3cli.simulation.frame import Averaging, simulate
+from l3cli.simulation.frame import simulate
 from l3cli.simulation.light import make_light
 from l3cli.simulation.recipe import Lens
+from l3cli.simulation.sensor import averaging_exposure
 from tests.helpers.paths import CONFIGS
 
 SIDE, DRAWN, BORDER = 256, 640, 16  # pixels: of a frame, of what is drawn, left out at its edge
@@ -71,7 +73,7 @@ def drawn(camera: CameraModel, seed: int, larger: int = 1) -> Drawn:
     cube = procedural.dead_leaves(np.random.default_rng(seed), (DRAWN, DRAWN), wavelength)
     light = make_light("D65", {}, camera.wavelength).at(100.0)
     scene = Scene("leaves", wavelength, cube, NO_ILLUMINANT)
-    frame = simulate(camera, scene, light, Averaging(LEVEL), Lens(), (seed,))
+    frame = simulate(camera, scene, light, partial(averaging_exposure, share=LEVEL), Lens(), (seed,))
     planes = np.concatenate([frame.electrons, frame.target * np.float32(frame.exposure)])
     part = planes[:, : DRAWN // larger, : DRAWN // larger]
     planes = part if larger == 1 else np.stack([zoom(plane, larger, order=1) for plane in part])

@@ -246,16 +246,16 @@ def test_munsell_colours_are_evenly_spread_and_real(bayer: CameraModel) -> None:
 
 def test_crop_flip_and_turn(bayer: CameraModel) -> None:
     scene = Scene("x", WAVELENGTH, a_cube(), None)
-    got = framed(scene, sources.Framing(crop=(2, 3, 10, 12), flip="cols", rotate=90), bayer).reflectance
+    got = framed(scene.reflectance, sources.Framing(crop=(2, 3, 10, 12), flip="cols", rotate=90), bayer)
     assert np.array_equal(got, np.rot90(a_cube()[2:12, 3:15][:, ::-1]))
     with pytest.raises(ValueError, match="beyond"):
-        framed(scene, sources.Framing(crop=(12, 0, 10, 10)), bayer)
+        framed(scene.reflectance, sources.Framing(crop=(12, 0, 10, 10)), bayer)
 
 
 @pytest.mark.parametrize("scale", [0.25, 0.7, 1.0, 2.5])
 def test_scaling_keeps_straight_lines_and_means(bayer: CameraModel, scale: float) -> None:
     ramp = np.broadcast_to(np.arange(80.0, dtype=np.float32)[:, None] + 0.5, (60, 80, 1))
-    got = framed(Scene("x", np.array([550.0]), ramp, None), sources.Framing(scale=scale), bayer).reflectance[..., 0]
+    got = framed(ramp, sources.Framing(scale=scale), bayer)[..., 0]
     assert got.shape == (round(60 * scale), round(80 * scale))
     inner = slice(3, -3)
     assert np.allclose(got[:, inner], (np.arange(got.shape[1]) + 0.5)[inner] / scale, atol=1e-3)
@@ -265,12 +265,12 @@ def test_scaling_keeps_straight_lines_and_means(bayer: CameraModel, scale: float
 def test_a_field_of_view_sets_the_size_and_the_sensor_cuts_it(bayer: CameraModel) -> None:
     scene = Scene("x", np.array([550.0]), np.random.default_rng(0).random((30, 40, 1), dtype=np.float32), None)
     degrees = 2 * np.degrees(np.arctan(120 * bayer.pixel_pitch / bayer.optics.focal_length / 2))
-    assert framed(scene, sources.Framing(field_of_view_deg=degrees), bayer).reflectance.shape == (90, 120, 1)
-    whole = framed(scene, sources.Framing(scale=8.0), bayer).reflectance
+    assert framed(scene.reflectance, sources.Framing(field_of_view_deg=degrees), bayer).shape == (90, 120, 1)
+    whole = framed(scene.reflectance, sources.Framing(scale=8.0), bayer)
     assert whole.shape == (192, 256, 1)
-    mirrored = framed(scene, sources.Framing(scale=8.0, flip="cols"), bayer).reflectance
+    mirrored = framed(scene.reflectance, sources.Framing(scale=8.0, flip="cols"), bayer)
     assert np.allclose(mirrored, whole[:, ::-1], atol=1e-5)  # what is cut is the same on both sides
-    wide = framed(scene, sources.Framing(scale=4.0), bayer).reflectance
+    wide = framed(scene.reflectance, sources.Framing(scale=4.0), bayer)
     assert wide.mean() == pytest.approx(scene.reflectance.mean(), rel=1e-2)
 
 

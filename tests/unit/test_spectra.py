@@ -19,7 +19,7 @@ from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.physics import spectra
 from l3cli.simulation import light, recipe
 from l3cli.simulation.cubes import scene_of
-from l3cli.simulation.sources import Cube, check_source
+from l3cli.simulation.sources import Cube, source_faults
 from l3cli.simulation.targets import make_target, output_weights
 from l3cli.spectra.file import read_table
 
@@ -154,7 +154,7 @@ def test_bands_that_fall_are_turned_round(listed_in_recipe: bool, bayer: CameraM
     values = np.random.default_rng(0).random((16, 16, 31)).astype(np.float32)
     listed = {"wavelengths_nm": SEEN[::-1].tolist()} if listed_in_recipe else {}
     source = Cube(file="x", **listed)
-    check_source(source, bayer, "scene 1")
+    assert not list(source_faults(source, bayer, "scene 1"))
     scene = scene_of(SpectralCube(values[..., ::-1], None if listed_in_recipe else SEEN[::-1]), source, "x", None)
     assert np.array_equal(scene.wavelength, SEEN)
     assert np.array_equal(scene.reflectance, values)

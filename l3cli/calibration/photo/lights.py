@@ -1,7 +1,7 @@
 """Which light a chart was photographed under, and which other one would say most (docs/method.md#charts-in-photographs)."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,30 +13,17 @@ NOTICED = 3.0  # natural logarithm: a light that is e³ times less probable than
 Array = NDArray[np.floating]
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Probability of the values under candidate lights, beside the light that was named."""
-
-    nearest: str  # the most probable candidate
-    deficit: float  # natural logarithm: how much less probable the named light is than the nearest; 0 where it is that one
-
-    @property
-    def wrong(self) -> bool:
-        """Return whether the named light is questionable."""
-        return self.deficit > NOTICED
-
-
-def compare(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]) -> Comparison:
-    """Return the light of shot `index` beside `candidates`, name → (wavelength) relative photon radiance."""
-    named = evidence(shots, prior)
-    others = {name: evidence(_under(shots, index, light), prior) for name, light in candidates.items()}
+def compare(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]) -> tuple[str, float]:
+    """Return the most probable of `candidates`, name → (wavelength) relative photon radiance, as light of shot `index`, and
+    the natural logarithm of how much less probable the shot's own light is, at least 0."""
+    others = _evidences(shots, index, prior, candidates)
     nearest = max(others, key=lambda name: others[name])
-    return Comparison(nearest, max(others[nearest] - named, 0.0))
+    return nearest, max(others[nearest] - evidence(shots, prior), 0.0)
 
 
 def probabilities(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]) -> dict[str, float]:
     """Return the probability of each candidate that it is the light of shot `index`, if it is one of them."""
-    logarithms = {name: evidence(_under(shots, index, light), prior) for name, light in candidates.items()}
+    logarithms = _evidences(shots, index, prior, candidates)
     top = max(logarithms.values())
     weights = {name: float(np.exp(each - top)) for name, each in logarithms.items()}
     return {name: weight / sum(weights.values()) for name, weight in weights.items()}
@@ -57,6 +44,10 @@ def unsure_of_light(
     return replace(posterior, covariance=posterior.covariance + added)
 
 
+def _evidences(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]) -> dict[str, float]:
+    return {name: evidence(_under(shots, index, light), prior) for name, light in candidates.items()}
+
+
 def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
     """Return the shots, one of them under another light."""
     return [replace(shot, light=light) if number == index else shot for number, shot in enumerate(shots)]
@@ -65,13 +56,9 @@ def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
 # ------------------------------------------------------------------------------------------------- what is known of colours
 
 
-def response_errors(posterior: Posterior, light: Array, surfaces: Array) -> Array:
+def response_errors(responsivity: Array, covariance: Array, light: Array, surfaces: Array) -> Array:
     """Return the standard deviation (channel) of the responses to surfaces (surface, wavelength) under a light, RMS over
     them, over the largest; their mean, which exposure and white balance set, is taken as known."""
-    return _response_errors(posterior.responsivity, posterior.covariance, light, surfaces)
-
-
-def _response_errors(responsivity: Array, covariance: Array, light: Array, surfaces: Array) -> Array:
     count, size = responsivity.shape
     stimuli = surfaces * light
     errors = np.zeros(count)
@@ -91,7 +78,7 @@ def next_light(
     responses to `surfaces` under the lights `judged_under` that would remain."""
 
     def error(covariance: Array) -> float:
-        each = [_response_errors(posterior.responsivity, covariance, light, surfaces) for light in judged_under]
+        each = [response_errors(posterior.responsivity, covariance, light, surfaces) for light in judged_under]
         return float(np.sqrt(np.mean(np.square(each))))
 
     before = error(posterior.covariance)

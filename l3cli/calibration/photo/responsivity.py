@@ -56,7 +56,7 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
             posterior = lights.unsure_of_light(posterior, shots, index, prior, candidates())
     comparisons = [lights.compare(shots, index, prior, candidates()) for index in range(len(shots))]
     judged = [candidates()[name] for name in JUDGED_UNDER]
-    errors = [lights.response_errors(posterior, light, _surfaces()) for light in judged]
+    errors = [lights.response_errors(posterior.responsivity, posterior.covariance, light, _surfaces()) for light in judged]
     next_light, remaining = lights.next_light(shots[0], posterior, candidates(), judged, _surfaces())
     guessed = [photo.capture.light is None for photo in photographs]
     named = [photo.capture.light or _name_of(shot.light) for photo, shot in zip(photographs, shots, strict=True)]
@@ -65,8 +65,8 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
         names=tuple(photo.capture.name for photo in photographs),
         lights=tuple(named),
         guessed=np.array(guessed),
-        nearest=tuple(comparison.nearest for comparison in comparisons),
-        deficit=np.array([comparison.deficit for comparison in comparisons]),
+        nearest=tuple(nearest for nearest, _ in comparisons),
+        deficit=np.array([deficit for _, deficit in comparisons]),
         charts=tuple(photo.capture.chart.name for photo in photographs),
         corners=np.array([photo.corners for photo in photographs], dtype=np.float64),
         prior=MEASURED if prior.measured else SMOOTH,
@@ -95,13 +95,9 @@ def curves_of(posterior: Posterior) -> Curves:
 
 
 @functools.cache
-def _candidates() -> dict[str, Array]:
-    return {name: spectra.illuminant(name, WAVELENGTH) for name in CANDIDATES}
-
-
 def candidates() -> Mapping[str, Array]:
     """Name → (wavelength) relative photon radiance of the lights that a photo may have been taken under."""
-    return _candidates()
+    return {name: spectra.illuminant(name, WAVELENGTH) for name in CANDIDATES}
 
 
 def _name_of(light: Array) -> str:

@@ -1,6 +1,7 @@
 """Scenes of a simulation: their files, read or synthetic, as they lie on the sensor; which of them do not fit there."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,7 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
     from l3cli.frames.scene import ChannelPicture
     from l3cli.simulation import procedural
     from l3cli.simulation.clip import clip_of
-    from l3cli.simulation.framing import framed, framed_picture
+    from l3cli.simulation.framing import framed
 
     scene: Scene | ChannelPicture
     if wanted.path is None:
@@ -36,9 +37,9 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
         if wanted.source.motion is not None:
             return clip_of(scene, wanted, run)
         if isinstance(scene, ChannelPicture):
-            scene = framed_picture(scene, wanted.source, run.camera)
+            scene = replace(scene, signal=framed(scene.signal, wanted.source, run.camera))
         else:
-            scene = framed(scene, wanted.source, run.camera)
+            scene = replace(scene, reflectance=framed(scene.reflectance, wanted.source, run.camera))
     except ValueError as error:
         raise (RecipeError if wanted.path is None else InputFileError)(f"{culprit}: {error}") from error
     samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
