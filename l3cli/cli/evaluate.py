@@ -52,7 +52,7 @@ def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> R
         if click.get_current_context().get_parameter_source(name) is not ParameterSource.DEFAULT:
             raise click.UsageError(f"--{name} is for a table; leave it out with --sequence")
     from l3cli.cli.quality_tables import print_sequence
-    from l3cli.stages.evaluation import document, evaluate_sequence
+    from l3cli.stages.evaluation import evaluate_sequence
 
     figures = evaluate_sequence(sequence, options)
-    return Result(document(figures), lambda: print_sequence(figures))
+    return Result(figures.document(), lambda: print_sequence(figures))

@@ -2,8 +2,9 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.evaluation.evaluation import OURS, higher_is_better
 from l3cli.frames.scene import shown_alike
+from l3cli.system.text import short_names
 
 LARGEST = 1e12  # of a figure, of a luminance in cd/m²
 CLIPPING = 0.05  # of all pixels at full scale, from which on a camera is said to clip: highlights are fewer
@@ -76,9 +78,9 @@ class Comparison:
         return {"curves": cameras, "crossings": changes, "same_scenes": self.alike, "verdicts": verdicts}
 
 
-def curve_of(document: Mapping[str, Any], figure: str) -> Curve:
-    """Return the mean of `figure` at each luminance, from a document of `l3 evaluate --json`; InputFileError if it lacks
-    them, RecipeError if its frames have no figure of that name."""
+def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
+    """Return the mean of `figure` at each luminance, from the document of `l3 evaluate --json` in `file`; InputFileError if
+    it lacks them, RecipeError if its frames have no figure of that name."""
     try:
         known = {name for frame in document["frames"] for name in frame[OURS]}
         if known and figure not in known:
@@ -95,10 +97,19 @@ def curve_of(document: Mapping[str, Any], figure: str) -> Curve:
         name = str(document["camera"])
         measured = all("clipped" in frame and "exposure" in frame for frame in document["frames"])
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputFileError(f'no figure {figure} by luminance; give what "l3 evaluate --json" prints') from error
+        raise InputFileError(f'{file}: no figure {figure} by luminance; give what "l3 evaluate --json" prints') from error
     value, clipped = (tuple(float(np.mean([row[part] for row in by_luminance[each]])) for each in rising) for part in (0, 1))
     exposure = tuple(max(time for _, _, time in by_luminance[each]) for each in rising)
     return Curve(name, tuple(rising), value, *((clipped, exposure) if measured else ()))
+
+
+def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
+    """The curves, with the names of their files where cameras are of one name."""
+    names = [curve.name for curve in curves]
+    return [
+        curve if names.count(curve.name) == 1 else replace(curve, name=f"{curve.name} ({file.removesuffix('.json')})")
+        for curve, file in zip(curves, short_names(files), strict=True)
+    ]
 
 
 def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:

@@ -3,17 +3,21 @@
 Pictures are linear sRGB (row, col, 3), 1 being display white; lightness is CIE L*, from 0 to 100.
 """
 
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.errors import InputFileError
 from l3cli.evaluation.block_motion import estimated_motion
 from l3cli.evaluation.quality import cropped, psnr
 from l3cli.physics.display import displayed_delta_e, lightness, srgb_curve
+from l3cli.system.limits import read_bounded
 
 Array = NDArray[np.floating]
+GIVE = 'give what "l3 evaluate --sequence … --json" prints'
 CELL = 8  # pixels, side of a patch
 STILL = 0.5  # L*, of an ideal pixel over the whole sequence: a code of 8 bits more or less
 DRIFT = 1.0  # L*, between the means of a patch over both halves of a sequence, where there is no ideal
@@ -49,6 +53,10 @@ class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kin
     warped_error: float | None  # L*, root mean square over the frames
     psnr: float | None  # mean over the frames
     mean_delta_e: float | None  # mean over the frames
+
+    def document(self) -> dict[str, Any]:
+        """Return the figures, ready for JSON."""
+        return dict(msgspec.to_builtins(self))
 
 
 class SequenceEvaluation:
@@ -195,3 +203,16 @@ def _cropped(picture: Array, border: int) -> Array:
 def _mean(values: list[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None
+
+
+def read_sequence_figures(path: Path) -> SequenceFigures:
+    """Return the figures that `l3 evaluate --sequence` printed as JSON; InputFileError if a file holds something else."""
+    try:
+        printed = msgspec.json.decode(read_bounded(path, GIVE), type=dict[str, Any])
+        printed.pop("run", None)  # how the command ran
+        figures = msgspec.convert(printed, SequenceFigures)
+    except (OSError, msgspec.MsgspecError, RecursionError) as error:
+        raise InputFileError(f"{path} is no evaluation of a sequence; {GIVE}") from error
+    if len(figures.frames) < 2:
+        raise InputFileError(f"{path} holds fewer than two frames; {GIVE}")
+    return figures

@@ -5,6 +5,7 @@ Frames are gone through one by one, each time from their files, so that memory n
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -217,3 +218,24 @@ class Stated:
     pitch_um: float | None
     focal_length_mm: float | None
     f_number: float | None
+
+
+@dataclass(frozen=True)
+class CaptureFolder:
+    """The files of a folder, each path relative to it."""
+
+    folder: Path
+    frames: tuple[str, ...]
+    tables: tuple[str, ...]
+    notes: tuple[str, ...]  # a line for each kind of file that is left out
+
+
+@dataclass(frozen=True)
+class RawFile:
+    """A raw frame and what its file states of it."""
+
+    values: NDArray[np.uint16]  # (row, col) DN as stored, never developed
+    seconds: float | None
+    pattern: NDArray[np.int64] | None  # codes of the array
+    black_level: float | None  # DN
+    white_level: float | None  # DN

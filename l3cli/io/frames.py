@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError, L3Error
 from l3cli.frames.frame import shifted_cfa
+from l3cli.frames.measurement import CaptureFolder, RawFile
 from l3cli.io.images import mono_of, opened
 from l3cli.io.isolated import isolated
 from l3cli.io.raw.cfa_codes import FilterArray, find_phase
@@ -139,27 +140,6 @@ MOST_FILES, DEEPEST = 20_000, 8  # files and folders below one another that are 
 DEVELOPED = (".jpg", ".jpeg", ".heic", ".webp", ".bmp", ".gif", ".exr")
 PROSE = (".txt", ".asc", ".xml")  # of which most are no tables
 FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # a row of a table
-
-
-@dataclass(frozen=True)
-class CaptureFolder:
-    """The files of a folder, each path relative to it."""
-
-    folder: Path
-    frames: tuple[str, ...]
-    tables: tuple[str, ...]
-    notes: tuple[str, ...]  # a line for each kind of file that is left out
-
-
-@dataclass(frozen=True)
-class RawFile:
-    """A raw frame and what its file states of it."""
-
-    values: NDArray[np.uint16]  # (row, col) DN as stored, never developed
-    seconds: float | None
-    pattern: NDArray[np.int64] | None  # codes of the array
-    black_level: float | None  # DN
-    white_level: float | None  # DN
 
 
 def list_captures(folder: Path) -> CaptureFolder:

@@ -2,18 +2,16 @@
 
 import itertools
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.evaluation.comparison import Comparison, Curve, curve_of, require_comparable, same_scenes
+from l3cli.evaluation.comparison import Comparison, curve_of, named_by_files, require_comparable, same_scenes
 from l3cli.options.tools import CompareOptions
 from l3cli.system.files import write_whole
 from l3cli.system.limits import read_bounded
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
-from l3cli.system.text import short_names
 
 GIVE = 'give what "l3 evaluate --json" prints'
 
@@ -34,7 +32,10 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
             claims.claim_file(page, options.force)
         documents = [_read(path) for path in evaluations]
         given = list(zip(evaluations, documents, strict=True))
-        curves = {figure: _named([_curve(*each, figure) for each in given], evaluations) for figure in figures}
+        curves = {
+            figure: named_by_files([curve_of(document, figure, path) for path, document in given], evaluations)
+            for figure in figures
+        }
         require_comparable(next(iter(curves.values())))
         comparison = Comparison(curves, same_scenes(documents))
         if comparison.doubt:
@@ -43,23 +44,6 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
         if page is not None:
             _write_page(comparison, page)
         return comparison
-
-
-def _curve(path: Path, document: dict[str, Any], figure: str) -> Curve:
-    """A figure of an evaluation, which is blamed where it has none."""
-    try:
-        return curve_of(document, figure)
-    except InputFileError as error:
-        raise InputFileError(f"{path}: {error}") from error
-
-
-def _named(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
-    """The curves, with the names of their files where cameras are of one name."""
-    names = [curve.name for curve in curves]
-    return [
-        curve if names.count(curve.name) == 1 else replace(curve, name=f"{curve.name} ({file.removesuffix('.json')})")
-        for curve, file in zip(curves, short_names(files), strict=True)
-    ]
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,14 +32,12 @@ from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.system.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
-from l3cli.system.limits import read_bounded
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
 
 MOST_KEPT = 8  # renderers: frames of one scene under several lights follow one another
 Planes = NDArray[np.float32]
 UNLIKE = 1.05  # times as bright: figures of lightness would compare two exposures
-GIVE = 'give what "l3 evaluate --sequence … --json" prints'
 
 
 def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, Any]:
@@ -212,24 +209,6 @@ def evaluate_sequence(rendered: Path, options: SequenceOptions) -> SequenceFigur
         return evaluation.figures()
     except ValueError as error:
         raise InputFileError(f"{rendered}: {error}") from error
-
-
-def read_sequence_figures(path: Path) -> SequenceFigures:
-    """Return the figures that `l3 evaluate --sequence` printed as JSON; InputFileError if a file holds something else."""
-    try:
-        printed = msgspec.json.decode(read_bounded(path, GIVE), type=dict[str, Any])
-        printed.pop("run", None)  # how the command ran
-        figures = msgspec.convert(printed, SequenceFigures)
-    except (OSError, msgspec.MsgspecError, RecursionError) as error:
-        raise InputFileError(f"{path} is no evaluation of a sequence; {GIVE}") from error
-    if len(figures.frames) < 2:
-        raise InputFileError(f"{path} holds fewer than two frames; {GIVE}")
-    return figures
-
-
-def document(figures: SequenceFigures) -> dict[str, Any]:
-    """Return the figures, ready for JSON."""
-    return dict(msgspec.to_builtins(figures))
 
 
 def _require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None:

@@ -4,19 +4,20 @@ import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
-from l3cli.artifacts.schema import Artifact, equal
+from l3cli.artifacts.schema import Artifact
 from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, TrainingSetReader, open_training_set
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures, holds_chart, patch_colours
+from l3cli.evaluation.sequence import read_sequence_figures
 from l3cli.io.pictures.openimageio import jpeg
 from l3cli.options.tools import CheckOptions, ReportOptions
 from l3cli.physics.display import XYZ
@@ -24,18 +25,17 @@ from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
 from l3cli.report.evaluation import evaluation_section, front_section, shown_frames
+from l3cli.report.given import Entry, Given, Pair, cameras_within, lead_without_evaluation, role_of
 from l3cli.report.page import LIMIT, history_section, render_page
 from l3cli.report.parts import Figures, Section, Subsection
 from l3cli.report.patches import patches_figure, patches_table
 from l3cli.report.pictures import Pixels
 from l3cli.report.pixels import crop_of, picker
 from l3cli.report.sequence import sequence_section
-from l3cli.report.sequence import summary as sequence_summary
 from l3cli.report.side_by_side import Side, shared_frame, side_by_side_section
 from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
 from l3cli.simulation.procedural import chart_places
-from l3cli.stages import evaluation
 from l3cli.stages.checking.check import Judgement
 from l3cli.stages.checking.kinds import CAMERA
 from l3cli.stages.evaluation import FrameRenderers, evaluate_frame, raw_of, warn_if_unlike
@@ -44,14 +44,13 @@ from l3cli.system.files import sha256, write_whole
 from l3cli.system.ledger import note_places
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
-from l3cli.system.text import counted, short_names
+from l3cli.system.text import short_names
 
 # of all evaluated frames, of all pixels that can be looked into, of classes elsewhere, of all training sets: see page.LIMIT
 PICTURE_BYTES, PIXEL_BYTES, CLASS_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 300_000, 2_000_000
 KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable)}
 SEQUENCE = ".json"  # suffix of an evaluation of a sequence
 CROPPED = ("ours", "ideal", "basic")  # pictures whose pixels can be looked at
-A = TypeVar("A", bound=Artifact)
 
 
 def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> None:
@@ -77,65 +76,6 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
 # --------------------------------------------------------------------------------------------------- what is given
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A file of a report: how the page calls it, and what it holds; of a training set its head."""
-
-    name: str
-    path: Path
-    sha256: str
-    artifact: Artifact
-
-    @property
-    def array(self) -> tuple[Any, ...]:
-        """Return the key that distinguishes colour filter arrays."""
-        of: Any = self.artifact.camera if isinstance(self.artifact, TrainingSet) else self.artifact
-        return of.channels, of.cfa.shape, of.cfa.tobytes()
-
-
-class Pair(NamedTuple):
-    """A table and frames of its array that it was not trained on: what is evaluated."""
-
-    table: Entry
-    transforms: TransformTable
-    frames: Entry
-    head: TrainingSet
-
-
-@dataclass(frozen=True)
-class Given:
-    """The artifacts of a report in the order in which they were given, and evaluations of sequences."""
-
-    entries: list[Entry]
-    sequences: dict[str, dict[str, Any]]  # by name what `l3 evaluate --sequence` printed as JSON
-    sequence_sums: dict[str, str]  # their SHA-256
-
-    def of(self, kind: type[A]) -> list[tuple[Entry, A]]:
-        """Return the artifacts of a kind."""
-        return [(entry, entry.artifact) for entry in self.entries if isinstance(entry.artifact, kind)]
-
-    @property
-    def pairs(self) -> list[Pair]:
-        """Return each table with each training set of its array that it was not trained on."""
-        return [
-            Pair(table, transforms, frames, head)
-            for table, transforms in self.of(TransformTable)
-            for frames, head in self.of(TrainingSet)
-            if table.array == frames.array and not _trained_on(transforms, frames)
-        ]
-
-    @property
-    def arrays(self) -> list["Given"]:
-        """The artifacts of each colour filter array, without sequences."""
-        keys = dict.fromkeys(entry.array for entry in self.entries)
-        return [Given([entry for entry in self.entries if entry.array == key], {}, {}) for key in keys]
-
-
-def _trained_on(table: TransformTable, frames: Entry) -> bool:
-    """Return whether the table's history names the training set's file."""
-    return any(frames.sha256 in digests for stage in table.history for digests in stage.inputs.values())
-
-
 def _read(paths: tuple[Path, ...]) -> Given:
     """Return artifacts, each once; InputFileError if one is none, is damaged, or does not fit the others."""
     entries: dict[str, Entry] = {}
@@ -143,7 +83,7 @@ def _read(paths: tuple[Path, ...]) -> Given:
     sums: dict[str, str] = {}
     for path, name in zip(paths, short_names(paths), strict=True):
         if path.suffix.lower() == SEQUENCE:
-            sequences[name], sums[name] = evaluation.document(evaluation.read_sequence_figures(path)), sha256(path)
+            sequences[name], sums[name] = read_sequence_figures(path).document(), sha256(path)
             continue
         artifact, digest = _artifact(path), sha256(path)
         entries.setdefault(digest, Entry(name, path, digest, artifact))
@@ -179,7 +119,7 @@ def _compose(given: Given, backend: str, console: Console) -> tuple[str, str, li
     judged: list[Judged] = []
     sections: list[Section] = []
     cameras_of = [
-        [(entry.name, camera) for entry, camera in array.of(CameraModel)] or _cameras_within(array) for array in arrays
+        [(entry.name, camera) for entry, camera in array.of(CameraModel)] or cameras_within(array) for array in arrays
     ]
     cameras = [camera for each in cameras_of for _, camera in each]
     called = [camera.name for camera in cameras]
@@ -203,20 +143,8 @@ def _compose(given: Given, backend: str, console: Console) -> tuple[str, str, li
     if len(judged) > 1:
         lead = " ".join((first[0].lead, *(f"But {each.warning}." for each in judged if each.warning)))
     else:
-        lead = judged[0].section.lead if judged else _lead_without_evaluation(given)
+        lead = judged[0].section.lead if judged else lead_without_evaluation(given)
     return f"{', '.join(dict.fromkeys(names))}: report", lead, [*first, *sections]
-
-
-def _lead_without_evaluation(given: Given) -> str:
-    if given.sequences:
-        return sequence_summary(given.sequences)
-    if not given.of(TransformTable):
-        return f"{counted(len(given.entries), 'artifact')}, without a transform table: nothing is evaluated."
-    if len(given.arrays) > 1:
-        return "Add, for each table, frames of its colour filter array that it has not seen to have it evaluated."
-    if given.of(TrainingSet):
-        return "The table was trained on every training set given: add frames that it has not seen to have it evaluated."
-    return "Add a training set that the table was not trained on to have it evaluated."
 
 
 def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called: list[str], limit: int) -> list[Section]:
@@ -231,30 +159,12 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
             sections[number] = replace(sections[number], title=f"{sections[number].title} ({name})")
     for entry, _ in given.of(TrainingSet):
         with open_training_set(entry.path, unchanged=True) as reader:
-            sections.append(training_section(reader, entry.name, _role(given, entry), limit, jpeg))
+            sections.append(training_section(reader, entry.name, role_of(given, entry), limit, jpeg))
     light = channel_light(cameras[0][1]) if cameras else None
     return sections + [
         transform_section(table, light, insight(table), functools.partial(class_name, table), entry.name)
         for entry, table in given.of(TransformTable)
     ]
-
-
-def _role(given: Given, frames: Entry) -> str:
-    """Return the relation of the report's tables to a training set."""
-    roles = []
-    for text, wanted in (("Trained on it", True), ("Evaluated on it", False)):
-        names = [entry.name for entry, table in given.of(TransformTable) if _trained_on(table, frames) is wanted]
-        roles += [f"{text}: {', '.join(names)}."] if names else []
-    return " ".join(roles)
-
-
-def _cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
-    """Return the different cameras of the training sets."""
-    cameras: list[tuple[str, CameraModel]] = []
-    for entry, head in given.of(TrainingSet):
-        if not any(equal(head.camera, camera) for _, camera in cameras):
-            cameras.append((entry.name, head.camera))
-    return cameras
 
 
 def figures_of_camera(camera: CameraModel) -> dict[str, Any]:

@@ -314,7 +314,7 @@ def test_what_cannot_be_compared_is_one_line(evaluations: Path, tmp_path: Path, 
     assert "none.json: no figure scielab" in refused(3, "compare", evaluations / "bayer.json", tmp_path / "none.json")
     assert 'no figure "beauty"; there are ' in refused(2, "compare", evaluations / "bayer.json", "--figure", "beauty")
     with pytest.raises(InputFileError, match="other luminances"):
-        require_comparable([curve_of(document, "psnr"), Curve("b", (1.0,), (2.0,))])
+        require_comparable([curve_of(document, "psnr", Path("a.json")), Curve("b", (1.0,), (2.0,))])
 
 
 def test_both_cameras_differ_in_the_array_alone() -> None:
