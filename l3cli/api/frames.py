@@ -19,10 +19,9 @@ from l3cli.frames.frame import RawFrame
 from l3cli.io.raw import files as raw_files
 from l3cli.io.raw.files import RawOverrides
 from l3cli.rendering.conditions import Mix, mixed, nearest_for
-from l3cli.rendering.following import Following
 from l3cli.rendering.raw_checks import beyond_converter
 from l3cli.rendering.renderer import NoiseRenderer
-from l3cli.rendering.rendition import OUTPUTS, Rendition, rendered, shown_as
+from l3cli.rendering.rendition import OUTPUTS, Following, Rendition, rendered, shown_as
 from l3cli.rendering.temporal.chunks import Chunks, filters
 from l3cli.rendering.white.balance import WhiteBalance
 from l3cli.rendering.white.source import WhiteSource, given_white

@@ -94,7 +94,7 @@ def c_files(
         "Makefile": string.Template(_piece("Makefile")).substitute(built),
         "CMakeLists.txt": string.Template(_piece("CMakeLists.txt")).substitute(built),
         "README.md": _readme(table, vector, arrays, short),
-    }  # fmt: skip
+    }
     if shows:
         texts |= {"l3_picture.h": _piece("picture.h"), "l3_picture.c": _picture_source(table, balance, _piece("picture.c"))}
     return {_named(name, prefix): _named(text, prefix).encode() for name, text in texts.items()} | vector.files()

@@ -23,9 +23,7 @@ from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
 
 
-def calibrate(
-    measurements: Path | None, output: Path, options: CalibrateOptions
-) -> tuple[CameraModel, dict[str, Any]]:  # fmt: skip
+def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions) -> tuple[CameraModel, dict[str, Any]]:
     """Write the camera model of a measurement file, or of raw photos of a chart; the model, and its figures, ready for JSON.
 
     InputFileError or RecipeError if the measurements cannot be used, L3Error if they give a model that predicts its charts

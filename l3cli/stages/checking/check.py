@@ -17,8 +17,7 @@ from l3cli.recipes.toml import KeyPath, key_lines, line_of, parse_toml, read_tex
 from l3cli.simulation.summary import camera_lines, lab_lines, scene_lines
 from l3cli.stages.checking import measurements, recipes
 from l3cli.stages.checking.kinds import CAMERA, KINDS, Kind, kind_of, names
-from l3cli.stages.checking.recipes import Meaning
-from l3cli.stages.checking.source import Source, files_named, key_in
+from l3cli.stages.checking.recipes import Meaning, Source, files_named, key_in
 from l3cli.system.ledger import note_inputs
 from l3cli.training.text import class_lines
 

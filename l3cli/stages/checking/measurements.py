@@ -23,8 +23,7 @@ from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import KeyPath
 from l3cli.simulation.summary import array_lines, seconds_text
 from l3cli.spectra.file import read_table
-from l3cli.stages.checking.recipes import GRID, Meaning, named_light
-from l3cli.stages.checking.source import Source
+from l3cli.stages.checking.recipes import GRID, Meaning, Source, named_light
 from l3cli.system.text import counted
 
 

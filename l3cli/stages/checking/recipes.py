@@ -1,17 +1,22 @@
-"""Camera, lab, class and scene recipes: what they and the files that they name refuse, and what they mean."""
+"""Camera, lab, class and scene recipes: what they and the files that they name refuse, where it stands, what they mean."""
 
+import contextlib
 import functools
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import responsivity
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_faults, columns_left_out, load_camera
 from l3cli.artifacts.class_rule import MAX_PATCH
 from l3cli.classes import contrast, level
+from l3cli.errors import InputFileError, L3Error, shortened
 from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes.registry import is_folder
 from l3cli.physics import spectra
@@ -24,14 +29,78 @@ from l3cli.simulation.run import SimulationRun
 from l3cli.simulation.sources import FileSource, name_of, wanted_scenes
 from l3cli.simulation.sources import Source as SceneSource
 from l3cli.simulation.summary import camera_figures, lab_figures
-from l3cli.stages.checking.source import Source
 from l3cli.stages.simulation.preparation import prepare, read_curve
 from l3cli.stages.simulation.scenes import refusals, size_of
 from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults
 from l3cli.training.text import class_figures
 
+SUFFIX = re.compile("_(dn|e|s|nm|um|mm|m)$")  # of a key with a unit
+SHORTEST = 4  # letters of a text that an error is known by
 GRID = np.arange(400.0, 701.0, 10.0)  # nm, on which a light's name is tried
 Meaning = tuple[dict[str, Any], list[Fault]]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recipe that is checked, and what it is checked with."""
+
+    path: Path
+    content: Mapping[str, Any]
+    camera: CameraModel | None  # that the recipe is for, if one is given
+
+    def file(self, name: str) -> Path:
+        """Return a file that the recipe names."""
+        return self.path.parent / name
+
+    def attempt(self, key: KeyPath | None, work: Callable[..., object], *arguments: object) -> Iterator[Fault]:
+        """Yield the fault, if there is one, with which `work` fails: at `key`, or where its message belongs."""
+        try:
+            work(*arguments)
+        except (L3Error, OSError) as error:  # a name that is too long, a folder that must not be read
+            message = self.plain(error)
+            yield Fault(message, (key_in(message, self.content) if key is None else key,))
+
+    def plain(self, error: L3Error | OSError) -> str:
+        """Return an error's message without the name of this file."""
+        if isinstance(error, OSError):
+            return f"{shortened(str(error.filename))}: {error.strerror}; name another file"
+        return re.sub(rf"^{re.escape(str(self.path))}(:\d+)?: ", "", str(error))
+
+
+def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
+    """Return every file that a recipe at `path` names, whatever for: by its name, a pattern, or in a mixture of lights."""
+    found: list[Path] = []
+    for _, value in _keys(content, ()):
+        for name in dict.fromkeys([value, *value.split()]) if isinstance(value, str) else []:
+            single = path.parent / name
+            found += [single] if os.path.isfile(single) else []
+            if any(letter in name for letter in "*?["):
+                with contextlib.suppress(InputFileError):
+                    found += find_scenes(name, path.parent)
+    return tuple(dict.fromkeys(found))
+
+
+def key_in(message: str, content: Mapping[str, Any]) -> KeyPath:
+    """Return the key that a message is about: whose name, or else whose text (that of a file, say) it holds; () where there
+    is none."""
+    found: list[tuple[int, KeyPath]] = []
+    for path, value in _keys(content, ()):
+        names = [part for part in path if isinstance(part, str)]
+        last = names[-1] if isinstance(path[-1], str) else ""
+        if len(names) > 1 and ".".join(names) in message:
+            found.append((200 + len(names), path))
+        elif isinstance(value, str) and len(value) >= SHORTEST and value in message:
+            found.append((100, path))
+        elif last and re.search(rf"\b({re.escape(last)}|{re.escape(SUFFIX.sub('', last).replace('_', ' '))})\b", message):
+            found.append((len(last), path))
+    return max(found, key=lambda each: each[0])[1] if found else ()
+
+
+def _keys(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, Any]]:
+    inner = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in inner:
+        yield (*path, key), item
+        yield from _keys(item, (*path, key))
 
 
 def camera_recipe_faults(recipe: CameraRecipe | PhaseRecipe, source: Source) -> Iterator[Fault]:

@@ -15,8 +15,14 @@ from l3cli.io.file_names import PATTERN
 from l3cli.io.sequences import frame_files, is_still
 from l3cli.io.video import is_video
 from l3cli.options.render import RenderOptions
-from l3cli.stages.rendering.clip_inputs import name_of, refuse_one_name
-from l3cli.stages.rendering.clip_state import Entry, Standing, identity_of_clip, identity_of_output
+from l3cli.stages.rendering.clip_inputs import (
+    Entry,
+    Standing,
+    identity_of_clip,
+    identity_of_output,
+    name_of,
+    refuse_one_name,
+)
 from l3cli.stages.rendering.destination import destination_of, overrides
 from l3cli.stages.rendering.executors import Renderers
 from l3cli.stages.rendering.render import render

@@ -215,7 +215,7 @@ def _nearest(place: int, grid: int) -> int:
 
 def plan(
     table: Path, inputs: Sequence[Path], sequence: FrameSequence, destination: Destination, options: RenderOptions
-) -> None:  # fmt: skip
+) -> None:
     """State the files that are read and made; in a dry run, after the refusals that come before work."""
     if not (is_dry() or is_noting()):
         return  # there may be many frames

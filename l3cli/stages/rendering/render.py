@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions, renderers: Renderers | None = None
-) -> Tally:  # fmt: skip
+) -> Tally:
     """Render raw frames through a table into a picture, numbered files, a folder or a video. `renderers`: shared with other
     runs. RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known."""
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
@@ -151,9 +151,7 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
         raise RecipeError("‹remosaic› is for raw developers; name a .dng")
 
 
-def _rendition(
-    destination: Destination, white: str | None, table: TransformTable, options: RenderOptions
-) -> Rendition:  # fmt: skip
+def _rendition(destination: Destination, white: str | None, table: TransformTable, options: RenderOptions) -> Rendition:
     """Return the rendition of outputs as pictures, under a white that is given; RecipeError if there is none."""
     if destination.linear and options.space is None:
         return outputs_as_they_are(table)

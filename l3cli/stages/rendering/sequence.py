@@ -21,9 +21,8 @@ from l3cli.io.video import Pacing, VideoChoice, new_video, new_y4m
 from l3cli.options.render import RenderOptions
 from l3cli.parallel.threads import WriteBehind, prefetched
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
-from l3cli.rendering.following import FrameWhites
 from l3cli.rendering.raw_checks import FrameWarnings
-from l3cli.rendering.rendition import Rendition
+from l3cli.rendering.rendition import FrameWhites, Rendition
 from l3cli.rendering.temporal.chunks import Chunks, needed
 from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
 from l3cli.rendering.white.chart import ChartSceneWhite

@@ -84,9 +84,7 @@ def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
         yield shot.index, run.frame(scene, shot, times.get(begins)), uncovered
 
 
-def received(
-    pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, digests: Mapping[Path, str]
-) -> Iterator[int]:  # fmt: skip
+def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, digests: Mapping[Path, str]) -> Iterator[int]:
     """Have units simulated by workers of other machines, which see the same inputs, and store what they send: how many
     frames are done, again and again."""
     needed = []
