@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from l3cli.physics.display import delta_e_2000, lab
 
 PRECISION = 1e-3  # of the gradient of mean squares: more changes no figure
-Array = NDArray[np.floating]
 
 
 def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, noise: Array | float = 0.0) -> Array:

@@ -19,7 +19,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction, structure
 from l3cli.classes.decide import label_mosaic, label_patches
 from l3cli.classes.names import class_name
-from l3cli.classes.ratios import DARKEST, shaded_chroma
+from l3cli.classes.ratios import RATIO_DARKEST, shaded_chroma
 from l3cli.classes.recipe import ClassRecipe, left_out
 from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods, sites
@@ -330,7 +330,7 @@ def means(plane: NDArray[np.floating], side: int) -> NDArray[np.float64]:
 
 
 @given(
-    st.integers(0, 2**32 - 1), st.sampled_from([3, 5, 7]), st.floats(-2, 2), st.floats(-2, 2), st.floats(DARKEST, 2.0**20)
+    st.integers(0, 2**32 - 1), st.sampled_from([3, 5, 7]), st.floats(-2, 2), st.floats(-2, 2), st.floats(RATIO_DARKEST, 2.0**20)
 )
 def test_of_one_colour_it_is_all_that_chroma_differs_by(
     seed: int, side: int, first: float, second: float, level: float
@@ -362,11 +362,11 @@ def test_flat_areas_and_greys_have_none() -> None:
 
 
 def test_it_is_never_more_than_the_mean_and_dark_planes_have_little() -> None:
-    """A spark, and noise about nothing: what is divided by stays above DARKEST, what is multiplied within one."""
+    """A spark, and noise about nothing: what is divided by stays above RATIO_DARKEST, what is multiplied within one."""
     rng = np.random.default_rng(1)
     spark = np.full(SHAPE, 1000.0)
     spark[4, 5] = 1e6
     planes = planes_of(spark, 0.5, 0.5)
     assert shaded_chroma(planes, 5)[0, 4, 5] == means(planes[0], 5)[2, 3]
-    dark = rng.normal(0, DARKEST / 100, (3, *SHAPE))
+    dark = rng.normal(0, RATIO_DARKEST / 100, (3, *SHAPE))
     assert np.abs(shaded_chroma(dark, 5)).max() < np.abs(dark).max() / 10

@@ -23,7 +23,7 @@ from l3cli.classes.plane_kernel import (
     snippets,
 )
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, opponent_basis, raw_middle, refined_fixed_point
-from l3cli.classes.ratios import DARKEST
+from l3cli.classes.ratios import RATIO_DARKEST
 from l3cli.classes.refinement import first_label_words
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.spaces import Curve
@@ -160,7 +160,7 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
         "OUTPUTS": len(table.outputs),
         "CFA_COLUMNS": table.cfa.shape[1],
         "MAX_RAW": 0,
-        **({"RATIO_TAPS": layer.ratio_taps, "DARKEST": DARKEST} if layer.ratio_taps else {}),
+        **({"RATIO_TAPS": layer.ratio_taps, "DARKEST": RATIO_DARKEST} if layer.ratio_taps else {}),
         **rule_macros(layer.rule),
     }
 
