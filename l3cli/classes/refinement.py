@@ -16,6 +16,8 @@ from l3cli.classes.structure import REACH, structures
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import mirrored_indices
 
+RATIO_DARKEST = 2**9  # steps of a plane: the least mean luminance that a ratio is taken to
+
 
 def label_planes(
     planes: NDArray[np.int32], first: Integers, rule: PlaneRule, first_rule: ClassRule, *others: PlaneRule
@@ -88,3 +90,16 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
     upper = start | (case > 0).astype(np.int64) << 31
     lower = factor | shift << np.uint64(8) | turned.astype(np.uint64)[place.site] << np.uint64(14)
     return lower | upper.astype(np.uint64) << np.uint64(32)
+
+
+def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
+    """Return the distance of the two chroma planes of a pixel from their means over side × side if all of the window had one
+    colour and only light and shade: (chroma, row, col) of planes (plane, row, col), in their steps.
+
+        C̄ · ρ        ρ = clamp((Y − Ȳ) / max(Ȳ, RATIO_DARKEST), ±1)
+
+    """
+    exact = planes.astype(np.float64)
+    first, luminance, second = window_means(mirrored(exact, side // 2), side)
+    share = np.clip((exact[LUMINANCE] - luminance) / np.maximum(luminance, RATIO_DARKEST), -1, 1)
+    return np.stack([first * share, second * share])

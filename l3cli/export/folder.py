@@ -12,7 +12,7 @@ from l3cli.artifacts.plane_rules import GRADIENT
 from l3cli.artifacts.schema import Spec, declared
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, opponent_basis, refined_fixed_point
-from l3cli.classes.ratios import RATIO_DARKEST
+from l3cli.classes.refinement import RATIO_DARKEST
 from l3cli.classes.structure import NOISE_TRACE
 from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP, turned_tests
 from l3cli.classes.windows import neighbourhoods

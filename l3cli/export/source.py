@@ -15,7 +15,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction, saturation
 from l3cli.classes.features import further_features
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, raw_middle
-from l3cli.classes.ratios import RATIO_DARKEST
+from l3cli.classes.refinement import RATIO_DARKEST
 from l3cli.classes.structure import NOISE_TRACE
 from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP
 from l3cli.errors import InputFileError, RecipeError, shortened

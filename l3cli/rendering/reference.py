@@ -10,8 +10,7 @@ from l3cli.artifacts.layers import PLANE_STEP, MosaicLayer, PlaneLayer
 from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.planes import FixedPoint, coarse, opponent_basis, refined_fixed_point
-from l3cli.classes.ratios import shaded_chroma
-from l3cli.classes.refinement import label_planes, mirrored
+from l3cli.classes.refinement import label_planes, mirrored, shaded_chroma
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import RawFrame, pad_mosaic
 from l3cli.rendering.conditions import NoiseSets

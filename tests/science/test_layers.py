@@ -15,8 +15,7 @@ from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.classes.ratios import shaded_chroma
-from l3cli.classes.refinement import label_planes
+from l3cli.classes.refinement import label_planes, shaded_chroma
 from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import lab

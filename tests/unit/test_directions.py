@@ -19,8 +19,8 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction, structure
 from l3cli.classes.decide import label_mosaic, label_patches
 from l3cli.classes.names import class_name
-from l3cli.classes.ratios import RATIO_DARKEST, shaded_chroma
 from l3cli.classes.recipe import ClassRecipe, left_out
+from l3cli.classes.refinement import RATIO_DARKEST, shaded_chroma
 from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import InputFileError, RecipeError
@@ -330,7 +330,11 @@ def means(plane: NDArray[np.floating], side: int) -> NDArray[np.float64]:
 
 
 @given(
-    st.integers(0, 2**32 - 1), st.sampled_from([3, 5, 7]), st.floats(-2, 2), st.floats(-2, 2), st.floats(RATIO_DARKEST, 2.0**20)
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([3, 5, 7]),
+    st.floats(-2, 2),
+    st.floats(-2, 2),
+    st.floats(RATIO_DARKEST, 2.0**20),
 )
 def test_of_one_colour_it_is_all_that_chroma_differs_by(
     seed: int, side: int, first: float, second: float, level: float

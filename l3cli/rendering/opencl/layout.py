@@ -23,8 +23,7 @@ from l3cli.classes.plane_kernel import (
     snippets,
 )
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, opponent_basis, raw_middle, refined_fixed_point
-from l3cli.classes.ratios import RATIO_DARKEST
-from l3cli.classes.refinement import first_label_words
+from l3cli.classes.refinement import RATIO_DARKEST, first_label_words
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.spaces import Curve
 from l3cli.rendering.conditions import NoiseSets
