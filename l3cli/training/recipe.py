@@ -10,7 +10,7 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.plane_rules import MOST_LEAVES
 from l3cli.artifacts.table import WINDOWS
-from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import ClassRecipe
 from l3cli.errors import RecipeError
 from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import Count, CountOrNone, Positive, Recipe, Share

@@ -18,8 +18,7 @@ from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingS
 from l3cli.classes.chroma import choose_chromas
 from l3cli.classes.decide import label_patches
 from l3cli.classes.names import kind_name
-from l3cli.classes.recipe import ClassRecipe
-from l3cli.classes.rule import make_rule
+from l3cli.classes.rule import ClassRecipe, make_rule
 from l3cli.classes.saturation import choose_cases
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import L3Error

@@ -19,9 +19,8 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction, structure
 from l3cli.classes.decide import label_mosaic, label_patches
 from l3cli.classes.names import class_name
-from l3cli.classes.recipe import ClassRecipe, left_out
 from l3cli.classes.refinement import RATIO_DARKEST, shaded_chroma
-from l3cli.classes.rule import make_rule
+from l3cli.classes.rule import ClassRecipe, left_out, make_rule
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame, pad_mosaic

@@ -8,7 +8,7 @@ from typing import Any
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
-from l3cli.classes.recipe import left_out
+from l3cli.classes.rule import left_out
 from l3cli.parallel import WorkerPool
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.system.console import Console
