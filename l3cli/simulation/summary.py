@@ -8,8 +8,7 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import full_width
 from l3cli.errors import InputFileError, listed
-from l3cli.simulation.lab import plan
-from l3cli.simulation.lab_recipe import LabRecipe
+from l3cli.simulation.lab import LabRecipe, plan
 from l3cli.simulation.light import make_light, white_rates
 from l3cli.system.text import columns, figure, size_text
 

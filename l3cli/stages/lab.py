@@ -15,8 +15,7 @@ from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.options.tools import LabOptions
 from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
-from l3cli.simulation.lab import FOLDERS, LabCapture, chart_corners, plan, take
-from l3cli.simulation.lab_recipe import LabRecipe
+from l3cli.simulation.lab import FOLDERS, LabCapture, LabRecipe, chart_corners, plan, take
 from l3cli.simulation.sensor import DefectRecipe
 from l3cli.spectra.units import PHOTON_RADIANCE
 from l3cli.system.files import refuse_existing, refuse_protected

@@ -17,8 +17,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.classes.rule import make_rule
 from l3cli.errors import L3Error
 from l3cli.recipes.toml import load_recipe
-from l3cli.simulation.lab import plan
-from l3cli.simulation.lab_recipe import LabRecipe
+from l3cli.simulation.lab import LabRecipe, plan
 from l3cli.simulation.light import automatic_exposure, make_light
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.stages.checking.check import judge

@@ -11,8 +11,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.cli import run
 from l3cli.io.frames import read_frame
 from l3cli.recipes.toml import load_recipe
-from l3cli.simulation.lab import plan, take
-from l3cli.simulation.lab_recipe import LabRecipe, MonoRecipe
+from l3cli.simulation.lab import LabRecipe, MonoRecipe, plan, take
 from l3cli.simulation.sensor import DefectRecipe, defects_of
 from l3cli.spectra.file import read_table
 from tests.helpers.calls import L3, Refused

@@ -15,7 +15,7 @@ from l3cli.cli import COMMANDS, l3
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.recipes import builtin
 from l3cli.recipes.toml import TELLING, Recipe
-from l3cli.simulation.lab_recipe import LabRecipe
+from l3cli.simulation.lab import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.calls import L3

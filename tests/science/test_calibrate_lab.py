@@ -17,7 +17,7 @@ from l3cli.cli import run
 from l3cli.frames.measurement import Body
 from l3cli.io.curves import write_curves
 from l3cli.simulation import lab
-from l3cli.simulation.lab_recipe import LabRecipe
+from l3cli.simulation.lab import LabRecipe
 from l3cli.simulation.sensor import DefectRecipe, defects_of
 from l3cli.spectra.file import read_table
 from tests.helpers.calls import L3

@@ -31,7 +31,7 @@ from l3cli.recipes.toml import (
     toml_key,
     toml_value,
 )
-from l3cli.simulation.lab_recipe import LabRecipe
+from l3cli.simulation.lab import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.spectra.file import read_table
 from l3cli.stages.checking.kinds import KINDS, kind_of, schema

@@ -12,7 +12,7 @@ from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
 from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.schema import output_schema, schema_of
 from l3cli.recipes.toml import TELLING, Recipe
-from l3cli.simulation.lab_recipe import LabRecipe
+from l3cli.simulation.lab import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.training.recipe import TrainingRecipe
 

@@ -22,7 +22,7 @@ from l3cli.io.scenes.registry import is_folder
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import KeyPath
-from l3cli.simulation.lab_recipe import LabRecipe, lab_faults
+from l3cli.simulation.lab import LabRecipe, lab_faults
 from l3cli.simulation.light import MEASURED, SCENE_LIGHT, mixture
 from l3cli.simulation.recipe import SceneRecipe, scene_faults, shots
 from l3cli.simulation.run import SimulationRun
