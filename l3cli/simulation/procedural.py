@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics.spectra import COLORCHECKER_WAVELENGTH
 from l3cli.simulation import charts, fields, leaves, sources
-from l3cli.simulation.fields import TEXTURES, Textures, draw_textures, sampled
-from l3cli.simulation.patterns import Patterns, coverage, draw_patterns
+from l3cli.simulation.fields import TEXTURES, Patterns, Textures, coverage, draw_patterns, draw_textures, sampled
 from l3cli.simulation.reflectances import DRAWN, drawn_bands, palette, surfaces
 
 Array = NDArray[np.floating]

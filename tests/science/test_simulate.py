@@ -17,7 +17,7 @@ from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.io.pictures.registry import write_picture
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
-from l3cli.simulation import charts, light, patterns, procedural, sensor
+from l3cli.simulation import charts, fields, light, procedural, sensor
 from l3cli.simulation.frame import blurred_channels, lens_transfer, low_rank_transfer, project, simulate
 from l3cli.simulation.procedural import draw
 from l3cli.simulation.recipe import Lens
@@ -228,7 +228,7 @@ def test_a_grating_covers_its_duty_at_two_pixels_a_period() -> None:
     one = {name: np.array([value], np.float32) for name, value in (("angle", 0.7), ("kind", 0), ("present", 1))}
     both = {name: np.full((2, 1), value, np.float32) for name, value in (("period", 4.0), ("width", 1.6), ("phase", 0.3))}
     colour = np.ones((1, 31), np.float32)
-    grating = patterns.Patterns(
+    grating = fields.Patterns(
         one["present"] > 0,
         colour,
         colour,
@@ -239,7 +239,7 @@ def test_a_grating_covers_its_duty_at_two_pixels_a_period() -> None:
         both["phase"],
     )
     down, across = np.ogrid[:200, :200]
-    share = patterns.coverage(grating, np.zeros((200, 200), int), down, across)
+    share = fields.coverage(grating, np.zeros((200, 200), int), down, across)
     assert share.mean() == pytest.approx(0.4, abs=0.01)
     assert share.max() == pytest.approx(1.0)
     assert share.min() == 0.0
