@@ -15,9 +15,8 @@ from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, gaussian_transfer, relative_illumination
 from l3cli.simulation import sensor
-from l3cli.simulation.light import Light, electron_weights, make_light, white_rates
+from l3cli.simulation.light import XYZ, Light, Target, electron_weights, make_light, output_weights, white_rates
 from l3cli.simulation.recipe import Lens, Pair
-from l3cli.simulation.targets import XYZ, Target, output_weights
 
 LIGHT = "picture"  # the light of a pair: whatever it was, its picture shows it as D65
 BRIGHT = 0.9  # of full scale and of picture white: brighter pixels do not tell the scale

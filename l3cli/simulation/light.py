@@ -1,4 +1,4 @@
-"""The light on a scene, and what a camera makes of it in each band (docs/method.md#spectra-on-other-grids)."""
+"""The light on a scene, what a camera makes of it in each band, and what is wanted of it (docs/method.md#simulation)."""
 
 import hashlib
 import itertools
@@ -23,6 +23,14 @@ SCENE_LIGHT = "scene"  # the name of the light that a scene was measured under
 MEASURED = ".csv"
 WIDEST_GAP = 20.0  # nm between samples of a measured light
 DARK = 0.01  # of a measured light's peak: a light that ends brighter was cut off
+
+OUTPUTS = {
+    "CIE 1931": ("X", "Y", "Z"),
+    "CIE 1964": ("X10", "Y10", "Z10"),
+    "luminance": ("Y",),
+    "CIE 1931 + IR": ("X", "Y", "Z", "IR"),
+}
+CAMERA = "camera"  # the camera's own bands at full resolution
 
 
 @dataclass(frozen=True)
@@ -177,3 +185,56 @@ def uncovered_share(camera: CameraModel, bands: Array) -> float:
     outside = (camera.wavelength < bands[0]) | (camera.wavelength > bands[-1])
     every = weights.sum(axis=1)
     return float((weights[:, outside].sum(axis=1) / np.where(every > 0, every, 1.0)).max())
+
+
+@dataclass(frozen=True)
+class Target:
+    """The wanted outputs, and the light they are wanted under."""
+
+    outputs: tuple[str, ...]
+    description: str
+    kind: str  # a key of OUTPUTS, CAMERA, or the name of a file of matching functions
+    functions: Curve | None = None  # of the file: wavelength nm, (output, wavelength) per watt
+    light: Light | None = None  # None: that of the frame
+
+
+XYZ = Target(OUTPUTS["CIE 1931"], "CIE 1931 XYZ of the scene under its own light, without lens or noise", "CIE 1931")
+
+
+def make_target(
+    kind: str, functions: Curve | None, names: tuple[str, ...], light: Light | None, camera: CameraModel
+) -> Target:
+    """Return the target of a recipe: `kind` as in Target, with `functions` and their `names` if it is a file."""
+    outputs = OUTPUTS.get(kind, camera.channels if kind == CAMERA else names)
+    what = {
+        "CIE 1931": "CIE 1931 XYZ",
+        "CIE 1964": "CIE 1964 XYZ",
+        "luminance": "luminance",
+        "CIE 1931 + IR": "CIE 1931 XYZ and near infrared",
+        CAMERA: "all bands of the camera (cd/m² of D65 that would saturate its brightest channel as fast)",
+    }.get(kind, f"the matching functions of {kind}")
+    under = f"under {light.name}" if light else "under its own light"
+    return Target(outputs, f"{what} of the scene {under}, without lens or noise", kind, functions, light)
+
+
+def output_weights(target: Target, camera: CameraModel, light: Light, bands: Array) -> Array:
+    """Return W (output, band): outputs of unit reflectance in each band when `light` falls on the frame, in cd/m².
+
+    The camera's bands come in the same unit: the share of full scale a second, times the camera's saturation exposure.
+    """
+    if target.light:
+        light = target.light.at(light.luminance)
+    if target.kind == CAMERA:
+        weights = electron_weights(camera, light, bands) * (camera.saturation_exposure / camera.full_scale)
+        return weights if camera.readout is None else weights * camera.channel_gains[:, None]
+    if target.functions:
+        grid, values = target.functions
+        functions: Array = spectra.average(values, grid, light.wavelength)
+    elif target.kind == "luminance":
+        functions = spectra.colour_matching_functions(light.wavelength)[1:2]
+    elif target.kind == "CIE 1931 + IR":
+        visible = spectra.colour_matching_functions(light.wavelength)
+        functions = np.vstack([visible, spectra.near_infrared(light.wavelength)])
+    else:
+        functions = spectra.colour_matching_functions(light.wavelength, target.kind)
+    return matching_weights(functions, light, bands)

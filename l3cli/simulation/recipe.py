@@ -14,7 +14,7 @@ from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault, inside, refuse_first
 from l3cli.recipes.toml import Recipe
-from l3cli.simulation.light import MEASURED, SCENE_LIGHT, Curve, mixture
+from l3cli.simulation.light import CAMERA, MEASURED, OUTPUTS, SCENE_LIGHT, Curve, mixture
 from l3cli.simulation.sensor import noise_plugin, with_analog_gain
 from l3cli.simulation.sources import (
     FileSource,
@@ -28,7 +28,6 @@ from l3cli.simulation.sources import (
     source_faults,
     wanted_scenes,
 )
-from l3cli.simulation.targets import CAMERA, OUTPUTS
 
 EXPOSURES = {"exposure_share": "share", "exposure_saturated": "saturated", "exposure_mean": "mean", "exposure_s": "seconds"}
 

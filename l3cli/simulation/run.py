@@ -10,10 +10,9 @@ from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.errors import InputFileError
 from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.simulation.frame import Automatic, exposure_time, simulate
-from l3cli.simulation.light import SCENE_LIGHT, Light, automatic_exposure, scene_light
+from l3cli.simulation.light import SCENE_LIGHT, Light, Target, automatic_exposure, scene_light
 from l3cli.simulation.recipe import SceneRecipe, Shot
 from l3cli.simulation.sensor import averaging_exposure, saturating_exposure
-from l3cli.simulation.targets import Target
 
 
 @dataclass(frozen=True)

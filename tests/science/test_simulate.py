@@ -19,10 +19,10 @@ from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
 from l3cli.simulation import charts, fields, light, procedural, sensor
 from l3cli.simulation.frame import blurred_channels, lens_transfer, low_rank_transfer, project, simulate
+from l3cli.simulation.light import make_target
 from l3cli.simulation.procedural import draw
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sources import ColorChecker, WantedScene
-from l3cli.simulation.targets import make_target
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 

@@ -14,12 +14,11 @@ from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes.registry import is_folder
 from l3cli.recipes.toml import read_text
 from l3cli.simulation import recipe as asked
-from l3cli.simulation.light import SCENE_LIGHT, Curve, check_measured, make_light, recorded_under
+from l3cli.simulation.light import SCENE_LIGHT, Curve, check_measured, make_light, make_target, recorded_under
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.simulation.run import SimulationRun
 from l3cli.simulation.sensor import noise_plugin
 from l3cli.simulation.sources import FileSource, name_of
-from l3cli.simulation.targets import make_target
 from l3cli.spectra.file import read_table
 from l3cli.stages.simulation.scenes import files_of, refusals
 from l3cli.system.console import Console
