@@ -16,8 +16,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.calibration.figures import camera_figures
 from l3cli.io.curves import curve_text
 from l3cli.physics import spectra
-from l3cli.physics.display import SRGB_FROM_XYZ, lab, xyz_from_srgb_matrix
-from l3cli.physics.matrices import colour_errors, fit_through, refinement
+from l3cli.physics.display import SRGB_FROM_XYZ, colour_errors, fit_through, lab, refinement, xyz_from_srgb_matrix
 from l3cli.system.text import printable
 
 TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # K, correlated

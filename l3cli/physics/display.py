@@ -22,6 +22,7 @@ WHITE_PERCENTILE = 99  # of Y, shown white, as the authors of the method show th
 LUMA = np.array([0.2126, 0.7152, 0.0722])  # of sRGB's primaries (Rec. 709)
 FLOAT_BITS = 32  # of linear values, in floating point
 CODES = {8: np.uint8, 16: np.uint16}  # bits of a picture's codes → their type
+PRECISION = 1e-3  # of the gradient of mean squares: more changes no figure
 
 
 # ------------------------------------------------------------------------------------------- white and exposure
@@ -159,3 +160,34 @@ def displayed_delta_e(one: Array, other: Array) -> Array:
     """CIEDE2000 (row, col) of two pictures as a display shows them."""
     labs = [lab(displayed_xyz(picture), daylight()) for picture in (one, other)]
     return delta_e_2000(*labs)
+
+
+def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, noise: Array | float = 0.0) -> Array:
+    """M (output, input) of least squares over surfaces of |outputs − M inputs|² for which M @ known = answer (by a Lagrange
+    multiplier); inputs (surface, input), outputs (surface, output). `noise` (input): variances that the inputs have beside,
+    which M is not to amplify."""
+    gram = inputs.T @ inputs + len(inputs) * np.diag(np.broadcast_to(noise, inputs.shape[1:]))
+    free = np.linalg.solve(gram, inputs.T @ outputs).T
+    towards = np.linalg.solve(gram, known)
+    return free + np.outer(answer - free @ known, towards / (known @ towards))
+
+
+def colour_errors(xyz: Array, wanted: Array, white: Array) -> Array:
+    """CIEDE2000 (surface) between XYZ (surface, 3) of one scale, relative to `white` (3)."""
+    return delta_e_2000(lab(xyz, white), lab(wanted, white))
+
+
+def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
+    """R (3, 3) that leaves `white` (3) as it is, for which the squares of CIEDE2000 between R @ xyz and `wanted`, both
+    (surface, 3), are least near the unit matrix."""
+    from scipy.optimize import minimize
+
+    goal, free = lab(wanted, white), np.linalg.svd(white[None])[2][1:]  # directions (2, 3) that white has nothing of
+
+    def turned(change: Array) -> Array:
+        return np.eye(3) + change.reshape(3, 2) @ free
+
+    def error(change: Array) -> float:  # of squares, since those are smooth where a surface is met
+        return float(np.square(delta_e_2000(lab(xyz @ turned(change).T, white), goal)).mean())
+
+    return turned(minimize(error, np.zeros(6), method="BFGS", options={"gtol": PRECISION}).x)

@@ -15,8 +15,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.export import profiles
 from l3cli.export.profiles import datasheet
 from l3cli.physics import spectra
-from l3cli.physics.display import adaptation_matrix, delta_e_2000, lab, srgb_from_xyz_matrix, white_point
-from l3cli.physics.matrices import colour_errors
+from l3cli.physics.display import adaptation_matrix, colour_errors, delta_e_2000, lab, srgb_from_xyz_matrix, white_point
 from l3cli.simulation.light import colour_matrix, make_light
 from l3cli.stages.export import write
 from l3cli.system.console import Silent

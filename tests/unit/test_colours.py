@@ -9,7 +9,10 @@ from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame, upright
 from l3cli.physics import charts, spectra
 from l3cli.physics.display import (
+    colour_errors,
     exposure_scale,
+    fit_through,
+    refinement,
     scene_white,
     srgb_codes,
     srgb_decoded,
@@ -17,7 +20,6 @@ from l3cli.physics.display import (
     white_percentile,
     xyz_from_srgb_matrix,
 )
-from l3cli.physics.matrices import colour_errors, fit_through, refinement
 from l3cli.physics.spaces import BT2020_CURVE, SRGB_CURVE, Curve
 from l3cli.rendering.display import Display, encode, make_display, require_xyz
 from l3cli.rendering.opencl.layout import _literal, curve_pieces

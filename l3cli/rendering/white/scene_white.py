@@ -12,8 +12,7 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.correlated_lights import CorrelatedLight, light_of, light_of_neutral, light_of_white, temperature, uv
-from l3cli.physics.display import display_white
-from l3cli.physics.matrices import fit_through
+from l3cli.physics.display import display_white, fit_through
 from l3cli.rendering.white.balance import WhiteBalance, adaptation, balanced, plain_balance
 from l3cli.rendering.white.grey import Grey, GreyRenderer
 
