@@ -1,7 +1,10 @@
-"""Random fields with the spectra of natural textures, and the textures of leaves (docs/method.md#procedural-scenes).
+"""Random fields with the spectra of natural textures; textures and fine patterns of leaves (docs/method.md#procedural-scenes).
 
 A leaf shows a random part of a periodic piece of a random field, which is wider than it: fields as large as the picture
 would cost four times as much, and seven eighths of each would lie under leaves of another texture.
+
+Fences, windows, blinds, cloth and print repeat with a few pixels a period, where a colour filter array cannot tell light
+from colour; dead leaves alone have next to none of it.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""The virtual lab: its recipe, and what it would measure of a camera, so that calibration is tried where the truth is known."""
+"""The virtual lab: its recipe, and what it measures of a camera, so that calibration is tried where the truth is known."""
 
 import re
 from collections.abc import Iterator
