@@ -1,4 +1,4 @@
-"""Random fields with the spectra of natural textures; textures and fine patterns of leaves (docs/method.md#procedural-scenes).
+"""Random fields with the spectra of nature, textures and fine patterns of leaves (docs/method.md#procedural-scenes).
 
 A leaf shows a random part of a periodic piece of a random field, which is wider than it: fields as large as the picture
 would cost four times as much, and seven eighths of each would lie under leaves of another texture.
