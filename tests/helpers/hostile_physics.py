@@ -9,7 +9,6 @@ import functools
 import io
 import re
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -280,17 +279,3 @@ def judge_seeds(seeds: Iterable[int]) -> Iterator[tuple[int, str]]:
             mistake = one_of(choices, MISTAKES)
             if (verdict := lab.judge(mistake, choices)) is not None:
                 yield seed, f"{mistake.__name__}: {verdict}"
-
-
-def main() -> int:
-    first, count = map(int, sys.argv[1:3])
-    failed = 0
-    for seed, verdict in judge_seeds(range(first, first + count)):
-        failed += 1
-        print(f"{seed} {verdict.strip()}", flush=True)
-    print(f"{count} inputs, {failed} failures")
-    return int(failed > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -168,10 +168,6 @@ def test_the_known_motion_leads_back_to_the_same_place(
         assert np.allclose(warped[sure > 0], seen[1][sure > 0], atol=1e-3)
 
 
-def test_the_first_frame_has_moved_by_nothing_known() -> None:
-    assert not clip.motion_between(a_course(pan_pixels_per_frame=(1.0, 1.0)), [], 0).any()
-
-
 def test_leaves_move_on_their_own_and_what_they_uncover_was_not_seen() -> None:
     of, things = leafy(pan_pixels_per_frame=(0.0, 1.0))
     of.start[:] = 0

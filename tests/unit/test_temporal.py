@@ -8,15 +8,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.temporal import chunks
-from l3cli.rendering.temporal.chunks import CHUNK, LEAD, AnyOrder, Chunks, chunks_of, filters, needed
+from l3cli.rendering.temporal.chunks import CHUNK, LEAD, AnyOrder, Chunks, chunks_of, needed
 from l3cli.rendering.temporal.noise import Grid
 from l3cli.rendering.temporal.opencl import opencl_filters
 from l3cli.rendering.temporal.reference import LEAST_WEIGHT, ONE, ReferenceFilter
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera
-from tests.helpers.tables import random_table
 
 BLACK = 64.0
 
@@ -153,11 +152,6 @@ def test_what_nothing_depends_on_is_not_needed(wanted: set[int]) -> None:
     for place in range(count):
         depending = {each for each in wanted if each >= place and each // CHUNK in chunks_of(place)}
         assert needs[place] == bool(depending)
-
-
-def test_a_table_without_its_camera_is_refused() -> None:
-    with pytest.raises(RecipeError, match="train the table again"):
-        filters("reference", random_table(BAYER))
 
 
 def test_a_faint_edge_leaves_little_behind() -> None:

@@ -1,7 +1,6 @@
 """White of scenes: which light gives a camera's grey, what a table makes of it, estimates on frames, how it is followed."""
 
 import dataclasses
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -14,10 +13,9 @@ from l3cli.frames.shading import Shading
 from l3cli.io.raw.cfa_codes import neutral_of_channels
 from l3cli.physics import correlated_lights, spectra
 from l3cli.physics.display import daylight, delta_e_2000, display_white, lab, scene_white
-from l3cli.rendering.raw_checks import other_camera, other_phase, phase_contrasts
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.white.auto import AutoWhite
-from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance, balanced, plain_balance
+from l3cli.rendering.white.balance import WhiteBalance, balanced, plain_balance
 from l3cli.rendering.white.grey import GreyRenderer, Square
 from l3cli.rendering.white.scene_white import Whites
 from l3cli.rendering.white.source import AUTO, CAMERA, CameraWhite, SquareWhite, given_white, white_source
@@ -87,11 +85,6 @@ def test_the_light_of_a_grey_is_found_by_the_responsivities(name: str, bayer: Ca
             correlated_lights.temperature(true)[0], rel=0.1 if black_body_of_the_sky else 0.01
         )
         assert light.misfit < 0.01
-
-
-def test_a_green_lamp_is_green(bayer: CameraModel) -> None:
-    light = correlated_lights.light_of_neutral(bayer.electron_weights, bayer.wavelength, grey_of(bayer, "F2"))
-    assert light.duv > 0.004
 
 
 # ----------------------------------------------------------------------------------------------------------- grey
@@ -215,23 +208,6 @@ def test_surfaces_are_nearer_to_their_colours_than_by_adaptation_alone(
     assert errors[1] < 0.75 * errors[0]
 
 
-def test_a_table_without_its_camera_is_adapted_from_what_it_makes_of_a_grey(
-    table: TransformTable, bayer: CameraModel
-) -> None:
-    old, neutral = dataclasses.replace(table, camera=None), grey_of(bayer, "3200K")
-    white = Whites(old).of_neutral(neutral)
-    assert not white.modelled
-    assert (white.balance.gains == 1).all()
-    assert chroma(GreyRenderer(old).outputs_of(0.3 * neutral[None] / neutral.max())[0], white.balance) < 0.5
-
-
-def test_a_neutral_that_no_light_gives_is_reported(table: TransformTable, bayer: CameraModel) -> None:
-    assert Whites(table).of_neutral(grey_of(bayer, "F11")).plausible
-    assert not Whites(table).of_neutral(np.array([1.0, 0.3, 1.0])).plausible
-    with pytest.raises(InputFileError, match="without light"):
-        Whites(table).of_neutral(np.zeros(3))
-
-
 @pytest.mark.parametrize("neutral", [(1.0, 0.0, 0.0), (1e-300, 1e-300, 2e-300), (1e9, 1e-9, 1.0), (1.0, 1e-3, 1e3)])
 def test_neutrals_that_are_none_do_no_harm(neutral: tuple[float, ...], table: TransformTable) -> None:
     """They give a balance of finite numbers, or are refused in a line."""
@@ -242,19 +218,6 @@ def test_neutrals_that_are_none_do_no_harm(neutral: tuple[float, ...], table: Tr
     assert 1 <= balance.gains.min() <= balance.gains.max() <= 8
     assert np.isfinite(balance.adaptation).all()
     assert 0 < balance.luminance < np.inf
-
-
-def test_white_is_followed_from_the_first_frame_on() -> None:
-    steady, start = SteadyWhite(Fraction(10)), plain_balance(daylight(), 3)
-    aim = WhiteBalance(np.array([4.0, 1.0, 2.0]), 2 * np.eye(3), 0.5)
-    assert steady.balance(None) is None
-    assert steady.balance(start) is start
-    for _ in range(10):  # one second
-        now = steady.balance(aim)
-    assert now is not None
-    np.testing.assert_allclose(np.log(now.gains), (1 - np.exp(-1)) * np.log(aim.gains), atol=1e-9)
-    np.testing.assert_allclose(now.adaptation, start.adaptation + (1 - np.exp(-1)) * (aim.adaptation - start.adaptation))
-    assert steady.balance(None) is now
 
 
 # -------------------------------------------------------------------------------------------------------- sources
@@ -331,12 +294,6 @@ def test_the_tables_white_and_colours_that_no_light_has_are_adapted_from(white: 
     assert (given.balance.gains == 1).all()
 
 
-def test_a_chromaticity_does_without_a_camera(table: TransformTable) -> None:
-    given = given_white("0.4476,0.4074", dataclasses.replace(table, camera=None))
-    assert given
-    assert not given.modelled
-
-
 def test_neutrals_are_those_of_the_channels() -> None:
     table = random_table(BAYER)
     neutral = np.array([[1, 1.0], [0, 0.5], [2, 0.7]])  # green first, as some files have it
@@ -350,30 +307,3 @@ def test_neutrals_are_those_of_the_channels() -> None:
 
 
 # ------------------------------------------------------------------------------------------------------- warnings
-
-
-def test_an_array_that_begins_elsewhere_is_reported_with_the_phase_that_fits(
-    table: TransformTable, bayer: CameraModel
-) -> None:
-    frame = scene(bayer, "D65")
-    assert other_phase(frame, table) == ""
-    wrong = dataclasses.replace(frame, phase=(0, 1))
-    now, least, phases = phase_contrasts(wrong, table)
-    assert now > 0.2
-    assert least < 0.02
-    assert phases == [(0, 0), (1, 1)]
-    assert "‹phase› 0,0 or 1,1" in other_phase(wrong, table)
-    assert other_phase(dataclasses.replace(wrong, values=np.full((2, 2), 64, np.uint16)), table) == ""
-    noise = np.random.default_rng(0).integers(64, 4000, (1, 5)).astype(np.uint16)  # less than a super-pixel
-    assert other_phase(dataclasses.replace(wrong, values=noise), table) == ""
-
-
-def test_another_camera_is_reported_by_its_name(table: TransformTable) -> None:
-    frame = RawFrame("a.dng", np.zeros((4, 4), np.uint16), 0.0, 100.0)
-    canon = dataclasses.replace(frame, taken_by=("Canon", "Canon EOS Kiss X4", "Canon EOS 550D"))
-    assert other_camera(frame, table) == ""
-    assert "Canon EOS Kiss X4" in other_camera(canon, table)
-    for name in ("canon 550D", "my Kiss"):
-        assert other_camera(canon, dataclasses.replace(table, camera_name=name)) == ""
-    assert other_camera(canon, dataclasses.replace(table, camera_name="Canon 600D"))
-    assert other_camera(dataclasses.replace(frame, taken_by=("l3cli", table.camera_name)), table) == ""
