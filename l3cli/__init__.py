@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from l3cli.api import (
+        L3Error,
         Renderer,
         calibrate,
         delta_e_2000,
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Renderer", "calibrate", "delta_e_2000", "evaluate", "load", "load_camera", "load_table", "load_training_set", "psnr",
-    "read_raw", "render", "save", "scielab", "simulate", "ssim", "train",
+    "L3Error", "Renderer", "calibrate", "delta_e_2000", "evaluate", "load", "load_camera", "load_table",
+    "load_training_set", "psnr", "read_raw", "render", "save", "scielab", "simulate", "ssim", "train",
 ]  # fmt: skip
 
 

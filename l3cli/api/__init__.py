@@ -16,8 +16,9 @@ from l3cli.api.artifacts import load, load_camera, load_table, load_training_set
 from l3cli.api.figures import delta_e_2000, psnr, scielab, ssim
 from l3cli.api.frames import Renderer, read_raw
 from l3cli.api.stages import calibrate, evaluate, render, simulate, train
+from l3cli.errors import L3Error
 
 __all__ = [
-    "Renderer", "calibrate", "delta_e_2000", "evaluate", "load", "load_camera", "load_table", "load_training_set", "psnr",
-    "read_raw", "render", "save", "scielab", "simulate", "ssim", "train",
+    "L3Error", "Renderer", "calibrate", "delta_e_2000", "evaluate", "load", "load_camera", "load_table",
+    "load_training_set", "psnr", "read_raw", "render", "save", "scielab", "simulate", "ssim", "train",
 ]  # fmt: skip

@@ -135,44 +135,53 @@ def shown(
     return frame, adapted_display(balance.adaptation, scale, rendition.bits, rendition.space or SRGB)
 
 
-class FrameWhites:
-    """Measures frames in their order. `steady`: the balance follows from frame to frame, or stays that of the first one if
-    the source is held; without it each frame has its own."""
+class FrameMeter:
+    """Measures frames in their order: the exposure scale and white balance that each is shown with. `rate` (frames/s): at
+    which both follow what is measured, or stay those of the first frame if the source is held; None: each frame has its own
+    white, and automatic exposure is not measured. `source`: of the white, None: the rendition's."""
 
-    def __init__(self, source: WhiteSource, steady: SteadyWhite | None) -> None:
-        self._source, self._steady = source, steady
+    def __init__(
+        self, table: TransformTable, rendition: Rendition, source: WhiteSource | None, rate: Fraction | None
+    ) -> None:
+        self._source, self._fixed = source, rendition.exposure or 0.0
+        self._light = LightMeter(table) if rate is not None and rendition.measures_exposure else None
+        self._exposure = None if rate is None else SteadyExposure(rate)
+        self._white = None if rate is None else SteadyWhite(rate)
         self._first: SceneWhite | None = None
-        self.balance: WhiteBalance | None = None  # of the last frame measured; None: there was nothing to tell it by
+        self._balance: WhiteBalance | None = None
 
-    def measured(self, frame: RawFrame) -> SceneWhite | None:
-        """White of the next frame, None where there is nothing to tell it by; InputFileError if it cannot be taken."""
-        if self._steady is None:
-            white = self._source.white(frame)
-            self.balance = white.balance if white else None
-            return white
-        if self._first is not None and self._source.held:
+    def __bool__(self) -> bool:
+        return bool(self._light or self._source)
+
+    def measured(self, frame: RawFrame) -> tuple[float, WhiteBalance | None, SceneWhite | None]:
+        """Return the scale of the next frame (0: automatic), its balance (None: the rendition's), and the white that was
+        found, None where there is nothing to tell it by; InputFileError if it cannot be taken."""
+        white = self._measured_white(frame) if self._source else None
+        if self._light and self._exposure:
+            return self._exposure.scale(self._light.brightness(frame, self._balance)), self._balance, white
+        return self._fixed, self._balance, white
+
+    def _measured_white(self, frame: RawFrame) -> SceneWhite | None:
+        assert self._source is not None
+        if self._white is not None and self._first is not None and self._source.held:
             return self._first
         white = self._source.white(frame)
         self._first = self._first or white
-        self.balance = self._steady.balance(white.balance if white else None)
+        wanted = white.balance if white else None
+        self._balance = self._white.balance(wanted) if self._white else wanted
         return white
 
 
 class Following:
-    """Frames in order, each with exposure scale and white balance. `source`: of the white, None: the rendition's; `rate`:
-    frames/s at which both follow what is measured, None: both stay those of the first frame; `temporal`: what filters the
-    frames in time."""
+    """Frames in order, each with exposure scale and white balance, as of FrameMeter; `rate` None: both stay those of the
+    first frame. `temporal`: what filters the frames in time."""
 
     def __init__(
-        self, table: "TransformTable", rendition: Rendition, source: WhiteSource | None, rate: Fraction | None,
+        self, table: TransformTable, rendition: Rendition, source: WhiteSource | None, rate: Fraction | None,
         temporal: "Chunks | None" = None,
     ) -> None:  # fmt: skip
         self._held, self._temporal = rate is None, temporal
-        self._rate = rate or ANY_RATE
-        self._fixed = rendition.exposure
-        self._meter = LightMeter(table) if rendition.measures_exposure else None
-        self._steady = SteadyExposure(self._rate)
-        self._whites = FrameWhites(source, SteadyWhite(self._rate)) if source else None
+        self._meter = FrameMeter(table, rendition, source, rate or ANY_RATE)
         self._alone = ThreadLock()
         self._places = itertools.count()
         self._first: tuple[float, WhiteBalance | None] | None = None
@@ -181,13 +190,6 @@ class Following:
         """The next frame, filtered, its scale, and its balance, None: the rendition's. InputFileError if its white cannot be
         taken."""
         with self._alone:
-            measured = self._first if self._held and self._first is not None else self._measured(frame)
+            measured = self._first if self._held and self._first is not None else self._meter.measured(frame)[:2]
+            self._first = measured
             return (self._temporal.filtered(next(self._places), frame) if self._temporal else frame), *measured
-
-    def _measured(self, frame: RawFrame) -> tuple[float, WhiteBalance | None]:
-        if self._whites:
-            self._whites.measured(frame)
-        balance = self._whites.balance if self._whites else None
-        scale = self._steady.scale(self._meter.brightness(frame, balance)) if self._meter else self._fixed or 0.0
-        self._first = scale, balance
-        return self._first

@@ -25,7 +25,7 @@ async function unpacked(text) {
   };
   for (const layer of view.layers) {
     layer.taps = layer.side ** 2 * layer.planes.length;
-    const rows = layer.held * view.outputs.length;
+    const rows = layer.with_weights * view.outputs.length;
     layer.largest = next(Float32Array, rows);
     layer.labels = next(Uint16Array, view.size[0] * view.size[1]);
     layer.weights = next(Int8Array, rows * layer.taps);
@@ -105,7 +105,7 @@ function classed(view, number, index, site) {
   const words = { ...layer.classes[index], frame: `${share(view, layer, index)} of its pixels` };
   for (const [name, text] of Object.entries(words)) list.append(written("dt", name), written("dd", text));
   let figure = written("p", "This page does not hold the transform: the class is too rare in the frame, or does not occur.");
-  if (index < layer.held) {
+  if (index < layer.with_weights) {
     const [drawing, finding] = transform(view, layer, index, site);
     figure = written("figure", drawing, written("figcaption", finding));
   }

@@ -4,7 +4,7 @@ what other classes the table has (classes.js).
 What is packed is deflated and in base64: the length of the head in four bytes, the head as JSON padded to a multiple of
 four bytes; then for each layer the largest weight of every class and output (float32), the class of every pixel as an index
 into the head's classes (uint16), and the weights (int8) as 127 times the signed square root of their share of the largest.
-Weights are those of the first classes of the head, as many as its `held`. All numbers are little-endian.
+Weights are those of the first classes of the head, as many as its `with_weights`. All numbers are little-endian.
 """
 
 import base64
@@ -173,7 +173,7 @@ def packed(crop: Crop, sites: Sites, outputs: tuple[str, ...]) -> str:
             {
                 "side": layer.side,
                 "planes": layer.planes,
-                "held": len(layer.weights),
+                "with_weights": len(layer.weights),
                 "pixels": np.trim_zeros(layer.pixels, "b").tolist(),
                 "classes": [
                     {**words, "training": f"{count:.0f} patches" if count > 0 else "none: filled from a neighbour"}

@@ -5,6 +5,7 @@ import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import fit_through
+from l3cli.spectra.file import read_table
 
 Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # wavelength (sample) nm, values (curve, sample)
@@ -113,6 +115,18 @@ def check_measured(curve: Curve, name: str) -> None:
     for end, visible in ((0, wavelength[0] > 420), (-1, wavelength[-1] < 680)):
         if visible and power[end] > DARK * power.max():
             raise InputFileError(f"{name} ends at {wavelength[end]:g} nm where the light still shines; measure 400–700 nm")
+
+
+def read_curve(path: Path, role: str) -> Curve:
+    """A CSV file of a scene recipe in its role: light, transmittance or functions; InputFileError if it is none."""
+    table = read_table(path)
+    if role == "transmittance":
+        return table.wavelength, table.counted(1).shares()
+    if role == "functions":
+        return table.wavelength, table.values
+    curve = table.wavelength, table.powers()
+    check_measured(curve, str(path))
+    return curve
 
 
 def scene_light(scene: Scene, luminance: float) -> Light:
@@ -238,3 +252,12 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     else:
         functions = spectra.colour_matching_functions(light.wavelength, target.kind)
     return matching_weights(functions, light, bands)
+
+
+def column_names(path: Path) -> tuple[str, ...]:
+    """Return the heading of a CSV file of matching functions, or numbers where it has none."""
+    table = read_table(path)
+    unnamed = tuple(f"output {number}" for number in range(1, len(table.values) + 1))
+    names = table.names or ()
+    named = len(set(names)) == len(names) and not any(re.fullmatch(r"[-+.\deE]*", name) for name in names)
+    return names if names and named else unnamed

@@ -72,7 +72,7 @@ def unpacked(text: str) -> View:
         return array
 
     for layer in head["layers"]:
-        classes, outputs, taps = layer["held"], len(head["outputs"]), layer["side"] ** 2 * len(layer["planes"])
+        classes, outputs, taps = layer["with_weights"], len(head["outputs"]), layer["side"] ** 2 * len(layer["planes"])
         largest = numbers("<f4", classes * outputs).reshape(classes, outputs, 1)
         labels = numbers("<u2", int(np.prod(head["size"]))).reshape(head["size"])
         root = numbers("i1", classes * outputs * taps).reshape(classes, outputs, taps) / 127
@@ -185,17 +185,17 @@ def test_other_classes_follow_those_of_the_crop(report: Report) -> None:
             layer, head = report.table.layers[number], view.head["layers"][number]
             truth = truths[number]
             classes = [int(each["class"].split()[0]) for each in head["classes"]]
-            first = plain.head["layers"][number]["held"]
+            first = plain.head["layers"][number]["with_weights"]
             assert classes[:first] == np.unique(truth[top : top + labels.shape[0], left : left + labels.shape[1]]).tolist()
             assert len(set(classes)) == len(classes)
-            assert head["held"] == len(weights) <= len(classes)
+            assert head["with_weights"] == len(weights) <= len(classes)
             pixels = np.bincount(truth.ravel(), minlength=len(layer.weights))
             stored = head["pixels"] + [0] * (len(classes) - len(head["pixels"]))
             assert stored == pixels[classes].tolist()
             assert (np.diff(stored[first:]) <= 0).all()
             if whole:
                 assert len(classes) == len(layer.weights)
-                assert head["held"] > first
+                assert head["with_weights"] > first
                 assert np.abs(weights - layer.weights[classes][: len(weights)]).max() <= 0.009 * np.abs(layer.weights).max()
             for index, answer in zip(classes, head["classes"], strict=True):
                 row, col = divmod(index // layer.rule.classes_per_site, 2)

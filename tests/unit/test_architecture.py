@@ -49,7 +49,7 @@ DOORS = {
 }
 BUDGET = {  # at most; a change that lowers a number lowers it here, towards the goal behind it
     "lines of l3cli": 48_576,  # 41 000
-    "lines of l3cli/stages": 5_540,  # 5 500
+    "lines of l3cli/stages": 5_490,  # 5 500
     "lines of l3cli/cli": 1_600,  # 1 700
     "lines of tests": 36_400,  # 32 000
     "modules": 335,  # 290

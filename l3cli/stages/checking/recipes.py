@@ -23,13 +23,13 @@ from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import KeyPath
 from l3cli.simulation.lab import LabRecipe, lab_faults
-from l3cli.simulation.light import MEASURED, SCENE_LIGHT, mixture
+from l3cli.simulation.light import MEASURED, SCENE_LIGHT, mixture, read_curve
 from l3cli.simulation.recipe import SceneRecipe, scene_faults, shots
 from l3cli.simulation.run import SimulationRun
 from l3cli.simulation.sources import FileSource, name_of, wanted_scenes
 from l3cli.simulation.sources import Source as SceneSource
 from l3cli.simulation.summary import camera_figures, lab_figures
-from l3cli.stages.simulation.preparation import prepare, read_curve
+from l3cli.stages.simulation.preparation import prepare
 from l3cli.stages.simulation.scenes import refusals, size_of
 from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults
 from l3cli.training.text import class_figures

@@ -58,7 +58,7 @@ class Local:
     by_path = False  # whether it reads files itself
 
     def __init__(self, renderer: "Renderer", setup: "RenderSetup") -> None:
-        self._renderer, self._rendition, self._digest = renderer, setup.rendition, setup.digest
+        self._renderer, self._setup = renderer, setup
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[FrameReference, Any]]:
         """Each frame rendered, in order.
@@ -67,11 +67,12 @@ class Local:
         """
         at_work: collections.deque[tuple[FrameReference, RawFrame]] = collections.deque()
 
-        rendition, usual = self._rendition, self._rendition.balance
+        setup, rendition, outputs = self._setup, self._setup.rendition, self._renderer.table.outputs
+        usual = rendition.balance
         if usual is None or rendition.is_linear:
             for each in exposed:
                 made = rendered(self._renderer, frame := _read(each), rendition, each.scale, each.balance)
-                yield each.pending, self._picture(frame, each.pending, *made)
+                yield each.pending, picture_of(made, frame, each.pending.identity, setup, outputs)
             return
 
         def displayed() -> Iterator[tuple[RawFrame, Display]]:
@@ -82,11 +83,8 @@ class Local:
 
         for picture in self._renderer.pictures(displayed()):
             pending, frame = at_work.popleft()
-            yield pending, self._picture(frame, pending, upright(picture, frame.orientation))
-
-    def _picture(self, frame: RawFrame, pending: FrameReference, pixels: NDArray[Any], scale: float = 0.0) -> Picture:
-        label = label_of(frame, self._digest, pending.identity)
-        return picture_of(pixels, scale, self._rendition, label, self._renderer.table.outputs)
+            made = upright(picture, frame.orientation), 0.0
+            yield pending, picture_of(made, frame, pending.identity, setup, outputs)
 
 
 def _read(exposed: Exposed) -> RawFrame:
@@ -143,16 +141,14 @@ class Remote:
             yield away.popleft(), made
 
 
-def picture_of(pixels: NDArray[Any], scale: float, rendition: Rendition, label: Label, outputs: tuple[str, ...]) -> Picture:
-    """Return the content of a rendered frame's file; `outputs`: names of the table's."""
+def picture_of(
+    made: tuple[NDArray[Any], float], frame: RawFrame, identity: str, setup: RenderSetup, outputs: tuple[str, ...]
+) -> Picture:
+    """Return the content of a frame's file from what was `rendered` of it; `outputs`: names of the table's."""
+    (pixels, scale), rendition = made, setup.rendition
     names = outputs if rendition.balance is None else rendition.names
     pixels = raw_values(pixels, rendition.mosaic) if rendition.raw else pixels
-    return Picture(pixels, rendition.space, label, names, scale)
-
-
-def label_of(frame: RawFrame, table: str, identity: str) -> Label:
-    """Return the metadata of a frame's picture; `table`: SHA-256 of the table."""
-    return Label(frame.shot, frame.exposure, table, identity)
+    return Picture(pixels, rendition.space, Label(frame.shot, frame.exposure, setup.digest, identity), names, scale)
 
 
 def _rendered(job: RenderJob) -> Any:
@@ -171,9 +167,8 @@ def _rendered(job: RenderJob) -> Any:
             return error if isinstance(error, L3Error) else InputFileError(str(error))
     elif correction is not None and frame.shading is None:
         frame = replace(frame, shading=correction.shading)  # its defects are mended already
-    label = label_of(frame, setup.digest, job.identity)
     made = rendered(renderer, frame, setup.rendition, job.scale, job.balance)
-    picture = picture_of(*made, setup.rendition, label, table.outputs)
+    picture = picture_of(made, frame, job.identity, setup, table.outputs)
     return picture if setup.suffix is None else picture_file(Path(f"frame{setup.suffix}"), picture)
 
 

@@ -20,11 +20,10 @@ from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.io.video import Pacing, VideoChoice, new_video, new_y4m
 from l3cli.options.render import RenderOptions
 from l3cli.parallel.threads import WriteBehind, prefetched
-from l3cli.rendering.exposure import LightMeter, SteadyExposure
 from l3cli.rendering.raw_checks import FrameWarnings
-from l3cli.rendering.rendition import FrameWhites, Rendition
+from l3cli.rendering.rendition import FrameMeter, Rendition
 from l3cli.rendering.temporal.chunks import Chunks, needed
-from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
+from l3cli.rendering.white.balance import WhiteBalance
 from l3cli.rendering.white.chart import ChartSceneWhite
 from l3cli.rendering.white.scene_white import SceneWhite, implausible, unlike_stated
 from l3cli.rendering.white.source import WhiteSource
@@ -75,7 +74,7 @@ class _Read:
 
     pending: FrameReference
     frame: RawFrame | Unread | None
-    brightness: float = 0.0
+    scale: float = 0.0  # of its exposure, 0: automatic
     white: SceneWhite | None = None  # measured on it
     balance: WhiteBalance | None = None  # what it is shown with, if not the rendition's
     error: L3Error | None = None
@@ -148,18 +147,16 @@ def render_frames(
     out."""
     start = time.monotonic()
     sequence, options, console = job.sequence, job.options, job.options.console
-    steady = SteadyExposure(job.choice.rate) if job.in_order and job.rendition.measures_exposure else None
-    whites = FrameWhites(job.source, SteadyWhite(job.choice.rate) if job.in_order else None) if job.source else None
+    meter = FrameMeter(job.table, job.rendition, job.source, job.choice.rate if job.in_order else None)
     tally, warnings, white_report = Tally(), FrameWarnings(job.table), WhiteReport(job.source, sequence.stills, console)
     for numbers in sequence.missing:
         tally.leave_out(sequence.absent(numbers), options, len(numbers))
     with _sink(job, checkpoint) as (write, threads), WriteBehind(write, DEPTH, threads) as writing:
-        meters = _Meters(LightMeter(job.table) if steady else None, whites)
-        reading = prefetched(_Reading(job, meters, checkpoint, origins, executor.by_path).frames(), DEPTH)
+        reading = prefetched(_Reading(job, meter, checkpoint, origins, executor.by_path).frames(), DEPTH)
         if job.temporal:
             reading = prefetched(_filtered(reading, job.temporal), DEPTH)
         total = sequence.part.stop if sequence.part else sequence.count and sequence.count - sequence.lost
-        exposed = _exposed(console.progress(reading, total, "frames"), job, steady, tally, white_report)
+        exposed = _exposed(console.progress(reading, total, "frames"), job, tally, white_report)
         for pending, made in executor.render(warnings.watched(exposed, sequence.stills)):
             if isinstance(made, L3Error):
                 tally.done -= 1
@@ -208,23 +205,6 @@ def report_times(job: SequenceJob, tally: Tally) -> None:
             console.warn(f"{gap}; the frame before is shown for as long")
 
 
-@dataclass(frozen=True)
-class _Meters:
-    """Measurements on frames as they are read."""
-
-    light: LightMeter | None
-    whites: FrameWhites | None
-
-    def __bool__(self) -> bool:
-        return bool(self.light or self.whites)
-
-    def measured(self, pending: FrameReference, frame: RawFrame, is_finished: bool) -> _Read:
-        white = self.whites.measured(frame) if self.whites else None
-        balance = self.whites.balance if self.whites else None
-        brightness = self.light.brightness(frame, balance) if self.light else 0.0
-        return _Read(pending, frame, brightness, white, balance, is_finished=is_finished)
-
-
 @dataclass
 class _Reading:
     """Frame after frame, read and measured; of frames that are kept only what later ones need of it. `by_path`: a file that
@@ -232,7 +212,7 @@ class _Reading:
     by."""
 
     job: SequenceJob
-    meters: _Meters
+    meter: FrameMeter
     checkpoint: PictureCheckpoint | None
     origins: FrameOrigins
     by_path: bool
@@ -273,19 +253,20 @@ class _Reading:
     def _read(self, pending: FrameReference, is_finished: bool, need: bool) -> _Read | None:
         """Read a frame; None at the end of a stream."""
         job, destination = self.job, self.job.destination
-        if not need and not (self.meters and job.in_order) and not job.sequence.is_stream:
+        if not need and not (self.meter and job.in_order) and not job.sequence.is_stream:
             return _Read(pending, None, is_finished=True)
-        leaves = self.by_path and destination.one_by_one and not (self.meters or job.temporal)
+        leaves = self.by_path and destination.one_by_one and not (self.meter or job.temporal)
         try:
             if leaves and pending.source and not self._is_first:
                 unread = Unread(pending.source.absolute(), sha256(pending.source))
-                return _Read(replace(pending, identity=file_identity(unread.digest)), unread, is_finished=is_finished)
+                pending = replace(pending, identity=file_identity(unread.digest))
+                return _Read(pending, unread, job.rendition.exposure or 0.0, is_finished=is_finished)
             frame, self._is_first = pending.read(), False
             if frame is None:
                 return None
             if not destination.one_by_one:
                 self._require_size(frame)
-            read = self.meters.measured(pending, frame, is_finished)
+            scale, balance, white = self.meter.measured(frame)
         except (L3Error, OSError) as error:
             return _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
         if self.checkpoint and pending.origin is None:
@@ -293,7 +274,7 @@ class _Reading:
             is_finished = is_finished or self.checkpoint.keeps(destination.file(pending.number, pending.stem), pending)
         if destination.pictures and not is_finished:
             pending = replace(pending, identity=_identity(pending, frame))
-        return replace(read, pending=pending, is_finished=is_finished)
+        return _Read(pending, frame, scale, white, balance, is_finished=is_finished)
 
     def _require_size(self, frame: RawFrame) -> None:
         """InputFileError unless a frame has the size of the first."""
@@ -322,9 +303,7 @@ def _identity(pending: FrameReference, frame: RawFrame) -> str:
     return values_identity(hashlib.sha256(frame.values.astype("<u2", copy=False).tobytes()).hexdigest())
 
 
-def _exposed(
-    reading: Iterable[_Read], job: SequenceJob, steady: SteadyExposure | None, tally: Tally, white_report: WhiteReport
-) -> Iterator[Exposed]:
+def _exposed(reading: Iterable[_Read], job: SequenceJob, tally: Tally, white_report: WhiteReport) -> Iterator[Exposed]:
     """The frames to render, each with its scale (0: automatic exposure); what is broken is raised, or said and counted."""
     for each in reading:
         if each.error is not None:
@@ -333,11 +312,10 @@ def _exposed(
             continue
         tally.done += each.counted
         if each.frame is not None:
-            scale = job.rendition.exposure or (steady.scale(each.brightness) if steady else 0.0)
             if isinstance(each.frame, RawFrame) and each.counted:
                 white_report.report_white(each.frame, each.white)
             if not each.is_finished:
-                yield Exposed(each.pending, each.frame, scale, each.balance)
+                yield Exposed(each.pending, each.frame, each.scale, each.balance)
 
 
 @contextlib.contextmanager

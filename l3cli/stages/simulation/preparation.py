@@ -1,7 +1,6 @@
 """Checks and resolutions before any frame is simulated."""
 
 import dataclasses
-import re
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,11 @@ from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes.registry import is_folder
 from l3cli.recipes.toml import read_text
 from l3cli.simulation import recipe as asked
-from l3cli.simulation.light import SCENE_LIGHT, Curve, check_measured, make_light, make_target, recorded_under
+from l3cli.simulation.light import SCENE_LIGHT, column_names, make_light, make_target, read_curve, recorded_under
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.simulation.run import SimulationRun
 from l3cli.simulation.sensor import noise_plugin
 from l3cli.simulation.sources import FileSource, name_of
-from l3cli.spectra.file import read_table
 from l3cli.stages.simulation.scenes import files_of, refusals
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
@@ -40,7 +38,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     except RecipeError as error:
         raise RecipeError(f"{path}: {error}") from error
     outputs = recipe.target.outputs
-    names = _column_names(path.parent / outputs) if outputs in curves else ()
+    names = column_names(path.parent / outputs) if outputs in curves else ()
     target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
     patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
     files = [
@@ -108,24 +106,3 @@ def head_of(
         target_light=run.target.light.spectrum if run.target.light else None,
         history=(*camera.history, stage),
     )
-
-
-def read_curve(path: Path, role: str) -> Curve:
-    """A CSV file of a scene recipe in its role: light, transmittance or functions; InputFileError if it is none."""
-    table = read_table(path)
-    if role == "transmittance":
-        return table.wavelength, table.counted(1).shares()
-    if role == "functions":
-        return table.wavelength, table.values
-    curve = table.wavelength, table.powers()
-    check_measured(curve, str(path))
-    return curve
-
-
-def _column_names(path: Path) -> tuple[str, ...]:
-    """The heading of a CSV file of matching functions, or numbers where it has none."""
-    table = read_table(path)
-    unnamed = tuple(f"output {number}" for number in range(1, len(table.values) + 1))
-    names = table.names or ()
-    named = len(set(names)) == len(names) and not any(re.fullmatch(r"[-+.\deE]*", name) for name in names)
-    return names if names and named else unnamed
