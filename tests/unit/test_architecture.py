@@ -51,7 +51,7 @@ BUDGET = {  # at most; a change that lowers a number lowers it here, towards the
     "lines of l3cli": 48_560,  # 41 000
     "lines of l3cli/stages": 5_490,  # 5 500
     "lines of l3cli/cli": 1_600,  # 1 700
-    "lines of tests": 36_400,  # 32 000
+    "lines of tests": 36_370,  # 32 000
     "modules": 335,  # 290
     "modules in the root": 3,
     "lines of the longest module": 500,
