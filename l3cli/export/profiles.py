@@ -16,7 +16,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.calibration.figures import camera_figures
 from l3cli.io.curves import curve_text
 from l3cli.physics import spectra
-from l3cli.physics.display import SRGB_FROM_XYZ, colour_errors, fit_through, lab, refinement, xyz_from_srgb_matrix
+from l3cli.physics.display import SRGB_FROM_XYZ, delta_e_2000, fit_through, lab, refinement, xyz_from_srgb_matrix
 from l3cli.system.text import printable
 
 TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # K, correlated
@@ -105,7 +105,7 @@ def _matrix_to(space: Array, balanced: Array, noise: Array, wanted: Array, white
 
 
 def _judged(values: Array, xyz: Array, wanted: Array, white: Array) -> Matrix:
-    errors = colour_errors(xyz, wanted, white)
+    errors = delta_e_2000(lab(xyz, white), lab(wanted, white))
     return Matrix(values, errors, np.asarray(lab(wanted[errors.argmax()], white)))
 
 
