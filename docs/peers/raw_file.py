@@ -15,7 +15,7 @@ from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.evaluation.quality import cropped
 from l3cli.frames.frame import pad_mosaic
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
-from l3cli.physics.display import srgb_from_xyz_matrix
+from l3cli.physics.display import SRGB_FROM_XYZ
 
 Array = NDArray[np.floating]
 BITS = 16
@@ -29,7 +29,7 @@ MARGIN = 12  # pixels mirrored in phase, at least: developers cut some off, or k
 def write_mosaic(path: Path, mosaic: Array, cfa: NDArray[np.uint8]) -> None:
     """A mosaic (row, col) of the channels red, green, blue in which a white is 1, as a new DNG file."""
     values = np.clip(np.rint(BLACK + WHITE_SHARE * (TOP - BLACK) * mosaic), 0, TOP).astype(np.uint16)
-    matrix = srgb_from_xyz_matrix()
+    matrix = SRGB_FROM_XYZ
     colour = dict.fromkeys(LIGHT_CODES, matrix)
     write_dng(path, values, _camera(cfa, values.shape), colour, np.ones(3), exposure=0.01)
 

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel, Noise, Readout
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
 from l3cli.calibration import agreement, gain, responsivity
-from l3cli.calibration import responsivity as finished
 from l3cli.calibration.captures import (
     Charts,
     Sensor,
@@ -55,7 +54,7 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
         if not sweep_fit.odd:
             check_charts(measurements, charts, sweep, sweep_fit.chosen_smoothing, sensor.dark.black_level)
     else:
-        curves = finished.without_fit(measurements.curve, body, drift, measurements.wavelength_uncertainty)
+        curves = responsivity.without_fit(measurements.curve, body, drift, measurements.wavelength_uncertainty)
         if measurements.charts:
             curves = curves.to_channel_peaks()
             charts = measure_charts(measurements.charts, curves.wavelength, body, sensor, each)
@@ -88,7 +87,7 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> Camer
     filters."""
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
     if measurements.curve is not None:
-        return assemble(body, figures, finished.without_fit(measurements.curve, body, drift, shift), Fit())
+        return assemble(body, figures, responsivity.without_fit(measurements.curve, body, drift, shift), Fit())
     curves, fit = fit_series(measurements.bands, measurements.darks, body, figures.black_level, figures.white_level)
     return assemble(body, figures, curves.widened(drift, shift), Fit(series=fit))
 

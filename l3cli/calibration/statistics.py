@@ -34,17 +34,16 @@ def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defe
     rule."""
     rows, cols = cfa.shape
     defects = []
-    for row in range(rows):
-        for col in range(cols):
-            site = picture[row::rows, col::cols]
-            middle, spread = _middle_and_spread(site)
-            far = np.abs(site - middle) > max(OUTLIER * spread, least)
-            for axis in (0, 1):
-                lines = np.median(site, axis=axis)
-                centre, between = _middle_and_spread(lines)
-                odd = np.abs(lines - centre) > max(OUTLIER * between, spread, least)
-                far |= odd if axis == 0 else odd[:, None]
-            defects.append(np.argwhere(far) * (rows, cols) + (row, col))
+    for row, col in np.ndindex(rows, cols):
+        site = picture[row::rows, col::cols]
+        middle, spread = _middle_and_spread(site)
+        far = np.abs(site - middle) > max(OUTLIER * spread, least)
+        for axis in (0, 1):
+            lines = np.median(site, axis=axis)
+            centre, between = _middle_and_spread(lines)
+            odd = np.abs(lines - centre) > max(OUTLIER * between, spread, least)
+            far |= odd if axis == 0 else odd[:, None]
+        defects.append(np.argwhere(far) * (rows, cols) + (row, col))
     return joined_defects(*defects)
 
 
@@ -118,9 +117,8 @@ class Level:
 def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
     """(channel, the pixels of one site of the super-pixel as a picture), site by site."""
     rows, cols = cfa.shape
-    for row in range(rows):
-        for col in range(cols):
-            yield int(cfa[row, col]), values[row::rows, col::cols]
+    for row, col in np.ndindex(rows, cols):
+        yield int(cfa[row, col]), values[row::rows, col::cols]
 
 
 def pooled(per_site: Sequence[float], cfa: NDArray[np.uint8]) -> Array:
@@ -187,21 +185,11 @@ def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each:
     total = np.zeros((len(weights), body.rows, body.cols))
     used = [index for index in range(len(captures)) if weights[:, index].any()]
     means = each(mean_frame, [captures[index] for index in used])
-    for index, mean in zip(used, means, strict=True):
-        for channel, weight in zip(_channels(body), weights[:, index].T, strict=True):
-            for site in channel:
-                total[:, site[0], site[1]] += weight[:, None, None] * mean[site]
-    return total
-
-
-def _channels(body: Body) -> list[list[tuple[slice, slice]]]:
-    """Return, for each channel, the slices that take its sites out of a frame."""
     rows, cols = body.cfa.shape
-    sites: list[list[tuple[slice, slice]]] = [[] for _ in body.channels]
-    for row in range(rows):
-        for col in range(cols):
-            sites[body.cfa[row, col]].append((slice(row, None, rows), slice(col, None, cols)))
-    return sites
+    for index, mean in zip(used, means, strict=True):
+        for (row, col), (channel, site) in zip(np.ndindex(rows, cols), by_site(mean, body.cfa), strict=True):
+            total[:, row::rows, col::cols] += weights[:, index, channel, None, None] * site
+    return total
 
 
 def mean_frame(capture: Capture) -> NDArray[np.float32]:

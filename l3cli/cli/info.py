@@ -38,26 +38,16 @@ def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> R
         return _verify(file, inputs)
     if options.verify or inputs:
         raise click.UsageError("one file at a time, unless --verify compares it with what it was made of")
-    document = _versions() if file is None else _content(file)
-    lines = _version_lines(document) if options.version else _lines(document)
+    from l3cli.stages.information import content, versions
+
+    document = versions() if file is None else content(file)
+    lines = _version_lines(document) if file is None else _lines(document)
     return Result(document, lambda: _show(lines))
 
 
 def _show(lines: list[str]) -> None:
     for line in lines:
         show(*folded(printable(line), len(line) - len(line.lstrip()) + 4))
-
-
-def _content(file: Path) -> dict[str, Any]:
-    from l3cli.stages.information import content
-
-    return content(file)
-
-
-def _versions() -> dict[str, Any]:
-    from l3cli.stages.information import versions
-
-    return versions()
 
 
 def _verify(file: Path, inputs: tuple[Path, ...]) -> Result:

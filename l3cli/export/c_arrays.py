@@ -1,6 +1,6 @@
 """The constant arrays of a table's C source, and the structs that name those of later layers."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -199,10 +199,8 @@ def _entry(layer: PlaneLayer, prefix: str, last: bool) -> str:
 
 
 def _structure(prefix: str, rule: StructureRule) -> tuple[list[Array], str]:
-    arrays = [
-        Array(f"{prefix}edges", _some(rule.strength_edges), "strength edges (edge)"),
-    ]
     values = f"{rule.strengths}, {rule.coherence}, {prefix}edges"
+    arrays = [Array(f"{prefix}edges", _some(rule.strength_edges), "strength edges (edge)")]
     return arrays, f"static const L3Structure {prefix}rule = {{{values}}};"
 
 
@@ -211,11 +209,8 @@ def _tree(prefix: str, rule: TreeRule) -> tuple[list[Array], str]:
     parts = int(rule_macros(rule)["PARTS"])
     (words,) = rule_constants(rule, "processor")
     groups = -(-parts // 32) + parts
-    start, first, tests = (
-        words[: groups + 1],
-        words[groups + 1 : groups + 1 + parts],
-        words[groups + 1 + parts :].reshape(-1, 3),
-    )
+    start, first, tests = np.split(words, [groups + 1, groups + 1 + parts])
+    tests = tests.reshape(-1, 3)
     arrays = [
         Array(f"{prefix}start", (start - start[0]) // 3, "first test of each group, and behind the last (group + 1)"),
         Array(f"{prefix}first_leaf", first, "(part)"),
@@ -262,17 +257,9 @@ def _rows(values: NDArray) -> Iterator[str]:
             rows[-1] = rows[-1].rstrip(",") + "},"
             yield from rows
         return
-    write: Callable[[NDArray], list[str]] = _as_floats if values.dtype.kind == "f" else _as_integers
-    numbers = write(values)
+    if values.dtype.kind == "f":  # nine digits, which are read as the same float32, whatever numpy's print options
+        numbers = [f"{value:.8e}f" if value else "0.0f" for value in values.astype(np.float32).tolist()]
+    else:
+        numbers = [f"{value}{'u' if values.dtype == np.uint32 else ''}" for value in values.tolist()]
     for start in range(0, len(numbers), PER_LINE):
         yield ", ".join(numbers[start : start + PER_LINE]) + ","
-
-
-def _as_integers(values: NDArray) -> list[str]:
-    suffix = "u" if values.dtype == np.uint32 else ""
-    return [f"{value}{suffix}" for value in values.tolist()]
-
-
-def _as_floats(values: NDArray) -> list[str]:
-    """Nine digits, which are read as the same float32. numpy would follow print options, which libraries set."""
-    return [f"{value:.8e}f" if value else "0.0f" for value in values.astype(np.float32).tolist()]

@@ -16,7 +16,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.calibration.figures import camera_figures
 from l3cli.io.curves import curve_text
 from l3cli.physics import spectra
-from l3cli.physics.display import SRGB_FROM_XYZ, colour_errors, fit_through, lab, refinement, xyz_from_srgb_matrix
+from l3cli.physics.display import SRGB_FROM_XYZ, delta_e_2000, fit_through, lab, refinement, xyz_from_srgb_matrix
 from l3cli.system.text import printable
 
 TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # K, correlated
@@ -105,7 +105,7 @@ def _matrix_to(space: Array, balanced: Array, noise: Array, wanted: Array, white
 
 
 def _judged(values: Array, xyz: Array, wanted: Array, white: Array) -> Matrix:
-    errors = colour_errors(xyz, wanted, white)
+    errors = delta_e_2000(lab(xyz, white), lab(wanted, white))
     return Matrix(values, errors, np.asarray(lab(wanted[errors.argmax()], white)))
 
 
@@ -267,9 +267,8 @@ def export(camera: CameraModel) -> Exported:
         note = f"{camera.name}: no tuning files for libcamera, which knows 2×2 arrays of r, g and b alone"
     else:
         corrections = {TEMPERATURES[name]: each.correction.values[:, order] for name, each in known.items()}
-        curve, noise = temperature_curve(camera, order), noise_profile(camera)
-        tuning = Tuning(black_level_16(camera), corrections, curve, noise)
-        files |= {RASPBERRY_PI: raspberry_pi_json(camera.name, tuning), SIMPLE: simple_yaml(camera.name, tuning)}
+        curve = temperature_curve(camera, order)
+        files |= {RASPBERRY_PI: _raspberry_pi_json(camera, corrections, curve), SIMPLE: _simple_yaml(camera, corrections)}
     kinds = {name: ("CCM", "ForwardMatrix", "ColorMatrix") if name in ILLUMINANTS else ("CCM",) for name in known}
     judged = {name: errors(each) for name, each in known.items()}
     return Exported(files, {name: {kind: judged[name][kind] for kind in kinds[name]} for name in known}, note)
@@ -299,15 +298,6 @@ def _curves(camera: CameraModel) -> dict[str, str]:
     return {CURVES: curve_text(camera.wavelength, curves, camera.channels), RAWTOACES_JSON: text}
 
 
-class Tuning(NamedTuple):
-    """Content of libcamera's tuning files for a Bayer camera, its channels in the order r, g, b."""
-
-    black_level: int  # of 16 bits
-    corrections: Mapping[int, Array]  # temperature in K, rising → (3, 3)
-    curve: Array | None  # (temperature, 3) K, r over g, b over g of a grey
-    noise: tuple[float, float]  # constant and slope of a deviation over the root of a signal of 16 bits
-
-
 def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
     """Return a DCP as dcamprof's json2dcp reads it, for the lights of ILLUMINANTS; beside it the channels in their order,
     that of raw files (r, g, b), and AsShotNeutral, which belongs into the DNG of a picture, for each light."""
@@ -323,59 +313,59 @@ def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
     return _json(content) + "\n"
 
 
-def raspberry_pi_json(name: str, tuning: Tuning) -> str:
+def _raspberry_pi_json(camera: CameraModel, corrections: Mapping[int, Array], curve: Array | None) -> str:
     """Return a tuning file of libcamera's Raspberry Pi pipelines, version 2.0: JSON, as they name theirs SENSOR.json, and as
-    picamera2 reads it; libcamera's YAML reader takes it, too."""
+    picamera2 reads it; libcamera's YAML reader takes it, too. `corrections` (3, 3) by temperature in K, rising; `curve`: as
+    `temperature_curve` returns."""
     flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # without a lux meter no temperature is likelier
     awb: dict[str, Any] = {"bayes": 0}
-    if tuning.curve is not None:
-        low, high = int(tuning.curve[0, 0]), int(tuning.curve[-1, 0])
-        awb = {**flat, "modes": {"auto": {"lo": low, "hi": high}}, "bayes": 1, "ct_curve": tuning.curve.ravel().tolist()}
-    ccms = [{"ct": ct, "ccm": matrix.ravel().tolist()} for ct, matrix in tuning.corrections.items()]
+    missing = ["missing: rpi.awb ct_curve: the channels of greys do not follow a temperature"]
+    if curve is not None:
+        low, high = int(curve[0, 0]), int(curve[-1, 0])
+        awb = {**flat, "modes": {"auto": {"lo": low, "hi": high}}, "bayes": 1, "ct_curve": curve.ravel().tolist()}
+        missing = []
+    ccms = [{"ct": ct, "ccm": matrix.ravel().tolist()} for ct, matrix in corrections.items()]
+    constant, slope = noise_profile(camera)
     algorithms = {
-        "rpi.black_level": {"black_level": tuning.black_level},
-        "rpi.noise": {"reference_constant": tuning.noise[0], "reference_slope": tuning.noise[1]},
+        "rpi.black_level": {"black_level": black_level_16(camera)},
+        "rpi.noise": {"reference_constant": constant, "reference_slope": slope},
         "rpi.awb": awb,
         "rpi.ccm": {"ccms": ccms},
     }
     content = {
         "version": 2.0,
         "target": "bcm2835",
-        "comment": _comments(name, tuning),  # libcamera reads version, target and algorithms alone
+        "comment": [  # for whoever installs the file: libcamera reads version, target and algorithms alone
+            f"{camera.name}, l3cli {__version__}: black level, noise, white balance and colours of the camera model",
+            "noise: at the analogue gain of the calibration, which counts as 1",
+            'a Raspberry Pi 5: "target": "pisp"',
+            "missing, take them from the tuning file of a similar sensor: rpi.agc, rpi.contrast, rpi.alsc, rpi.sharpen",
+            "missing: rpi.lux, since no scene of known illuminance was measured through the lens; priors are flat without "
+            "it",
+            *missing,
+        ],
         "algorithms": [{key: value} for key, value in algorithms.items()],
     }
     return _json(content) + "\n"
 
 
-def _comments(name: str, tuning: Tuning) -> list[str]:
-    """Return the notes for whoever installs the Raspberry Pi file."""
-    missing = [] if tuning.curve is not None else ["rpi.awb ct_curve: the channels of greys do not follow a temperature"]
-    return [
-        f"{name}, l3cli {__version__}: black level, noise, white balance and colours of the camera model",
-        "noise: at the analogue gain of the calibration, which counts as 1",
-        'a Raspberry Pi 5: "target": "pisp"',
-        "missing, take them from the tuning file of a similar sensor: rpi.agc, rpi.contrast, rpi.alsc, rpi.sharpen",
-        "missing: rpi.lux, since no scene of known illuminance was measured through the lens; priors are flat without it",
-        *(f"missing: {each}" for each in missing),
-    ]
-
-
-def simple_yaml(name: str, tuning: Tuning) -> str:
+def _simple_yaml(camera: CameraModel, corrections: Mapping[int, Array]) -> str:
     """Return a tuning file of libcamera's simple pipeline, the software ISP of laptops and phones, which looks for
     SENSOR.yaml."""
-    known = tuning.black_level <= SIMPLE_DARKEST
+    black_level = black_level_16(camera)
     lines = [
-        "# " + json.dumps(f"{name}, l3cli {__version__}")[1:-1],
+        "# " + json.dumps(f"{camera.name}, l3cli {__version__}")[1:-1],
         "%YAML 1.1",
         "---",
         "version: 1",
         "algorithms:",
-        *(["  - BlackLevel:", f"      blackLevel: {tuning.black_level}"] if known else ["  - BlackLevel:"]),
+        "  - BlackLevel:",
+        *([f"      blackLevel: {black_level}"] if black_level <= SIMPLE_DARKEST else []),
         "  - Awb:",
         "  - Ccm:",
         "      ccms:",
     ]
-    for ct, matrix in tuning.corrections.items():
+    for ct, matrix in corrections.items():
         rows = [", ".join(f"{value:.6f}" for value in row) for row in matrix]
         lines += [f"        - ct: {ct}", f"          ccm: [ {rows[0]},", f"                 {rows[1]},"]
         lines.append(f"                 {rows[2]} ]")

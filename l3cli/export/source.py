@@ -101,16 +101,16 @@ def c_files(
 
 
 def _named(text: str, prefix: str) -> str:
-    """Return a text whose symbols, macros, types and names of files begin with a prefix instead of l3."""
+    """Return a text whose symbols, macros, types and names of files begin with a prefix instead of l3, but for strings of an
+    array's bytes, which may spell anything."""
     if prefix == PREFIX:
         return text
-    return "\n".join(line if line.startswith('"') else _renamed(line, prefix) for line in text.split("\n"))
-
-
-def _renamed(text: str, prefix: str) -> str:
-    """Do so in a line that is no string of an array's bytes, which may spell anything."""
-    text = re.sub(r"\bl3(?=_|\.[cho]\b)", prefix, text)
-    return re.sub(r"\bL3(?=[A-Z])", prefix.title().replace("_", ""), re.sub(r"\bL3(?=_)", prefix.upper(), text))
+    lines = text.split("\n")
+    for number, line in enumerate(lines):
+        if not line.startswith('"'):
+            line = re.sub(r"\bL3(?=_)", prefix.upper(), re.sub(r"\bl3(?=_|\.[cho]\b)", prefix, line))
+            lines[number] = re.sub(r"\bL3(?=[A-Z])", prefix.title().replace("_", ""), line)
+    return "\n".join(lines)
 
 
 def _piece(name: str) -> str:
@@ -159,21 +159,12 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
     if table.spectra:
         reach, darkest = _float(table.spectra.reach), _float(SPECTRA_DARKEST)
         values |= {"SPECTRAL_WINDOW": table.spectra.window, "SPECTRAL_REACH": reach, "DARKEST": darkest}
-    values |= _float_macros(table) if words == "float32" else _word_macros(table)
+    if words == "float32":
+        values |= {"OUTPUT_FRACTION": 0, "VALUE_OFFSET": "0.0f" if table.later else _float(table.black_level)}
+    else:
+        values |= {"OUTPUT_FRACTION": OUTPUT_FRACTION, "OUTPUT_TOP": OUTPUT_TOP}
+        values |= {"VALUE_OFFSET": offset_of(table), "SPLIT": split_of(table)}
     return values | (_plane_macros(table) if table.later else {"LAST_TAPS": filled(rule.patch**2)})
-
-
-def _float_macros(table: TransformTable) -> dict[str, int | str]:
-    return {"OUTPUT_FRACTION": 0, "VALUE_OFFSET": "0.0f" if table.later else _float(table.black_level)}
-
-
-def _word_macros(table: TransformTable) -> dict[str, int | str]:
-    return {
-        "OUTPUT_FRACTION": OUTPUT_FRACTION,
-        "OUTPUT_TOP": OUTPUT_TOP,
-        "VALUE_OFFSET": offset_of(table),
-        "SPLIT": split_of(table),
-    }
 
 
 def _plane_macros(table: TransformTable) -> dict[str, int | str]:

@@ -83,11 +83,6 @@ def scene_white(text: str) -> NDArray[np.float64]:
 # --------------------------------------------------------------------------------------------------------- sRGB
 
 
-def srgb_from_xyz_matrix() -> Array:
-    """Linear sRGB = M (3, 3) @ XYZ with the D65 white at Y = 1."""
-    return SRGB_FROM_XYZ.copy()
-
-
 def xyz_from_srgb_matrix() -> Array:
     """XYZ = M (3, 3) @ linear sRGB, white at Y = 1."""
     return np.linalg.inv(SRGB_FROM_XYZ)
@@ -118,7 +113,7 @@ def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
 
 def displayed(xyz: Array, white: Array, scale: float) -> Array:
     """The picture in 0…1 of XYZ planes (3, row, col): `white` (3) adapted to D65, Y = `scale` shown as 1."""
-    matrix = srgb_from_xyz_matrix() @ adaptation_matrix(white, daylight()) / scale
+    matrix = SRGB_FROM_XYZ @ adaptation_matrix(white, daylight()) / scale
     return np.clip(np.einsum("oc,crk->rko", matrix, xyz), 0.0, 1.0)
 
 
@@ -148,7 +143,7 @@ def srgb_from_lab(lab_values: Array) -> Array:
     """Linear sRGB (…, 3), unclipped, of CIE L*a*b* relative to D65."""
     colour = colour_science()
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
-    return np.asarray(colour.Lab_to_XYZ(lab_values, white) @ srgb_from_xyz_matrix().T)
+    return np.asarray(colour.Lab_to_XYZ(lab_values, white) @ SRGB_FROM_XYZ.T)
 
 
 def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
@@ -170,11 +165,6 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
     free = np.linalg.solve(gram, inputs.T @ outputs).T
     towards = np.linalg.solve(gram, known)
     return free + np.outer(answer - free @ known, towards / (known @ towards))
-
-
-def colour_errors(xyz: Array, wanted: Array, white: Array) -> Array:
-    """CIEDE2000 (surface) between XYZ (surface, 3) of one scale, relative to `white` (3)."""
-    return delta_e_2000(lab(xyz, white), lab(wanted, white))
 
 
 def refinement(xyz: Array, wanted: Array, white: Array) -> Array:

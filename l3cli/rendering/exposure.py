@@ -7,16 +7,38 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import level
 from l3cli.classes.decide import label_patches
-from l3cli.classes.windows import TapOrder, neighbourhoods, tap_order, window_channels
+from l3cli.classes.windows import Integers, TapOrder, neighbourhoods, tap_order, window_channels
 from l3cli.frames.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import white_percentile
 from l3cli.rendering.white.balance import WhiteBalance, balanced_patches, followed_share
 
 GRID = (32, 48)  # rows and columns of pixels that are measured, at most
+
+
+class SpreadSamples:
+    """Evenly spread patches of frames, about 1500 each of one CFA site, and their classes in a table's first layer."""
+
+    def __init__(self, table: TransformTable) -> None:
+        self._table = table
+        self._neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+        self._orders: dict[int, TapOrder] = {}  # by CFA site
+
+    def of(self, frame: RawFrame, gains: np.ndarray | None = None) -> tuple[RawFrame, int, Integers]:
+        """Patches, site (`spread_patches`) and classes (patch) within the site of a frame."""
+        rule, (patches, site) = self._table.first.rule, spread_patches(frame, self._table, gains)
+        if site not in self._orders:
+            self._orders[site] = tap_order(rule, self._neighbours, site)
+        return patches, site, label_patches(patches.values, rule, self._neighbours, site, self._orders[site])
+
+    def signal(self, patches: RawFrame) -> NDArray[np.float32]:
+        """Values (patch, tap) as shares of full scale."""
+        full_scale = np.float32(self._table.white_level - self._table.black_level)
+        return (patches.values.astype(np.float32) - np.float32(patches.black_level)) / full_scale
 
 
 class LightMeter:
@@ -26,24 +48,15 @@ class LightMeter:
     """
 
     def __init__(self, table: TransformTable) -> None:
-        self.table = table
-        self._neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+        self.table, self._samples = table, SpreadSamples(table)
         self._weights = np.ascontiguousarray(table.first.weights[:, 1])
         self._intercept = table.first.intercept[:, 1]
-        self._orders: dict[int, TapOrder] = {}  # by CFA site
 
     def brightness(self, frame: RawFrame, balance: WhiteBalance | None = None) -> float:
         """Y that ought to be shown white, of the frame with the gains of a white balance."""
-        table = self.table
-        patches, site = spread_patches(frame, table, None if balance is None else balance.gains)
-        if site not in self._orders:
-            self._orders[site] = tap_order(table.first.rule, self._neighbours, site)
-        labels = label_patches(patches.values, table.first.rule, self._neighbours, site, self._orders[site])
-        classes = table.first.rule.on_site(labels, site)
-        signal = (patches.values.astype(np.float32) - np.float32(patches.black_level)) / np.float32(
-            table.white_level - table.black_level
-        )
-        luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
+        patches, site, labels = self._samples.of(frame, None if balance is None else balance.gains)
+        classes = self.table.first.rule.on_site(labels, site)
+        luminance = np.einsum("nt,nt->n", self._weights[classes], self._samples.signal(patches)) + self._intercept[classes]
         if patches.shading is not None:
             luminance *= patches.shading.gain[:, 0]
         raised = 1.0 if balance is None else balance.luminance
@@ -131,15 +144,13 @@ class CoverageMeter:
     """The coverage of frames by a table, from about 1500 pixels of one CFA site each (as LightMeter)."""
 
     def __init__(self, table: TransformTable) -> None:
-        self._table = table
-        self._neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+        self._table, self._spread = table, SpreadSamples(table)
         self._samples = table.first.rule.by_axis(table.first.samples)
 
     def coverage(self, frame: RawFrame) -> Coverage:
         """Return the coverage of a frame of any size and phase."""
         rule = self._table.first.rule
-        patches, site = spread_patches(frame, self._table)
-        labels = label_patches(patches.values, rule, self._neighbours, site)
+        _, site, labels = self._spread.of(frame)
         place = rule.split(labels)
         learned = np.flatnonzero(self._samples[site].sum(axis=(1, 2, 3)) > 0)
         lowest, highest = (learned[0], learned[-1]) if learned.size else (0, rule.levels - 1)

@@ -16,9 +16,8 @@ from l3cli.frames.frame import RawFrame, pad_mosaic
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
-SPECTRA_DARKEST = (
-    2.0**-20
-)  # of the output unit: pixels of less brightness stay as they are, far below the noise of any sensor
+# Of the output unit: pixels of less brightness stay as they are, far below the noise of any sensor.
+SPECTRA_DARKEST = 2.0**-20
 
 
 class ReferenceRenderer:
@@ -108,64 +107,67 @@ def table_labels(frame: RawFrame, table: TransformTable) -> Integers:
 def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, first: MosaicLayer) -> NDArray[np.float64]:
     """Each pixel's transform of a first layer applied to its neighbourhood: (output, row, col) from a frame at the table's
     levels and its classes (row, col)."""
-    rows, cols = frame.values.shape
-    patch, outputs = table.first.rule.patch, len(table.outputs)
     signal = (frame.values - frame.black_level) / (table.white_level - table.black_level)
-    padded = pad_mosaic(signal, table.first.rule.radius, (table.cfa.shape[0], table.cfa.shape[1]))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
-    planes = np.empty((outputs, rows, cols))
-    for row in range(rows):  # a row at a time: the chosen transforms of a whole frame would fill gigabytes
-        patches = windows[row].reshape(cols, patch**2, 1)
-        weighted = first.weights[labels[row]].astype(np.float64) @ patches
-        planes[:, row] = (weighted[..., 0] + first.intercept[labels[row]]).T
-    return planes
+    return _transformed(_mosaic_windows(signal, table), labels, first)
 
 
 def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:
     """Planes (plane, row, col) that the first layer makes of a frame at the table's levels, by its classes (row, col)."""
-    rows, cols = frame.values.shape
-    patch = table.first.rule.patch
-    padded = pad_mosaic(frame.values, table.first.rule.radius, table.cfa.shape).astype(np.int64)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
-    planes = np.empty((fixed.weights.shape[1], rows, cols), np.int32)
-    for row in range(rows):
-        patches, label = windows[row].reshape(cols, 1, patch**2), labels[row]
-        sums = (fixed.weights[label] * patches).sum(axis=-1) + fixed.intercept[label]
-        planes[:, row] = fixed.planes(sums.T, label)
-    return planes
+    return _fixed_point_planes(_mosaic_windows(frame.values.astype(np.int64), table), labels, fixed)
 
 
 def refinement_planes(
     planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint
 ) -> NDArray[np.int32]:
     """Planes (plane, row, col) that a layer makes of those of the layer before, by its classes (row, col)."""
-    _, rows, cols = planes.shape
-    windows = _windows(coarse(planes).astype(np.int64), layer)
-    made = np.empty_like(planes)
-    for row in range(rows):
-        patches, label = np.moveaxis(windows[:, row], 0, 1).reshape(cols, 1, -1), labels[row]
-        sums = (fixed.weights[label] * patches).sum(axis=-1) + fixed.intercept[label]
-        made[:, row] = fixed.planes(sums.T, label)
-    return made
+    return _fixed_point_planes(_windows(coarse(planes).astype(np.int64), layer), labels, fixed)
 
 
 def refinement_outputs(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer) -> NDArray[np.float64]:
     """Outputs (output, row, col) of a plane layer from what it reads and its classes (row, col)."""
-    _, rows, cols = planes.shape
-    windows = _windows(planes.astype(np.float64) * PLANE_STEP, layer)
     ratios = np.moveaxis(shaded_chroma(planes, layer.side), 0, -1)[..., : layer.ratio_taps] * PLANE_STEP
-    outputs = np.empty((layer.weights.shape[1], rows, cols))
-    for row in range(rows):
-        patches = np.moveaxis(windows[:, row], 0, 1).reshape(cols, -1)
-        patches = np.concatenate([patches, ratios[row]], axis=1)[..., None]
-        weighted = layer.weights[labels[row]].astype(np.float64) @ patches
-        outputs[:, row] = (weighted[..., 0] + layer.intercept[labels[row]]).T
-    return outputs
+    return _transformed(_windows(planes.astype(np.float64) * PLANE_STEP, layer), labels, layer, ratios)
+
+
+def _mosaic_windows(values: NDArray, table: TransformTable) -> NDArray:
+    """Windows (1, row, col, window row, window col) of a mosaic (row, col)."""
+    patch = table.first.rule.patch
+    padded = pad_mosaic(values, table.first.rule.radius, table.cfa.shape)
+    return np.lib.stride_tricks.sliding_window_view(padded[None], (patch, patch), (1, 2))
 
 
 def _windows(planes: NDArray, layer: PlaneLayer) -> NDArray:
     """Windows (plane, row, col, window row, window col) of planes (plane, row, col)."""
     return np.lib.stride_tricks.sliding_window_view(mirrored(planes, layer.radius), (layer.side, layer.side), (1, 2))
+
+
+def _patches(windows: NDArray, row: int) -> NDArray:
+    """The patches (col, tap) of a row of windows, planes one behind the other."""
+    return np.moveaxis(windows[:, row], 0, 1).reshape(windows.shape[2], -1)
+
+
+def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -> NDArray[np.int32]:
+    """Planes (plane, row, col) of windows (plane, row, col, …) by the transforms of their classes (row, col)."""
+    made = np.empty((fixed.weights.shape[1], *labels.shape), np.int32)
+    for row, label in enumerate(labels):
+        sums = (fixed.weights[label] * _patches(windows, row)[:, None]).sum(axis=-1) + fixed.intercept[label]
+        made[:, row] = fixed.planes(sums.T, label)
+    return made
+
+
+def _transformed(
+    windows: NDArray, labels: Integers, layer: MosaicLayer | PlaneLayer, ratios: NDArray | None = None
+) -> NDArray[np.float64]:
+    """Outputs (output, row, col) of windows (plane, row, col, …) and `ratios` (row, col, tap) by the transforms of their
+    classes (row, col)."""
+    outputs = np.empty((layer.weights.shape[1], *labels.shape))
+    for row, label in enumerate(labels):  # a row at a time: the chosen transforms of a whole frame would fill gigabytes
+        patches = _patches(windows, row)
+        if ratios is not None:
+            patches = np.concatenate([patches, ratios[row]], axis=1)
+        weighted = layer.weights[label].astype(np.float64) @ patches[..., None]
+        outputs[:, row] = (weighted[..., 0] + layer.intercept[label]).T
+    return outputs
 
 
 def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) -> NDArray[np.float64]:

@@ -91,19 +91,16 @@ class NoiseRenderer:
         return None if self.table.noises and frame.noise_left is not None else frame.noise_share
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
-        """As Renderer."""
         return self._of(self._share(frame)).labels(frame, layer)
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """As Renderer."""
         return self._of(self._share(frame)).outputs(frame)
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """As Renderer."""
         return self._of(self._share(frame)).picture(frame, display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """As Renderer; frames that follow one another with the same noise overlap on the device."""
+        """The picture of each frame; those that follow one another with the same noise overlap on the device."""
         shared = ((self._share(frame), (frame, display)) for frame, display in frames)
         for share, run in itertools.groupby(shared, key=itemgetter(0)):
             yield from self._of(share).pictures(each for _, each in run)

@@ -1,37 +1,27 @@
 """Rendition of frames as pictures: colour space, bits, exposure and white, as given or as they follow what is measured."""
 
 import itertools
-from fractions import Fraction
-from typing import TYPE_CHECKING
-
-from l3cli.frames.frame import RawFrame
-from l3cli.rendering.exposure import LightMeter, SteadyExposure
-from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance
-from l3cli.rendering.white.scene_white import SceneWhite
-from l3cli.rendering.white.source import WhiteSource
-from l3cli.system.locks import ThreadLock
-
-if TYPE_CHECKING:
-    from l3cli.artifacts.table import TransformTable
-    from l3cli.rendering.temporal.chunks import Chunks
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
-from l3cli.frames.frame import upright
+from l3cli.frames.frame import RawFrame, upright
 from l3cli.physics.display import FLOAT_BITS, exposure_scale
 from l3cli.physics.spaces import SPACES, SRGB, XYZ, Space, chromaticity_of
 from l3cli.rendering.display import Display, adapted_display, linear_matrix, require_xyz
-from l3cli.rendering.white.balance import balanced
-from l3cli.rendering.white.source import given_white, usual_balance, white_source
-
-if TYPE_CHECKING:
-    from l3cli.rendering.renderer import Renderer
+from l3cli.rendering.exposure import LightMeter, SteadyExposure
+from l3cli.rendering.renderer import Renderer
+from l3cli.rendering.temporal.chunks import Chunks
+from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance, balanced
+from l3cli.rendering.white.scene_white import SceneWhite
+from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance, white_source
+from l3cli.system.locks import ThreadLock
 
 DEPTHS = (8, 16, FLOAT_BITS)
 LEAST, MOST = 1e-9, 1e9  # times Y, of an exposure
@@ -109,7 +99,7 @@ def shown_as(
 
 
 def rendered(
-    renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None = None
+    renderer: Renderer, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None = None
 ) -> tuple[NDArray[Any], float]:
     """Return the pixels (row, col, value) of a frame as the rendition wants it, upright, and the scale of its exposure,
     which those for raw developers do not have. `scale` 0: automatic; `balance`: the frame's own, None: the rendition's."""
@@ -126,7 +116,7 @@ def rendered(
 
 
 def shown(
-    renderer: "Renderer", frame: RawFrame, rendition: Rendition, balance: WhiteBalance, scale: float
+    renderer: Renderer, frame: RawFrame, rendition: Rendition, balance: WhiteBalance, scale: float
 ) -> tuple[RawFrame, Display]:
     """A frame with the gains of its white balance, and how its outputs are shown; `scale`: of its exposure, 0: automatic."""
     frame = balanced(frame, renderer.table, balance.gains)
@@ -178,7 +168,7 @@ class Following:
 
     def __init__(
         self, table: TransformTable, rendition: Rendition, source: WhiteSource | None, rate: Fraction | None,
-        temporal: "Chunks | None" = None,
+        temporal: Chunks | None = None,
     ) -> None:  # fmt: skip
         self._held, self._temporal = rate is None, temporal
         self._meter = FrameMeter(table, rendition, source, rate or ANY_RATE)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.physics import spectra
-from l3cli.physics.display import LUMA, srgb_codes, srgb_from_xyz_matrix, xyz_from_srgb_matrix
+from l3cli.physics.display import LUMA, SRGB_FROM_XYZ, srgb_codes, xyz_from_srgb_matrix
 from l3cli.report.parts import Key
 
 Array = NDArray[np.floating]
@@ -20,7 +20,7 @@ def channel_light(camera: CameraModel) -> NDArray[np.float64]:
     """Return linear sRGB (channel, 3), largest value 1, of the daylight that each channel takes in; grey where a channel
     sees nothing visible."""
     seen = camera.responsivity * spectra.illuminant("D65", camera.wavelength)
-    linear = np.maximum(seen @ spectra.xyz_weights(camera.wavelength).T @ srgb_from_xyz_matrix().T, 0.0)
+    linear = np.maximum(seen @ spectra.xyz_weights(camera.wavelength).T @ SRGB_FROM_XYZ.T, 0.0)
     top = linear.max(axis=1, keepdims=True)
     return np.where(top > 0, linear / np.where(top > 0, top, 1.0), 0.5)
 

@@ -57,7 +57,9 @@ def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], numb
         seen = sampled(canvas, view, course.motion.size, (0.0, 0.0), scale)
         places = course.leaves(number, moment)
         for thing, place in reversed(list(zip(things, places, strict=True))):
-            _lay(seen, thing, view, place)
+            part, cover = _part(seen, thing.cover, thing.step, view, place)
+            part *= 1 - cover[..., :1]
+            part += np.minimum(cover[..., 1:] * thing.colour, cover[..., :1])  # no brighter than a perfect white
         total += seen
     return total if len(moments) == 1 else total / np.float32(len(moments))
 
@@ -103,25 +105,20 @@ def _filled(until: Array) -> Array:
     return np.where(inner < 0, 0.5 * (1 + inner) ** 2, 1 - 0.5 * (1 - inner) ** 2)
 
 
-def _lay(seen: Cube, thing: Sprite, view: View, place: Array) -> None:
-    """Lay a leaf over a frame (row, col, band)."""
-    top, window = _window(thing, view, place, (seen.shape[0], seen.shape[1]))
-    if min(window) <= 0:
-        return
-    at = (float(place[0]), float(place[1]))
-    cover = sampled(thing.cover, view, (seen.shape[0], seen.shape[1]), at, thing.step, top, window)
-    part = seen[top[0] : top[0] + window[0], top[1] : top[1] + window[1]]
-    part *= 1 - cover[..., :1]
-    part += np.minimum(cover[..., 1:] * thing.colour, cover[..., :1])  # no brighter than a perfect white
-
-
-def _window(thing: Sprite, view: View, place: Array, size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the first pixel and size of the part of a frame that a leaf may show in."""
-    half = np.array(thing.cover.shape[:2]) * thing.step / 2
+def _part(picture: NDArray[Any], cover: Cube, step: float, view: View, place: Array) -> tuple[NDArray[Any], Cube]:
+    """Return the part of a frame (row, col, …) that a leaf may show in, and its `cover` (row, col, band), of `step` pixels
+    a sample, in the pixels of that part; both may be empty."""
+    size = (picture.shape[0], picture.shape[1])
+    half = np.array(cover.shape[:2]) * step / 2
     middle = np.array(size) / 2
     low = np.clip(np.floor((place - half - view.centre) * view.zoom + middle) - 1, 0, size).astype(int)
     high = np.clip(np.ceil((place + half - view.centre) * view.zoom + middle) + 1, 0, size).astype(int)
-    return (int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1]))
+    if (high <= low).any():
+        return picture[:0, :0], cover[:0, :0]
+    (top, left), (rows, cols) = low.tolist(), (high - low).tolist()
+    at = (float(place[0]), float(place[1]))
+    part = picture[top : top + rows, left : left + cols]
+    return part, sampled(cover, view, size, at, step, (top, left), (rows, cols))
 
 
 # ------------------------------------------------------------------------------------------------------ known motion
@@ -149,15 +146,10 @@ def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray
 
 def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp]:
     """Return the leaf that each pixel (row, col) of a frame shows, -1 for the scene itself."""
-    size = course.motion.size
     view, shown = course.view(number), np.full(course.motion.size, -1)
     for leaf, place in reversed(list(enumerate(course.leaves(number)))):
-        thing = things[leaf]
-        top, window = _window(thing, view, place, size)
-        if min(window) > 0:
-            at = (float(place[0]), float(place[1]))
-            cover = sampled(thing.cover[..., :1], view, size, at, thing.step, top, window)[..., 0]
-            shown[top[0] : top[0] + window[0], top[1] : top[1] + window[1]][cover > COVERED] = leaf
+        part, cover = _part(shown, things[leaf].cover[..., :1], things[leaf].step, view, place)
+        part[cover[..., 0] > COVERED] = leaf
     return shown
 
 

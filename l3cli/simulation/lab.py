@@ -87,11 +87,6 @@ class LabRecipe(Recipe):
     falloff: float = 0.1  # share of every lamp's light missing in the corners
 
 
-def check(recipe: LabRecipe, camera: CameraModel) -> None:
-    """Raise RecipeError if a lab cannot measure `camera` so."""
-    refuse_first(lab_faults(recipe, camera))
-
-
 def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]:
     """Yield all that a lab cannot do, of `camera` if there is one."""
     mono = recipe.mono
@@ -237,7 +232,7 @@ class _Session:
 
 def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture, ...]:
     """Return every capture the lab takes of `camera`, in order; RecipeError if the recipe cannot be carried out."""
-    check(recipe, camera)
+    refuse_first(lab_faults(recipe, camera))
     mono, chart, white, dark = recipe.mono, recipe.chart, recipe.white, recipe.dark
     response = _response_of(camera, mono, recipe.spectrometer_step_nm)
     session, wavelength = _Session(recipe, response, np.random.default_rng([seed, 0])), response.wavelength

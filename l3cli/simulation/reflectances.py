@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from l3cli.frames.scene import NO_ILLUMINANT, SHOWN, Scene
 from l3cli.physics import spectra
-from l3cli.physics.display import srgb_from_xyz_matrix
+from l3cli.physics.display import SRGB_FROM_XYZ
 from l3cli.physics.paint import LARGEST, SMALLEST, kubelka_munk, with_saturation, with_titanium_white
 from l3cli.simulation.light import make_light, matching_weights
 
@@ -221,7 +221,7 @@ def primaries() -> Array:
     rough = np.diff(np.eye(count), axis=0)
     light = make_light("D65", {}, DRAWN)
     observer = spectra.colour_matching_functions(light.wavelength)
-    to_rgb = srgb_from_xyz_matrix() @ matching_weights(observer, light, DRAWN)
+    to_rgb = SRGB_FROM_XYZ @ matching_weights(observer, light, DRAWN)
     rows = [
         np.kron(np.eye(3), rough),
         EXACTNESS * np.kron(np.eye(3), to_rgb),

@@ -26,7 +26,7 @@ from l3cli.io.images import read_image
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
 from l3cli.io.raw.files import read_raw
 from l3cli.physics import spectra
-from l3cli.physics.display import delta_e_2000, lab, srgb_from_xyz_matrix
+from l3cli.physics.display import SRGB_FROM_XYZ, delta_e_2000, lab
 from l3cli.simulation.light import colour_matrix, make_light, neutral
 from tests.helpers import dng_files
 from tests.helpers.calls import L3, Refused
@@ -109,7 +109,7 @@ def test_other_developers_make_a_true_picture(made: Path) -> None:
         with rawpy.imread(str(path)) as raw:
             picture = raw.postprocess(use_camera_wb=True, no_auto_bright=True, output_bps=16, gamma=(1, 1)) / 65535
         reached = picture[:96, :144].reshape(4, 24, 6, 24, 3)[:, 8:16, :, 8:16].mean(axis=(1, 3)).reshape(24, 3)
-        xyz = reached @ np.linalg.inv(srgb_from_xyz_matrix()).T
+        xyz = reached @ np.linalg.inv(SRGB_FROM_XYZ).T
         xyz *= wanted[18, 1] / xyz[18, 1]
         difference = delta_e_2000(lab(xyz, white), lab(wanted, white))
         assert difference.mean() < error, difference.round(1)

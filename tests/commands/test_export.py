@@ -15,7 +15,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.export import profiles
 from l3cli.export.profiles import datasheet
 from l3cli.physics import spectra
-from l3cli.physics.display import adaptation_matrix, colour_errors, delta_e_2000, lab, srgb_from_xyz_matrix, white_point
+from l3cli.physics.display import SRGB_FROM_XYZ, adaptation_matrix, delta_e_2000, lab, white_point
 from l3cli.simulation.light import colour_matrix, make_light
 from l3cli.stages.export import write
 from l3cli.system.console import Silent
@@ -90,7 +90,9 @@ def test_each_matrix_beats_least_squares(exported: Path, bayer: CameraModel) -> 
     xyz, white = library @ to_xyz.T / to_xyz[1].sum(), to_xyz.sum(axis=1) / to_xyz[1].sum()
     refined = np.array(json.loads((exported / "dcp.json").read_text())["ColorMatrix1"])
     plain = colour_matrix(bayer, light)
-    squares = [np.square(colour_errors(channels @ np.linalg.inv(m).T, xyz, white)).mean() for m in (refined, plain)]
+    squares = [
+        np.square(delta_e_2000(lab(channels @ np.linalg.inv(m).T, white), lab(xyz, white))).mean() for m in (refined, plain)
+    ]
     assert squares[0] < squares[1] - 0.01
 
 
@@ -131,7 +133,7 @@ def test_libcamera_gets_levels_noise_white_and_colours(exported: Path, bayer: Ca
         matrix = np.reshape(each["ccm"], (3, 3))
         np.testing.assert_allclose(matrix.sum(axis=1), 1.0, atol=1e-9)
         values, white = seen(bayer, light)
-        xyz = (values / white) @ matrix.T @ np.linalg.inv(srgb_from_xyz_matrix()).T
+        xyz = (values / white) @ matrix.T @ np.linalg.inv(SRGB_FROM_XYZ).T
         assert delta_e_2000(lab(xyz, d65), lab(chart_xyz("D65"), d65)).mean() < most
     noise = tuning["rpi.noise"]
     for signal in (100.0, 1000.0, 3000.0):  # DN; tuning files count in sixteenths of it

@@ -14,7 +14,7 @@ import l3cli as l3_api
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.io.images import read_image
 from l3cli.io.pictures.registry import write_picture
-from l3cli.physics.display import daylight, srgb_codes, srgb_from_xyz_matrix
+from l3cli.physics.display import SRGB_FROM_XYZ, daylight, srgb_codes
 from l3cli.simulation import sensor
 from tests.helpers.calls import L3, Refused
 from tests.helpers.readme import PAGES, blocks
@@ -123,7 +123,7 @@ def test_pictures_of_a_rival_are_judged_like_ours(pipeline: Path, l3: L3, tmp_pa
     half, ideal, table = tmp_path / "half", pipeline / "unseen", pipeline / "table.h5"
     with open_training_set(pipeline / "unseen.h5") as reader:
         for number, frame in enumerate(reader):
-            linear = np.moveaxis(frame.target, 0, -1) / frame.white @ (srgb_from_xyz_matrix() * daylight()).T
+            linear = np.moveaxis(frame.target, 0, -1) / frame.white @ (SRGB_FROM_XYZ * daylight()).T
             write_picture(half / f"{number}.png", srgb_codes(0.5 * linear, 16))
     files = ("evaluate", table, pipeline / "unseen.h5", "--rival", half, "--rival", ideal)
     code, out, err = l3(*files, "--json", "--pictures", tmp_path / "pictures", "--quiet")

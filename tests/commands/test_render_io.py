@@ -18,7 +18,7 @@ from l3cli.io.pictures.registry import write_picture
 from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.io.tags import LIBRAW_FLIP
 from l3cli.physics import spectra
-from l3cli.physics.display import adaptation_matrix, scene_white, srgb_from_xyz_matrix
+from l3cli.physics.display import SRGB_FROM_XYZ, adaptation_matrix, scene_white
 from l3cli.rendering import renderer
 from l3cli.rendering.display import make_display
 from l3cli.rendering.reference import ReferenceRenderer
@@ -291,7 +291,7 @@ def test_broken_inputs_are_refused_in_one_line(
 
 def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path: Path, table: Path, raw: Path) -> None:
     colour = spectra.colour_science()
-    np.testing.assert_array_equal(srgb_from_xyz_matrix(), colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB)
+    np.testing.assert_array_equal(SRGB_FROM_XYZ, colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB)
     a, d65 = spectra.white_point("A"), spectra.white_point("D65")
     theirs = colour.adaptation.matrix_chromatic_adaptation_VonKries(a, d65, transform="Bradford")
     np.testing.assert_allclose(adaptation_matrix(3 * a, d65), theirs, atol=1e-12)

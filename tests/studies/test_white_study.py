@@ -24,7 +24,7 @@ from l3cli.artifacts.training_set import TrainingPair, open_training_set
 from l3cli.evaluation.quality import cropped
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
-from l3cli.physics.display import displayed, displayed_delta_e, srgb_from_xyz_matrix, white_luminance
+from l3cli.physics.display import SRGB_FROM_XYZ, displayed, displayed_delta_e, white_luminance
 from l3cli.recipes.builtin import known_recipes
 from l3cli.rendering.conditions import mix_for, mixed, nearest_for
 from l3cli.rendering.renderer import Renderer, make_renderer
@@ -75,7 +75,7 @@ def error(renderer: Renderer, frame: TrainingPair, raw: RawFrame, balance: White
     ideal = np.einsum("oc,crk->ork", plain_balance(frame.white, 1).adaptation, frame.target)
     exposed = shown * ((shown[1] * ideal[1]).sum() / (shown[1] ** 2).sum())
     scale = white_luminance(frame.target[1])
-    linear = np.clip(np.einsum("oc,crk->rko", srgb_from_xyz_matrix() / scale, exposed), 0.0, 1.0)
+    linear = np.clip(np.einsum("oc,crk->rko", SRGB_FROM_XYZ / scale, exposed), 0.0, 1.0)
     return float(cropped(displayed_delta_e(linear, displayed(frame.target, frame.white, scale)), BORDER).mean())
 
 

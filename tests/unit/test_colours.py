@@ -9,14 +9,15 @@ from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame, upright
 from l3cli.physics import charts, spectra
 from l3cli.physics.display import (
-    colour_errors,
+    SRGB_FROM_XYZ,
+    delta_e_2000,
     exposure_scale,
     fit_through,
+    lab,
     refinement,
     scene_white,
     srgb_codes,
     srgb_decoded,
-    srgb_from_xyz_matrix,
     white_percentile,
     xyz_from_srgb_matrix,
 )
@@ -44,7 +45,7 @@ def test_srgb_curve_at_known_values() -> None:
 def test_srgb_and_its_inverse() -> None:
     codes = np.arange(256)
     assert srgb_codes(srgb_decoded(codes / 255)).tolist() == codes.tolist()
-    np.testing.assert_allclose(xyz_from_srgb_matrix() @ srgb_from_xyz_matrix(), np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(xyz_from_srgb_matrix() @ SRGB_FROM_XYZ, np.eye(3), atol=1e-12)
 
 
 def test_automatic_exposure_maps_the_99th_percentile_to_white() -> None:
@@ -192,7 +193,7 @@ def test_the_white_is_met_and_colours_get_nearer(count: int) -> None:
     np.testing.assert_allclose(start.sum(axis=1), WHITE, rtol=1e-9)
     ours = refinement(seen @ start.T, XYZ, WHITE)
     np.testing.assert_allclose(ours @ WHITE, WHITE, rtol=1e-9)
-    before, after = (colour_errors(seen @ m.T, XYZ, WHITE) for m in (start, ours @ start))
+    before, after = (delta_e_2000(lab(seen @ m.T, WHITE), lab(XYZ, WHITE)) for m in (start, ours @ start))
     assert np.square(after).mean() < np.square(before).mean() - 1e-4
 
 

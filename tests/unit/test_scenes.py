@@ -12,7 +12,7 @@ from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.io.scenes.rgb import read as read_rgb_picture
 from l3cli.physics import paint, spectra
-from l3cli.physics.display import srgb_curve, srgb_from_xyz_matrix
+from l3cli.physics.display import SRGB_FROM_XYZ, srgb_curve
 from l3cli.simulation import charts, light, procedural, reflectances
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
@@ -149,7 +149,7 @@ def test_raised_spectra_have_the_colours_of_the_picture_and_stay_reflectances() 
     d65 = light.make_light("D65", {}, WAVELENGTH)
     functions = spectra.colour_matching_functions(d65.wavelength)
     xyz = scene.reflectance @ light.matching_weights(functions, d65, WAVELENGTH).T
-    assert np.allclose(xyz @ srgb_from_xyz_matrix().T, picture, atol=1e-3)
+    assert np.allclose(xyz @ SRGB_FROM_XYZ.T, picture, atol=1e-3)
     grey = reflectances.raise_to_spectra(np.full((1, 1, 3), 0.4, np.float32), WAVELENGTH, "grey")
     assert np.allclose(grey.reflectance, 0.4, atol=1e-6)
 
@@ -166,7 +166,7 @@ def test_a_picture_becomes_frames(l3: L3, bayer_recipe: Path, tmp_path: Path) ->
     with open_training_set(tmp_path / "t.h5") as reader:
         frame = reader.frame(0)
     assert frame.raw.shape == (32, 48)
-    linear = srgb_from_xyz_matrix() @ frame.target.mean(axis=(1, 2)) / frame.white[1]
+    linear = SRGB_FROM_XYZ @ frame.target.mean(axis=(1, 2)) / frame.white[1]
     assert np.allclose(srgb_curve(linear) * 255, [200, 40, 30], atol=0.5)
 
 

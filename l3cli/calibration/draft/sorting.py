@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera_recipe import CfaRecipe
 from l3cli.calibration.draft.names import EVEN, Name, Summary, natural
 from l3cli.charts.locate import locate
 from l3cli.charts.patches import corner_cells, through
@@ -175,16 +176,9 @@ def _same_light(group: Group, other: Group, scale: Scale) -> bool:
     return None in times or abs(one.max() * times[1] / (two.max() * times[0]) - 1.0) < RATE
 
 
-@dataclass(frozen=True)
-class GuessedArray:
-    """Channels and array by what the sites respond to."""
-
-    channels: tuple[str, ...]
-    pattern: tuple[str, ...]  # rows of names
-
-
-def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -> GuessedArray | None:
-    """Return the array of `period` rows and columns; None if too few steps have a known wavelength, or no light is seen."""
+def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -> CfaRecipe | None:
+    """Return the array of `period` rows and columns by what its sites respond to; None if too few steps have a known
+    wavelength, or no light is seen."""
     steps = [step for step in steps if step.first.name.nm is not None and not scale.clipped(step)]
     if len(steps) < LEAST_STEPS:
         return None
@@ -208,7 +202,7 @@ def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -
     order = np.argsort([-peak for peak in peaks]) if len(peaks) == 3 else np.arange(len(peaks))
     rows, cols = period
     pattern = [" ".join(names[channel_of[row * cols + col]] for col in range(cols)) for row in range(rows)]
-    return GuessedArray(tuple(names[number] for number in order), tuple(pattern))
+    return CfaRecipe([names[number] for number in order], pattern)
 
 
 def _names(peaks: Sequence[float]) -> list[str]:

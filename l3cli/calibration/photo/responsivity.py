@@ -59,7 +59,8 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
     errors = [lights.response_errors(posterior.responsivity, posterior.covariance, light, _surfaces()) for light in judged]
     next_light, remaining = lights.next_light(shots[0], posterior, candidates(), judged, _surfaces())
     guessed = [photo.capture.light is None for photo in photographs]
-    named = [photo.capture.light or _name_of(shot.light) for photo, shot in zip(photographs, shots, strict=True)]
+    names = {id(light): name for name, light in candidates().items()}  # a guessed light is one of these
+    named = [photo.capture.light or names[id(shot.light)] for photo, shot in zip(photographs, shots, strict=True)]
     sensor, from_patches = _sensor(photographs, measurements)
     fit = PhotoFit(
         names=tuple(photo.capture.name for photo in photographs),
@@ -98,11 +99,6 @@ def curves_of(posterior: Posterior) -> Curves:
 def candidates() -> Mapping[str, Array]:
     """Name → (wavelength) relative photon radiance of the lights that a photo may have been taken under."""
     return {name: spectra.illuminant(name, WAVELENGTH) for name in CANDIDATES}
-
-
-def _name_of(light: Array) -> str:
-    """Return the candidate that a guessed light is."""
-    return next(name for name, each in candidates().items() if each is light)
 
 
 @functools.cache

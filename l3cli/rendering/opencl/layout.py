@@ -107,15 +107,13 @@ def first_source(variant: str, rule: ClassRule) -> str:
 def refinement_source(variant: str, rule: PlaneRule) -> str:
     """The .cl files of a variant for a layer that reads planes, with the formula of its rule."""
     formula, kernels = rule_snippets(rule)
-    files = (
-        "common/vectors.cl",
-        "common/encoding.cl",
-        "common/gradient.cl",
-        formula,
-        *VARIANTS[variant].refinement_sources,
-        kernels[variant],
-    )
-    return joined_files(*files)
+    shared = ("common/vectors.cl", "common/encoding.cl", "common/gradient.cl", formula)
+    return joined_files(*shared, *VARIANTS[variant].refinement_sources, kernels[variant])
+
+
+def encoder_source(variant: str) -> str:
+    """The .cl files of a variant for pictures of outputs."""
+    return joined_files("common/lanes.cl", "common/vectors.cl", "common/encoding.cl", *VARIANTS[variant].encoder_sources)
 
 
 def joined_files(*names: str) -> str:
@@ -241,17 +239,12 @@ def refinement_weights(layer: PlaneLayer) -> Weights:
     return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, layer.ratio_taps)
 
 
-def rule_arrays(table: TransformTable, variant: str, rule: PlaneRule, *others: PlaneRule) -> tuple[NDArray, ...]:
-    """The constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl); `others`: rules of further sets."""
-    return (first_label_words(rule, table.first.rule, *others), *rule_constants(rule, variant))
-
-
 @dataclass(frozen=True)
 class PlaneStep:
     """Buffers of the step to the planes and classes of a layer that reads planes."""
 
     weights: Any  # of the layer before
-    rule: tuple[Any, ...]
+    rule: tuple[Any, ...]  # constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl)
     nothing: Any  # where other transforms have a display's matrix
 
 
@@ -266,9 +259,10 @@ def table_buffers(
             whole = refinement_plane_weights(refined_fixed_point(later[number - 1], opponent_basis(table.white_point)))
         else:
             whole = first_plane_weights(sets.first_fixed_point, table.bits)
-        rules = rule_arrays(table, variant, *sets.refinement_rules(number))
+        rule, *others = sets.refinement_rules(number)
+        constants = first_label_words(rule, table.first.rule, *others), *rule_constants(rule, variant)
         before = constant(VARIANTS[variant].pack_whole(whole, lanes))
-        steps.append(PlaneStep(before, tuple(map(constant, rules)), constant(np.zeros(9, np.float32))))
+        steps.append(PlaneStep(before, tuple(map(constant, constants)), constant(np.zeros(9, np.float32))))
     last = refinement_weights(later[-1]) if later else first_weights(table, sets.first)
     return [*map(constant, class_arrays(*sets.tables))], constant(VARIANTS[variant].pack(last, lanes)), steps
 
@@ -354,10 +348,12 @@ def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
 class Variant:
     """The same computation, arranged for one kind of device."""
 
-    sources: tuple[
-        str, ...
-    ]  # files of opencl/ for the layer that reads the mosaic, joined in this order behind the features'
-    refinement_sources: tuple[str, ...]  # and for one that reads planes
+    # Files of opencl/ for the layer that reads the mosaic, joined in this order behind the features', …
+    sources: tuple[str, ...]
+    refinement_sources: tuple[str, ...]  # … for one that reads planes, …
+    encoder_sources: tuple[str, ...]  # … and for pictures of outputs
+    encoder_cut: Cut
+    joins: bool  # whether classes and transforms of the first layer may be one kernel
     cut: Callable[[TransformTable, int], Cut]  # for a number of lanes that suits the device
     pack: Callable[[Weights, int], NDArray]  # weights as its kernels read them, for Cut.lanes
     pack_whole: Callable[[WholeWeights, int], NDArray]
@@ -368,10 +364,22 @@ VARIANTS = {
     "processor": Variant(
         (*SHARED, "cpu/ingest.cl", "cpu/statistics.cl", "cpu/classes.cl", "cpu/rows.cl", *TRANSFORM, "cpu/joined.cl"),
         ("cpu/ingest.cl", "cpu/rows.cl", *TRANSFORM, "cpu/plane_rows.cl"),
+        ("cpu/rows.cl", "cpu/encode.cl"),
+        Cut(256, 48, (1, 1), 0),
+        True,
         lambda table, lanes: Cut(256, 48, (1, 1), lanes),
         pack_in_vectors,
         pack_whole_in_vectors,
     ),
     # A work-item a pixel; the device lays them side by side itself.
-    "graphics": Variant((*SHARED, "gpu/frame.cl"), ("gpu/frame.cl",), _cut_for_graphics, pack_in_fours, pack_whole_in_fours),
+    "graphics": Variant(
+        (*SHARED, "gpu/frame.cl"),
+        ("gpu/frame.cl",),
+        ("gpu/encode.cl",),
+        Cut(64, 4, (64, 4), 1),
+        False,
+        _cut_for_graphics,
+        pack_in_fours,
+        pack_whole_in_fours,
+    ),
 }

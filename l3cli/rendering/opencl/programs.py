@@ -3,7 +3,7 @@
 import functools
 import os
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,29 +20,7 @@ TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # without the kernel of t
 # Of the variant that joins them, programs of one kernel each: what a frame does not run need not be compiled.
 CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}
 JOINED: layout.Macros = {"JOINED": 1}  # classes and transforms of the first layer
-JOINS = ("processor",)  # variants that join them
 Key = tuple[Any, ...]
-
-
-@dataclass(frozen=True)
-class Encoder:
-    """Program that makes pictures of outputs."""
-
-    files: tuple[str, ...]
-    cut: layout.Cut  # of as many lanes as the device's compiler has registers for if 0
-
-    def program(self, ending: layout.Macros) -> tuple[str, layout.Macros]:
-        """Source and macros."""
-        return layout.joined_files("common/lanes.cl", "common/vectors.cl", "common/encoding.cl", *self.files), {
-            **ending,
-            **self.cut.macros,
-        }
-
-
-ENCODERS = {
-    "processor": Encoder(("cpu/rows.cl", "cpu/encode.cl"), layout.Cut(256, 48, (1, 1), 0)),
-    "graphics": Encoder(("gpu/encode.cl",), layout.Cut(64, 4, (64, 4), 1)),
-}
 
 
 class Compiler:
@@ -55,9 +33,7 @@ class Compiler:
     def build(self, source: str, macros: layout.Macros) -> Any:
         """A program."""
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
-        if name := compiled_for(
-            self._device
-        ):  # by its own name for the device, PoCL would take kernels of another processor
+        if name := compiled_for(self._device):  # by its own name PoCL would take kernels of another processor
             options.append(f"-DCOMPILED_FOR={name}")
         key = (source, *options)
         if key not in self._built:
@@ -86,18 +62,20 @@ def make_ready(device: str | None = None, variant: str | None = None) -> None:
     """Build what a renderer needs for any table. Errors as of `chosen`."""
     found, name = chosen(device, variant)
     with refusals(found):
-        usual_encoder(compiler_of(found), ENCODERS[name])
+        usual_encoder(compiler_of(found), name)
 
 
-def usual_encoder(compiler: Compiler, encoder: Encoder) -> int:
+def usual_encoder(compiler: Compiler, variant: str) -> int:
     """Build what makes usual pictures of outputs, which is soon needed: the number of lanes that its kernel's name tells. It
     runs once on a pixel, so that PoCL compiles it."""
     cl, context = pyopencl(), compiler.context
-    program = compiler.build(*encoder.program(layout.display_macros(Display(np.eye(3), 8))))
+    cut = layout.VARIANTS[variant].encoder_cut
+    macros = layout.display_macros(Display(np.eye(3), 8)) | cut.macros
+    program = compiler.build(layout.encoder_source(variant), macros)
     (name,) = program.kernel_names.split(";")
-    queue, group = cl.CommandQueue(context), encoder.cut.group
+    queue = cl.CommandQueue(context)
     buffers = [cl.Buffer(context, cl.mem_flags.READ_WRITE, 64) for _ in range(3)]
-    cl.Kernel(program, name)(queue, group, group, *buffers, np.int32(1), np.int32(1)).wait()
+    cl.Kernel(program, name)(queue, cut.group, cut.group, *buffers, np.int32(1), np.int32(1)).wait()
     return int(name.rpartition("_")[2])
 
 
@@ -113,19 +91,10 @@ class Programs:
         self._programs: dict[Key, Any] = {}  # by layer, -1: an encoder, or "joined"; and ending
         self._kernels: dict[Key, Any] = {}  # by program and name
         self._last = len(table.later)
-        usual = ENCODERS[variant]
-        self._encoder = replace(usual, cut=replace(usual.cut, lanes=lanes)) if lanes else usual
-        self.cut = layout.VARIANTS[variant].cut(table, lanes or usual_encoder(compiler, usual))
-
-    @property
-    def encoder_cut(self) -> layout.Cut:
-        """Cut of the encoder."""
-        return self._encoder.cut
-
-    @property
-    def joins(self) -> bool:
-        """Return whether classes and transforms of the first layer may be one kernel."""
-        return self._variant in JOINS
+        made_for = layout.VARIANTS[variant]
+        self.joins = made_for.joins
+        self.encoder_cut = replace(made_for.encoder_cut, lanes=lanes) if lanes else made_for.encoder_cut
+        self.cut = made_for.cut(table, lanes or usual_encoder(compiler, variant))
 
     def transforms(self, ending: layout.Macros, joined: bool = False) -> Any:
         """The kernel of the last layer's transforms, which if it is the only one may find its classes, too."""
@@ -168,16 +137,14 @@ class Programs:
     def _program(self, layer: int, ending: layout.Macros) -> tuple[str, layout.Macros]:
         """Source and macros."""
         if layer < 0:
-            return self._encoder.program(ending)
+            return layout.encoder_source(self._variant), {**ending, **self.encoder_cut.macros}
         if layer == 0:
             source = layout.first_source(self._variant, self._table.first.rule)
             macros = layout.table_macros(self._table, self._sets)
         else:
             later = self._table.later[layer - 1]
-            source, macros = (
-                layout.refinement_source(self._variant, later.rule),
-                layout.refinement_macros(self._table, later),
-            )
+            source = layout.refinement_source(self._variant, later.rule)
+            macros = layout.refinement_macros(self._table, later)
         if any(other[0] == layer for other in self._programs) and not (self.joins and layer == 0):
             macros = {**macros, **TRANSFORM_ONLY}
         return source, {**macros, **ending, **self.cut.macros}

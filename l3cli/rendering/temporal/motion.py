@@ -6,6 +6,7 @@ nothing moves, or the coarser plane's vector fits, most blocks differ by less th
 searched further.
 """
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -44,7 +45,9 @@ def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTe
         still = np.zeros_like(parents)
         start = still if coarsest else search.best_of([still, parents, *_neighbours(parents)])
         start = np.where(search.settled(still)[..., None], still, start)
-        best = search.best_of([start, *(start + np.array(step, np.int32) for step in _around(FARTHEST if coarsest else 1))])
+        reach = FARTHEST if coarsest else 1
+        steps = itertools.product(range(-reach, reach + 1), repeat=2)
+        best = search.best_of([start, *(start + np.array(step, np.int32) for step in steps if any(step))])
         found = np.where(search.settled(start)[..., None], start, best)
     return found * np.array(grid.period, np.int32)
 
@@ -111,13 +114,6 @@ class _Search:
 def root_of(window: tuple[int, int]) -> int:
     """16 times the root of the number of units in a window."""
     return int(np.sqrt(window[0] * window[1]) * 16 + 0.5)
-
-
-def _around(reach: int) -> Iterator[tuple[int, int]]:
-    for down in range(-reach, reach + 1):
-        for across in range(-reach, reach + 1):
-            if (down, across) != (0, 0):
-                yield down, across
 
 
 def _neighbours(vectors: Vectors) -> Iterator[Vectors]:

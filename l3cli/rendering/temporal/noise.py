@@ -158,18 +158,9 @@ def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16
     return np.minimum((values.astype(np.uint32) + (1 << noise.protect >> 1)) >> noise.protect, most).astype(np.uint16)
 
 
-@dataclass(frozen=True)
-class Kind:
-    """Properties that frames must share to be blended."""
-
-    shape: tuple[int, ...]
-    phase: tuple[int, int]
-    black_level: float
-    white_level: float
-
-    @staticmethod
-    def of(frame: RawFrame) -> "Kind":
-        return Kind(frame.values.shape, frame.phase, frame.black_level, frame.white_level)
+def kind_of(frame: RawFrame) -> tuple[object, ...]:
+    """Return the properties that frames must share to be blended."""
+    return frame.values.shape, frame.phase, frame.black_level, frame.white_level
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:

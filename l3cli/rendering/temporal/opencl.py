@@ -1,6 +1,5 @@
 """The filter on an OpenCL device: opencl/temporal*.cl, kernel by kernel as reference.py does it."""
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -11,11 +10,11 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.rendering.opencl import layout
-from l3cli.rendering.opencl.devices import choose_device, pyopencl, refusals
-from l3cli.rendering.opencl.programs import Compiler
+from l3cli.rendering.opencl.devices import pyopencl, refusals
+from l3cli.rendering.opencl.programs import Compiler, chosen
 from l3cli.rendering.opencl.work import Work, shares_memory
 from l3cli.rendering.temporal import motion, reference
-from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Grid, Kind, NoiseTerms, noise_of, share_left
+from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Grid, NoiseTerms, kind_of, noise_of, share_left
 
 STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods of a work-item
 MARGIN, PADDING = 4, 8  # rows and columns about a plane, and columns after it
@@ -29,10 +28,9 @@ class Device:
     it refuses."""
 
     def __init__(self, period: tuple[int, ...], device: str | None = None, variant: str | None = None) -> None:
-        self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
         cl = pyopencl()
-        variant = variant or ("graphics" if self.device.type & cl.device_type.GPU else "processor")
-        self.strip, self.in_place = STRIPS[variant], shares_memory(self.device)
+        self.device, name = chosen(device, variant)
+        self.strip, self.in_place = STRIPS[name], shares_memory(self.device)
         with refusals(self.device):
             self.context = cl.Context([self.device])
             self.queue = cl.CommandQueue(self.context)
@@ -126,12 +124,12 @@ class OpenCLFilter:
 
     def __init__(self, device: Device, period: tuple[int, ...], camera: CameraModel) -> None:
         self._device, self._period, self._camera = device, period, camera
-        self._kind: Kind | None = None
+        self._kind: tuple[object, ...] | None = None
 
     def filtered(self, frame: RawFrame) -> RawFrame:
         """The next frame, blended with those before it, if they are of its size and levels."""
         with refusals(self._device.device):
-            first = Kind.of(frame) != self._kind
+            first = kind_of(frame) != self._kind
             if first:
                 self._begin(frame)
             device, buffers, grid, work = self._device, self._buffers, self._grid, Work(STAGES)
@@ -166,7 +164,7 @@ class OpenCLFilter:
         return values
 
     def _begin(self, frame: RawFrame) -> None:
-        self._kind, self._grid = Kind.of(frame), Grid.of(frame.values.shape, self._period)
+        self._kind, self._grid = kind_of(frame), Grid.of(frame.values.shape, self._period)
         sites = self._grid.period[0] * self._grid.period[1]
         self._noise = noise_of(self._camera, frame.black_level, frame.white_level, sites)
         self._buffers = _Buffers(self._device, self._grid, self._noise)
@@ -219,9 +217,9 @@ def opencl_filters(
 ) -> Callable[[], OpenCLFilter]:
     """Return a function that makes filters on a device, as OpenCLRenderer chooses it; they share its kernels, and a
     thread."""
-    chosen = Device(period, device, variant)
+    shared = Device(period, device, variant)
     # PoCL compiles kernels when they run: now, since a renderer in another thread may compile when the first frame comes.
-    first, tiny = OpenCLFilter(chosen, period, camera), Grid.of((1, 1), period).shape
+    first, tiny = OpenCLFilter(shared, period, camera), Grid.of((1, 1), period).shape
     for _ in range(2):
         first.filtered(RawFrame("none", np.zeros(tiny, np.uint16), camera.black_level, camera.white_level))
-    return lambda: OpenCLFilter(chosen, period, camera)
+    return lambda: OpenCLFilter(shared, period, camera)

@@ -13,8 +13,8 @@ from l3cli.rendering.temporal.noise import (
     LINEAR_FRACTION,
     UNEVEN_FRACTION,
     Grid,
-    Kind,
     NoiseTerms,
+    kind_of,
     noise_of,
     of_units,
     share_left,
@@ -121,13 +121,13 @@ class ReferenceFilter:
 
     def __init__(self, period: tuple[int, ...], camera: CameraModel) -> None:
         self._period, self._camera = period, camera
-        self._kind: Kind | None = None
+        self._kind: tuple[object, ...] | None = None
         self.history: Blend | None = None
         self.vectors: Vectors | None = None  # of the last frame, if it was not a first one
 
     def filtered(self, frame: RawFrame) -> RawFrame:
         """The next frame, blended with those before it, if they are of its size and levels."""
-        kind = Kind.of(frame)
+        kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)
         noise = noise_of(self._camera, frame.black_level, frame.white_level, grid.period[0] * grid.period[1])
         values = grid.padded(to_units(frame.values, noise))

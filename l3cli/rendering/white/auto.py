@@ -5,12 +5,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.decide import label_patches
-from l3cli.classes.windows import neighbourhoods
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import correlated_lights, spectra
 from l3cli.physics.spaces import BRADFORD
-from l3cli.rendering.exposure import spread_patches, spread_shape
+from l3cli.rendering.exposure import SpreadSamples, spread_shape
 from l3cli.rendering.white.scene_white import GREY_LEVEL, SceneWhite, Whites
 
 Array = NDArray[np.floating]
@@ -31,7 +29,7 @@ class AutoWhite:
 
     def __init__(self, whites: Whites, balanced_by: Whites | None = None) -> None:
         self._whites, self._table, self._balances = whites, whites.table, balanced_by or whites
-        self._neighbours = neighbourhoods(self._table.cfa, self._table.first.rule.patch, len(self._table.channels))
+        self._spread = SpreadSamples(self._table)
         self._neutrals = _neutrals(self._table)  # (mired, green, channel)
         self._places = self._log_ratios()  # (fine mired, fine green, 2)
         self._made: dict[tuple[int, int], SceneWhite] = {}
@@ -65,11 +63,8 @@ class AutoWhite:
     def _samples(self, frame: RawFrame) -> tuple[Array, NDArray[np.bool_]]:
         """Cone responses (row, col, 3) of a grid of pixels, and which of them (row, col) are neither clipped nor dark."""
         table, rule = self._table, self._table.first.rule
-        patches, site = spread_patches(frame, table)
-        labels = label_patches(patches.values, rule, self._neighbours, site)
-        classes = rule.on_site(labels, site)
-        full_scale = np.float32(table.white_level - table.black_level)
-        signal = (patches.values.astype(np.float32) - np.float32(patches.black_level)) / full_scale
+        patches, site, labels = self._spread.of(frame)
+        classes, signal = rule.on_site(labels, site), self._spread.signal(patches)
         outputs = np.einsum("nct,nt->nc", table.first.weights[classes], signal) + table.first.intercept[classes]
         cones = outputs.astype(np.float64) @ BRADFORD.T
         usable = (rule.lost(rule.split(labels).kind) == 0) & (cones.min(axis=1) > 0)
