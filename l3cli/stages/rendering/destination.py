@@ -167,12 +167,6 @@ def refuse_outputs(
         refuse_existing(file, force or is_ours(file))
 
 
-def refuse_missing(sequence: FrameSequence) -> None:
-    """InputFileError if it is known already that a frame is missing."""
-    if sequence.missing:
-        raise sequence.absent(sequence.missing[0])
-
-
 def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
     """Pictures that are there and that frames of a stream, which may be endless, would replace."""
     if sequence.wanted is None:

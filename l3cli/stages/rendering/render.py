@@ -34,7 +34,6 @@ from l3cli.stages.rendering.destination import (
     paged,
     part_of,
     plan,
-    refuse_missing,
     video_choice,
 )
 from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of, while_reading
@@ -85,8 +84,8 @@ def render(
             sequence = replace(sequence, part=part_of(sequence, options.shard, options.temporal))
         destination = paged(destination, sequence)
         _protected(sequence, claims)
-        if not options.skip_bad:
-            refuse_missing(sequence)
+        if sequence.missing and not options.skip_bad:
+            raise sequence.absent(sequence.missing[0])
         plan(table, inputs, sequence, destination, options)
         stated = sequence.times() if sequence.times is not None and options.fps is None else None
         stated = None if stated is None or stated.are_even else stated
