@@ -27,8 +27,7 @@ from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures
 from l3cli.io.pictures.openimageio import encoded, jpeg
 from l3cli.parallel import ordered_map
-from l3cli.recipes.builtin import known_recipes
-from l3cli.recipes.starters import classes_of, summary
+from l3cli.recipes.builtin import classes_of, known_recipes, summary
 from l3cli.stages.evaluation import FrameRenderers, evaluate_frame
 from l3cli.system.console import Silent
 from l3cli.system.files import write_whole

@@ -17,8 +17,8 @@ import msgspec
 import numpy as np
 
 from l3cli.artifacts import container
+from l3cli.artifacts.container import ENCODING, KNOWN_FILTERS, datasets, encoded, filters_of, is_scale, require_readable
 from l3cli.artifacts.schema import Artifact, Group, Spec, Stage, check, declared, instances
-from l3cli.artifacts.stored import ENCODING, KNOWN_FILTERS, datasets, encoded, filters_of, is_scale, require_readable
 from l3cli.errors import InputFileError
 from l3cli.system.files import require_regular
 

@@ -8,9 +8,9 @@ from typing import Any
 import h5py
 
 from l3cli.artifacts import container
+from l3cli.artifacts.container import is_scale
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.store import open_artifact, read_history, reading, require_plain
-from l3cli.artifacts.stored import is_scale
 from l3cli.errors import InputFileError
 from l3cli.system.limits import read_bounded
 

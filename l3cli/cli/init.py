@@ -14,7 +14,7 @@ from l3cli.options.tools import InitOptions
 
 def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
     """Names of recipes for the shell."""
-    from l3cli.recipes.starters import starters
+    from l3cli.recipes.builtin import starters
 
     return [name for name in starters() if name.startswith(incomplete)]
 
@@ -36,7 +36,7 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
     Example: l3 init bayer demo && make -C demo
              l3 init --from photo.dng mine && make -C mine picture.png
     """
-    from l3cli.recipes.starters import starters, summary
+    from l3cli.recipes.builtin import starters, summary
     from l3cli.stages.starting import start, start_from
 
     if options.photos:  # the shell may have made several files of a pattern

@@ -9,8 +9,7 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frames.correction import Correction, correction_of
-from l3cli.frames.hot_pixels import HotTest
+from l3cli.frames.correction import Correction, HotTest, correction_of
 from l3cli.system.files import require_same
 
 

@@ -2,8 +2,8 @@
 end that process, never this one.
 
 The process is started when the first file is read. It forks a worker for each file, which decodes what is asked of that file
-confined to it (confinement.py), as far as the kernel can confine; when a worker dies so does the process, and the next file
-gets a new one. Requests and answers are JSON; arrays come through a file in memory, checked against its size and copied, so
+confined to it (decoder_process.py), as far as the kernel can; when a worker dies so does the process, and the next file gets
+a new one. Requests and answers are JSON; arrays come through a file in memory, checked against its size and copied, so
 that nothing that a worker says is executed or believed here. Who trusts his files (`--trust`, or L3_TRUST=1) has them
 decoded in the caller's process.
 """

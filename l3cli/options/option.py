@@ -18,7 +18,7 @@ from l3cli import __version__
 from l3cli.errors import RecipeError, shortened, suggestion
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256
-from l3cli.system.numbers import Quantity
+from l3cli.system.text import Quantity
 
 Name = str | PathLike[str]
 TypeGiven = TypeVar("TypeGiven", contravariant=True)

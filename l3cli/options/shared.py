@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from l3cli.errors import RecipeError, shortened
 from l3cli.options.option import Given, Name, Number, Options, Reader, option, options
-from l3cli.system.numbers import LARGEST_WHOLE
+from l3cli.system.text import LARGEST_WHOLE
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler

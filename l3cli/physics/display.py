@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from l3cli.errors import RecipeError, shortened
 from l3cli.physics.spaces import SRGB_CURVE, SRGB_FROM_XYZ, adaptation_matrix
 from l3cli.physics.spectra import colour_science, white_point
-from l3cli.system.numbers import Quantity
+from l3cli.system.text import Quantity
 
 Array = NDArray[np.floating]
 XYZ = ("X", "Y", "Z")  # names of outputs that are CIE 1931 tristimulus values

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, RecipeError, nearest, shortened, suggestion
-from l3cli.system.numbers import NoSuchNumber, Quantity
+from l3cli.system.text import NoSuchNumber, Quantity
 
 PLANCK = 6.62607015e-34  # J s
 LIGHT_SPEED = 299792458.0  # m/s

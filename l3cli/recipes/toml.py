@@ -12,7 +12,7 @@ import msgspec
 
 from l3cli.errors import MOST_SHOWN, InputFileError, RecipeError, shortened, suggestion
 from l3cli.system.limits import read_bounded
-from l3cli.system.numbers import LARGEST_WHOLE
+from l3cli.system.text import LARGEST_WHOLE
 
 LARGEST = 1e24  # of any number in a recipe: beyond lies what no lamp gives and floats run over at
 DEEPEST = 100  # tables and lists in one another

@@ -14,8 +14,7 @@ from l3cli.artifacts.store import describe, load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.verify import Intact, Link, chain, verify
 from l3cli.errors import DeviceError, L3Error
-from l3cli.io.confinement import LANDLOCK, SECCOMP
-from l3cli.io.decoder_process import measures
+from l3cli.io.decoder_process import LANDLOCK, SECCOMP, measures
 from l3cli.options.tools import BenchOptions
 from l3cli.rendering import benchmark
 from l3cli.rendering.opencl.devices import cache_warning, survey

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.system.files import naming, open_regular
-from l3cli.system.numbers import NoSuchNumber, Quantity
+from l3cli.system.text import NoSuchNumber, Quantity
 
 ONE_BLAS_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # environment
 MEGAPIXELS = "L3_MEGAPIXELS"  # environment variable: the most pixels of a picture or frame, in millions

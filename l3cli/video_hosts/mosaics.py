@@ -19,7 +19,7 @@ from l3cli.io.raw.files import RawOverrides, frame_of
 from l3cli.rendering.raw_checks import beyond_converter
 from l3cli.rendering.temporal.chunks import AnyOrder, filters
 from l3cli.system.files import sha256
-from l3cli.system.numbers import NoSuchNumber, Quantity
+from l3cli.system.text import NoSuchNumber, Quantity
 
 PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
 

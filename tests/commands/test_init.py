@@ -11,8 +11,7 @@ from l3cli.artifacts.training_set import open_training_set
 from l3cli.evaluation.demosaic import interpolate
 from l3cli.evaluation.quality import psnr
 from l3cli.io.images import read_image
-from l3cli.recipes.builtin import known_benchmarks, known_recipes
-from l3cli.recipes.starters import CLASSES, COMMON
+from l3cli.recipes.builtin import CLASSES, COMMON, known_benchmarks, known_recipes
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import SMALL

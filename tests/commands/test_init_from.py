@@ -20,7 +20,7 @@ from l3cli.export.profiles import light_matrices
 from l3cli.io.images import read_image
 from l3cli.io.pictures.dng import write_dng
 from l3cli.physics import spectra
-from l3cli.recipes.starters import COMMON
+from l3cli.recipes.builtin import COMMON
 from tests.helpers import dng_files, photos
 from tests.helpers.calls import L3, Refused
 from tests.helpers.recipes import SMALL

@@ -21,7 +21,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.cli import COMMANDS, l3, terminal
 from l3cli.errors import suggestion
 from l3cli.frames.frame import RawFrame
-from l3cli.io.confinement import LANDLOCK, SECCOMP
+from l3cli.io.decoder_process import LANDLOCK, SECCOMP
 from l3cli.io.images import read_image
 from l3cli.rendering.exposure import CoverageMeter
 from l3cli.system.console import HEADING

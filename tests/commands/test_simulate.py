@@ -13,7 +13,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.frames.scene import shown_alike
-from l3cli.simulation import charts
+from l3cli.simulation import procedural
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
@@ -88,7 +88,7 @@ def test_pictures_hold_the_raw_frame_and_a_white_that_is_white(l3: L3, bayer_rec
     assert len(names) == 1
     assert np.array_equal(stored[..., 0], raw)
     ideal, _ = read_image(next((tmp_path / "p").glob("*_ideal.png")))
-    rows, cols = charts.colorchecker_patches((128, 192))[21]  # neutral 5
+    rows, cols = procedural.colorchecker_patches((128, 192))[21]  # neutral 5
     patch = ideal[rows, cols].reshape(-1, 3).astype(int)
     assert np.ptp(patch.mean(axis=0)) < 4
     assert 110 < patch.mean() < 130

@@ -12,9 +12,8 @@ import pytest
 
 import l3cli
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.conditions import Condition, SceneLight
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import Condition, SceneLight, TransformTable
 from l3cli.charts import locate
 from l3cli.charts.locate import Located
 from l3cli.io.images import read_image

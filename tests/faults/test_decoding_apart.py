@@ -15,8 +15,7 @@ import pytest
 from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
 from l3cli.io import isolated
-from l3cli.io.confinement import LANDLOCK, SECCOMP
-from l3cli.io.decoder_process import measures
+from l3cli.io.decoder_process import LANDLOCK, SECCOMP, measures
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.system.limits import MEGAPIXELS, TRUST
 from tests.helpers.calls import L3

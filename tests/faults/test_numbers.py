@@ -19,7 +19,7 @@ from l3cli.cli.options import Value
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.recipes.toml import parse_recipe
-from l3cli.system.numbers import NoSuchNumber, Quantity
+from l3cli.system.text import NoSuchNumber, Quantity
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.calls import L3, Refused
 from tests.helpers.hostile import timed

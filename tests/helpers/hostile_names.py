@@ -12,8 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from l3cli.recipes.builtin import recipe_folder
-from l3cli.recipes.starters import folder_files
+from l3cli.recipes.builtin import folder_files, recipe_folder
 from l3cli.recipes.toml import toml_value
 from tests.helpers.hostile_spoiling import Choices, one_of
 from tests.helpers.workplace import PATH, SBATCH

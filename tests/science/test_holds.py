@@ -19,7 +19,7 @@ from l3cli.physics import paint, spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.rendering.renderer import make_renderer
 from l3cli.simulation import reflectances
-from l3cli.simulation.charts import colorchecker_patches
+from l3cli.simulation.procedural import colorchecker_patches
 from l3cli.training import plain_surfaces
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS

@@ -17,7 +17,7 @@ from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.io.pictures.registry import write_picture
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
-from l3cli.simulation import charts, fields, light, procedural, sensor
+from l3cli.simulation import fields, light, procedural, sensor
 from l3cli.simulation.frame import blurred_channels, lens_transfer, low_rank_transfer, project, simulate
 from l3cli.simulation.light import make_target
 from l3cli.simulation.procedural import draw
@@ -196,7 +196,7 @@ def test_targets_are_the_xyz_of_colour_science(fiveband: CameraModel, observer: 
             other = colour.MSDS_CMFS[spectra.OBSERVERS["CIE 1931"]]
             light_values = colour.SDS_ILLUMINANTS[name].copy().align(cmfs.shape).values
             scale *= (cmfs.values[:, 1] @ light_values) / (other.values[:, 1] @ light_values)
-        for patch, (rows, cols) in zip(patches, charts.colorchecker_patches(size), strict=True):
+        for patch, (rows, cols) in zip(patches, procedural.colorchecker_patches(size), strict=True):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # it warns that it interpolates
                 expected = colour.sd_to_XYZ(patch, cmfs, colour.SDS_ILLUMINANTS[name], method="Integration") / 100 * scale
@@ -355,7 +355,7 @@ def test_diffraction_blurs_each_band_by_its_transfer(bayer: CameraModel) -> None
 def test_the_transfer_function_of_a_simulated_edge_is_that_of_the_method(f_number: float, nanometres: float) -> None:
     """The edge's spread function, four samples a pixel across a 2° edge, blurred against sharp (ISO 12233)."""
     pitch, band, angle = 1.5e-6, np.array([nanometres]), 2.0
-    edge = charts.slanted_edge((400, 400), band, angle, 0.05, 0.8).transpose(2, 0, 1)
+    edge = procedural.slanted_edge((400, 400), band, angle, 0.05, 0.8).transpose(2, 0, 1)
     lens = lens_transfer(Optics(0.05, f_number, 0.0), pitch, band, True, 0.0)
     assert lens is not None
     blurred = blurred_channels(edge[None].copy(), lens, pitch)

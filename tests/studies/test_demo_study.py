@@ -35,7 +35,7 @@ from l3cli.evaluation.quality import quality
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import daylight, delta_e_2000, displayed, displayed_xyz, lab, white_luminance
 from l3cli.rendering.renderer import make_renderer
-from l3cli.simulation.charts import colorchecker_patches
+from l3cli.simulation.procedural import colorchecker_patches
 from tests.helpers.paths import CONFIGS
 
 Array = NDArray[np.floating]

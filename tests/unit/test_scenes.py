@@ -13,7 +13,7 @@ from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.io.scenes.rgb import read as read_rgb_picture
 from l3cli.physics import paint, spectra
 from l3cli.physics.display import SRGB_FROM_XYZ, srgb_curve
-from l3cli.simulation import charts, light, procedural, reflectances
+from l3cli.simulation import light, procedural, reflectances
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 
@@ -211,9 +211,9 @@ def test_materials_have_the_colours_of_their_names() -> None:
 DRAWINGS = {
     "leaves": lambda rng, nm: procedural.dead_leaves(rng, (48, 48), nm, 0.3),
     "composition": lambda rng, nm: procedural.composition(rng, (36, 64), nm),
-    "surfaces": lambda rng, nm: charts.surface_patches(rng, (4, 4), (48, 48), nm),
-    "skin": lambda rng, nm: charts.material_patches("skin", rng, (4, 4), (48, 48), nm),
-    "munsell": lambda rng, nm: charts.munsell((48, 60), nm),
+    "surfaces": lambda rng, nm: procedural.surface_patches(rng, (4, 4), (48, 48), nm),
+    "skin": lambda rng, nm: procedural.material_patches("skin", rng, (4, 4), (48, 48), nm),
+    "munsell": lambda rng, nm: procedural.munsell((48, 60), nm),
     "picture": lambda rng, nm: reflectances.raise_to_spectra(rng.random((8, 8, 3), np.float32), nm, "picture").reflectance,
 }
 
@@ -266,10 +266,10 @@ def test_dead_leaves_are_what_the_method_asks_for() -> None:
 def test_charts_of_any_size_hold_their_patches() -> None:
     _, reflectance = spectra.colorchecker(WAVELENGTH)
     for size in ((16, 16), (96, 144), (100, 333), (300, 90)):
-        chart = charts.colorchecker(size, WAVELENGTH)
+        chart = procedural.colorchecker(size, WAVELENGTH)
         assert chart.shape == (*size, 31)
         covered = np.zeros(size, int)
-        for (rows, cols), expected in zip(charts.colorchecker_patches(size), reflectance, strict=True):
+        for (rows, cols), expected in zip(procedural.colorchecker_patches(size), reflectance, strict=True):
             covered[rows, cols] += 1
             assert np.allclose(chart[rows, cols], expected.astype(np.float32))
         assert covered.max() == 1

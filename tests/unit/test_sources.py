@@ -14,7 +14,7 @@ from l3cli.io.scenes import bands, cube, envi
 from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.physics import spectra
 from l3cli.physics.display import lab
-from l3cli.simulation import charts, sources
+from l3cli.simulation import procedural, sources
 from l3cli.simulation.framing import framed
 from l3cli.simulation.procedural import draw
 from tests.helpers.calls import L3, Refused
@@ -234,7 +234,7 @@ def test_the_frequencies_of_a_grating_double(bayer: CameraModel) -> None:
 
 
 def test_munsell_colours_are_evenly_spread_and_real(bayer: CameraModel) -> None:
-    cube = charts.munsell((16 * 8, 20 * 8), WAVELENGTH)
+    cube = procedural.munsell((16 * 8, 20 * 8), WAVELENGTH)
     d65 = spectra.illuminant("D65", WAVELENGTH)
     xyz = cube[4::8, 4::8] @ (spectra.xyz_weights(WAVELENGTH) * d65).T / (spectra.xyz_weights(WAVELENGTH)[1] @ d65)
     lightness = lab(xyz, spectra.white_point("D65"))[..., 0]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.stored import datasets, require_within_file
+from l3cli.artifacts.container import datasets, require_within_file
 from l3cli.errors import InputFileError
 from l3cli.io.isolated import isolated
 from l3cli.io.raw.registry import MultiFrameFile, RawContent

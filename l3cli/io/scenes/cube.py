@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.stored import datasets, require_readable
+from l3cli.artifacts.container import datasets, require_readable
 from l3cli.errors import InputFileError
 from l3cli.frames.scene import SpectralCube
 from l3cli.io.isolated import isolated

@@ -14,7 +14,7 @@ from l3cli.rendering.white.balance import WhiteBalance, plain_balance
 from l3cli.rendering.white.chart import ChartWhite
 from l3cli.rendering.white.grey import Square
 from l3cli.rendering.white.scene_white import SceneWhite, Whites
-from l3cli.system.numbers import NoSuchNumber, Quantity
+from l3cli.system.text import NoSuchNumber, Quantity
 
 CAMERA, AUTO, CHART = "camera", "auto", "chart"
 USUAL_SIZE = 32  # pixels
