@@ -64,7 +64,7 @@ def figures(camera: CameraModel) -> dict[str, Any]:
         "channels": _by_channel(camera, columns) if columns else {},
         "lights": _lights(camera, fit.chart) if fit.chart else {},
         "bands": _bands(camera, fit.series) if fit.series else {},
-        "photos": _photos(camera, fit.photo) if fit.photo else {},
+        "photos": _photos(fit.photo) if fit.photo else {},
         "prior": fit.photo.prior if fit.photo else None,
         "next light": {"light": fit.photo.next_light, "remaining %": 100.0 * fit.photo.next_share} if fit.photo else None,
         "curves": _curves(camera),
@@ -158,7 +158,7 @@ def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
     }
 
 
-def _photos(camera: CameraModel, fit: PhotoFit) -> dict[str, dict[str, Any]]:
+def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
     """Return light, chart and what disturbed each photo."""
     rows = {}
     for index, name in enumerate(fit.names):

@@ -226,21 +226,15 @@ def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
     return [(round(float(x), 1), round(float(y), 1)) for x, y in through(found.to_pixels, corner_cells(*charts.CLASSIC))]
 
 
-def brightest(groups: Sequence[Group], scale: Scale) -> list[Group]:
-    """Return the captures of a series in which the chart is best seen."""
-    seen = [group for group in groups if scale.signal(group).max() > DIM * scale.range]
-    return sorted(seen, key=lambda group: (scale.clipped(group), -float(scale.signal(group).max())))[:SEARCHED]
-
-
 def corners_of_series(
     groups: Sequence[Group], scale: Scale, period: tuple[int, int], read: Callable[[str], Array]
 ) -> Corners | None:
     """Return the corners of a chart that stands still in all captures of a series: where most of those that show it agree,
     the median."""
-    found = []
-    for group in brightest(groups, scale):
-        if corners := find_corners(read(group.first.name.path) - float(scale.black.mean()), period):
-            found.append(corners)
+    lit = [group for group in groups if scale.signal(group).max() > DIM * scale.range]
+    lit.sort(key=lambda group: (scale.clipped(group), -float(scale.signal(group).max())))
+    black = float(scale.black.mean())
+    found = [each for group in lit[:SEARCHED] if (each := find_corners(read(group.first.name.path) - black, period))]
     if not found:
         return None
     middle = np.median(np.array(found), axis=0)

@@ -40,15 +40,15 @@ class Prior:
     measured: bool  # whether measured cameras say it, or smoothness alone
 
 
-def statistics(cameras: Sequence[FinishedCurves], modes: int = MODES) -> CurveStatistics:
-    """Return those of measured cameras, all with the same channels, by at most `modes` modes."""
+def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
+    """Return those of measured cameras, all with the same channels, by at most MODES modes."""
     curves = np.array([spectra.average(each.responsivity, each.wavelength, WAVELENGTH) for each in cameras])
     peaks = curves.max(axis=2)
     shapes = curves / peaks[..., None]
     mean = shapes.mean(axis=0)
     flat = (shapes - mean).reshape(len(curves), -1) / np.sqrt(max(len(curves) - 1, 1))
     _, size, directions = np.linalg.svd(flat, full_matrices=False)
-    chosen = (size[:, None] * directions)[:modes]
+    chosen = (size[:, None] * directions)[:MODES]
     heights = np.log(peaks) - np.log(peaks).mean(axis=1, keepdims=True)
     spread = np.atleast_2d(np.cov(heights.T)) if len(curves) > 1 else np.zeros((mean.shape[0],) * 2)
     return CurveStatistics(WAVELENGTH, mean, chosen.reshape(-1, *mean.shape), heights.mean(axis=0), spread)
