@@ -163,7 +163,8 @@ class OpenCLRenderer:
                 self._tracks.rotate()
                 self._bring(values, levelled, track, band, work)
                 if not self._joined or (kernel is None and not layer):
-                    self._classify(track, band, levelled, work)
+                    arguments = (*self._decides(track, band), *self._site(band, levelled))
+                    work.add("classes", self._run(self._programs.classes(0), track, band.shape(0), *arguments))
                 if encoding is None:  # not before the device is busy
                     encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
                 for number in range(layer if kernel is None else len(self._layers)):
@@ -202,7 +203,7 @@ class OpenCLRenderer:
         """Upload of a band, with the rows beside it that a later layer reads."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
-        if self._in_place and not self._shading.evens(frame):
+        if self._in_place and not self._shading.corrects(frame):
             track.raw = work.in_place(track.queue, source)
         else:
             work.arrays.append(source)
@@ -210,8 +211,8 @@ class OpenCLRenderer:
             work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
         if len(self._sets) > 1:
             track.chosen = self._chosen(frame, track, band, work)
-        if self._shading.evens(frame):
-            work.add("classes", self._shading.even(frame, track, band))
+        if self._shading.corrects(frame):
+            work.add("classes", self._shading.correct(frame, track, band))
 
     def _chosen(self, frame: RawFrame, track: Track, band: Band, work: Work) -> tuple[Any, ...]:
         """Return the buffer with the number of the set that renders each pixel of a band."""
@@ -224,11 +225,6 @@ class OpenCLRenderer:
         track.sets = self._scratch(track.sets, pixels.nbytes)
         work.add("upload", pyopencl().enqueue_copy(track.queue, track.sets, pixels, is_blocking=False))
         return (track.sets,)
-
-    def _classify(self, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
-        """Classes of a band in the first layer."""
-        arguments = (*self._decides(track, band), *self._site(band, frame))
-        work.add("classes", self._run(self._programs.classes(0), track, band.shape(0), *arguments))
 
     def _decides(self, track: Track, band: Band) -> tuple[Any, ...]:
         """Return the buffers from which the first layer's classes are decided, and where they are written."""

@@ -39,13 +39,13 @@ class DeviceShading:
         return () if shading is None else (self._buffer(shading, "gain", rows),)
 
     @staticmethod
-    def evens(frame: RawFrame) -> bool:
+    def corrects(frame: RawFrame) -> bool:
         """Return whether a frame's channels are shaded unlike, so that its values on the device must be writable."""
         return frame.shading is not None and frame.shading.colour is not None
 
-    def even(self, frame: RawFrame, track: Track, band: Band) -> Any:
-        """Enqueue the evening of a band's raw values on the device, which are those of a frame at the table's levels and
-        `evens`."""
+    def correct(self, frame: RawFrame, track: Track, band: Band) -> Any:
+        """Enqueue the colour shading correction of a band's raw values, those of a frame at the table's levels which this
+        `corrects`."""
         if self._kernel is None:
             macros: Macros = {"FRACTION": FRACTION, "RUN": self._run}
             self._kernel = self._make(

@@ -194,10 +194,8 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
     column_source = constant(_int32(mirrored_indices(columns, radius, cfa.shape[1])))
     height = max(1, BAND_PIXELS // columns)
 
-    def columns_beside(margin: int) -> Source:
-        return constant(_int32(mirrored_indices(columns, margin, 1)))
-
-    across = {margin: columns_beside(margin) for margin in {REACH, *(layer.radius for layer in table.later)}}
+    sides = {REACH, *(layer.radius for layer in table.later)}
+    across = {margin: constant(_int32(mirrored_indices(columns, margin, 1))) for margin in sides}
 
     def outside(seen: slice, margin: int, there: slice) -> Source:
         """Rows of `there` for the rows `seen` and `margin` more."""
