@@ -21,7 +21,8 @@ GRID = (32, 48)  # rows and columns of pixels that are measured, at most
 
 
 class SpreadSamples:
-    """Evenly spread patches of frames, about 1500 each of one CFA site, and their classes in a table's first layer."""
+    """Evenly spread patches of frames, about 1500 each of one CFA site, at a table's levels, and their classes in its first
+    layer."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table = table
@@ -29,11 +30,33 @@ class SpreadSamples:
         self._orders: dict[int, TapOrder] = {}  # by CFA site
 
     def of(self, frame: RawFrame, gains: np.ndarray | None = None) -> tuple[RawFrame, int, Integers]:
-        """Patches, site (`spread_patches`) and classes (patch) within the site of a frame."""
-        rule, (patches, site) = self._table.first.rule, spread_patches(frame, self._table, gains)
+        """Patches (patch, tap) of a frame with the gains (channel) of a white balance, shading that of each patch; the CFA
+        site of them all, that of the frame's first pixel; and their classes (patch) within the site."""
+        table, rule = self._table, self._table.first.rule
+        down, across = self._geometry(frame)
+        patches = frame.values.reshape(-1).take(_places(down, across))
+        shading = None
+        if frame.shading is not None:
+            (row, row_source), (col, col_source) = _windows(*down), _windows(*across)
+            taken = (row_source[:, None, :, None], col_source[None, :, None, :])
+            shading = frame.shading.of_patches(taken, row[:, 0], col[:, 0])
+        cut, site = replace(frame, values=patches, shading=shading), frame.phase[0] * table.cfa.shape[1] + frame.phase[1]
+        if gains is not None:
+            cut = balanced_patches(cut, window_channels(table.cfa, rule.patch)[site], gains)
         if site not in self._orders:
             self._orders[site] = tap_order(rule, self._neighbours, site)
-        return patches, site, label_patches(patches.values, rule, self._neighbours, site, self._orders[site])
+        cut = cut.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
+        return cut, site, label_patches(cut.values, rule, self._neighbours, site, self._orders[site])
+
+    def shape(self, frame: RawFrame) -> tuple[int, int]:
+        """Rows and columns of the grid in which the patches of a frame lie, row by row."""
+        down, across = self._geometry(frame)
+        return len(_windows(*down)[0]), len(_windows(*across)[0])
+
+    def _geometry(self, frame: RawFrame) -> list[tuple[int, int, int, int]]:
+        """Return the numbers that `_windows` depends on, of rows and of columns."""
+        table = self._table
+        return [(frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]) for axis in (0, 1)]
 
     def signal(self, patches: RawFrame) -> NDArray[np.float32]:
         """Values (patch, tap) as shares of full scale."""
@@ -61,34 +84,6 @@ class LightMeter:
             luminance *= patches.shading.gain[:, 0]
         raised = 1.0 if balance is None else balance.luminance
         return raised * frame.light_share * white_percentile(luminance)
-
-
-def spread_patches(frame: RawFrame, table: TransformTable, gains: np.ndarray | None = None) -> tuple[RawFrame, int]:
-    """About 1500 patches (patch, tap) of a frame, evenly spread, at the table's levels, with the gains (channel) of a white
-    balance, shading that of each patch; and the CFA site of them all, that of the frame's first pixel."""
-    period_col = table.cfa.shape[1]
-    down, across = _geometry(frame, table, 0), _geometry(frame, table, 1)
-    patches = frame.values.reshape(-1).take(_places(down, across))
-    shading = None
-    if frame.shading is not None:
-        (row, row_source), (col, col_source) = _windows(*down), _windows(*across)
-        taken = (row_source[:, None, :, None], col_source[None, :, None, :])
-        shading = frame.shading.of_patches(taken, row[:, 0], col[:, 0])
-    cut, site = replace(frame, values=patches, shading=shading), frame.phase[0] * period_col + frame.phase[1]
-    if gains is not None:
-        cut = balanced_patches(cut, window_channels(table.cfa, table.first.rule.patch)[site], gains)
-    return cut.at_levels(table.black_level, table.white_level, table.bits).shading_corrected(), site
-
-
-def spread_shape(frame: RawFrame, table: TransformTable) -> tuple[int, int]:
-    """Rows and columns of the grid in which `spread_patches` lie, row by row."""
-    row, col = (_windows(*_geometry(frame, table, axis))[0] for axis in (0, 1))
-    return len(row), len(col)
-
-
-def _geometry(frame: RawFrame, table: TransformTable, axis: int) -> tuple[int, int, int, int]:
-    """Return the numbers that `_windows` depends on."""
-    return frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]
 
 
 @functools.lru_cache(4)  # the same for every frame of a sequence
@@ -131,7 +126,7 @@ class SteadyExposure:
 
 
 @dataclass(frozen=True)
-class Coverage:
+class OutOfRange:
     """Shares of a frame's pixels, each counted once at most among the first three."""
 
     darker: float  # than every level that the table has patches of
@@ -140,15 +135,15 @@ class Coverage:
     saturated: float  # clipped, or so near a clipped pixel that it decides the class
 
 
-class CoverageMeter:
-    """The coverage of frames by a table, from about 1500 pixels of one CFA site each (as LightMeter)."""
+class RangeMeter:
+    """Shares of frames outside of what a table has learned, from about 1500 pixels of one CFA site each (as LightMeter)."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table, self._spread = table, SpreadSamples(table)
         self._samples = table.first.rule.by_axis(table.first.samples)
 
-    def coverage(self, frame: RawFrame) -> Coverage:
-        """Return the coverage of a frame of any size and phase."""
+    def outside(self, frame: RawFrame) -> OutOfRange:
+        """Return the shares of a frame of any size and phase."""
         rule = self._table.first.rule
         _, site, labels = self._spread.of(frame)
         place = rule.split(labels)
@@ -157,7 +152,7 @@ class CoverageMeter:
         darker, brighter = place.level < lowest, place.level > highest
         untrained = (self._table.first.samples[rule.on_site(labels, site)] == 0) & ~darker & ~brighter
         saturated = rule.lost(place.kind) > 0
-        return Coverage(*(float(np.mean(mask)) for mask in (darker, brighter, untrained, saturated)))
+        return OutOfRange(*(float(np.mean(mask)) for mask in (darker, brighter, untrained, saturated)))
 
     def learned_range(self) -> tuple[float, float]:
         """The darkest and brightest level that the table has patches of, as shares of full scale."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame, shifted_cfa
-from l3cli.rendering.exposure import CoverageMeter
+from l3cli.rendering.exposure import RangeMeter
 
 BEYOND = 1.5  # times the white level: no saturated pixel lies so far above it …
 SHALLOW = 0.55  # of it: nor do pixels of the same depth clip so far below
@@ -54,7 +54,7 @@ class FrameWarnings:
     _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # share, frame, number of frames
 
     def __post_init__(self) -> None:
-        self._meter = CoverageMeter(self.table)
+        self._meter = RangeMeter(self.table)
 
     def measure(self, frame: RawFrame) -> None:
         """Measure a frame."""
@@ -65,9 +65,9 @@ class FrameWarnings:
             self._note(text, frame.name)
         for note in frame.notes:
             self._notes.setdefault(note, frame.name)
-        coverage = self._meter.coverage(frame)
+        outside = self._meter.outside(frame)
         for what, limit in NOTABLE.items():
-            share = getattr(coverage, what)
+            share = getattr(outside, what)
             if share >= limit:
                 worst, name, count = self._worst.get(what, (0.0, "", 0))
                 self._worst[what] = (share, frame.name, count + 1) if share > worst else (worst, name, count + 1)

@@ -23,7 +23,7 @@ from l3cli.errors import suggestion
 from l3cli.frames.frame import RawFrame
 from l3cli.io.decoder_process import LANDLOCK, SECCOMP
 from l3cli.io.images import read_image
-from l3cli.rendering.exposure import CoverageMeter
+from l3cli.rendering.exposure import RangeMeter
 from l3cli.system.console import HEADING
 from l3cli.system.text import columns
 from tests.helpers.calls import L3, Refused
@@ -319,8 +319,8 @@ def test_levels_without_training_are_counted(pipeline: Path, capsys: pytest.Capt
     samples[:, 2:5] = 100.0
     samples[:, :2] = samples[:, 5:] = 0.0
     part = replace(with_first(table, samples=samples.ravel()), camera=None)
-    meter = CoverageMeter(part)
-    dark, middle, bright = (meter.coverage(next(frames_of(part, level, 1))) for level in (0.0, 0.01, 0.7))
+    meter = RangeMeter(part)
+    dark, middle, bright = (meter.outside(next(frames_of(part, level, 1))) for level in (0.0, 0.01, 0.7))
     assert (dark.darker, dark.brighter, middle.darker, middle.brighter) == (1.0, 0.0, 0.0, 0.0)
     assert (bright.darker, bright.brighter, bright.saturated) == (0.0, 1.0, 0.0)
     low, high = meter.learned_range()

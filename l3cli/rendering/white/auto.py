@@ -8,7 +8,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import correlated_lights, spectra
 from l3cli.physics.spaces import BRADFORD
-from l3cli.rendering.exposure import SpreadSamples, spread_shape
+from l3cli.rendering.exposure import SpreadSamples
 from l3cli.rendering.white.scene_white import GREY_LEVEL, SceneWhite, Whites
 
 Array = NDArray[np.floating]
@@ -68,7 +68,7 @@ class AutoWhite:
         outputs = np.einsum("nct,nt->nc", table.first.weights[classes], signal) + table.first.intercept[classes]
         cones = outputs.astype(np.float64) @ BRADFORD.T
         usable = (rule.lost(rule.split(labels).kind) == 0) & (cones.min(axis=1) > 0)
-        shape = spread_shape(frame, table)
+        shape = self._spread.shape(frame)
         return cones.reshape(*shape, 3), usable.reshape(shape)
 
     def _log_ratios(self) -> Array:
