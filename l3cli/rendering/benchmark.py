@@ -23,7 +23,7 @@ from l3cli.classes.structure import NOISE_TRACE, SIGMA
 from l3cli.classes.windows import VARIANCE_FRACTION
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
-from l3cli.rendering.display import make_display
+from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl.layout import VARIANTS
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
@@ -200,9 +200,8 @@ def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str,
 def measure(case: Case, device: str | None = None, variant: str | None = None) -> dict[str, Any]:
     """Medians over FRAMES frames on an OpenCL device: frame_ms as the caller waits, stages_ms as the device counts them
     (OpenCLRenderer.stage_times), stages_sum_ms."""
-    rng = np.random.default_rng(0)
-    renderer = OpenCLRenderer(synthetic_table(case, rng), device, variant)
-    frame, display = synthetic_frame(case, rng), make_display(spectra.white_point("D65"), 1.0, 8)
+    table, frame, display = _synthetic(case)
+    renderer = OpenCLRenderer(table, device, variant)
     shown = display if case.outputs == 3 else None
 
     def render() -> None:
@@ -210,26 +209,26 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
 
     waits = _times(render)
     stages = [renderer.stage_times(frame, shown) for _ in range(FRAMES)]
-    result = _result(case, "opencl", renderer.variant, renderer.device.name.strip(), waits)
-    result["stages_ms"] = {stage: float(np.median([times[stage] for times in stages])) for stage in stages[0]}
-    result["stages_sum_ms"] = float(np.median([sum(times.values()) for times in stages]))
-    return result
+    medians = {stage: float(np.median([times[stage] for times in stages])) for stage in stages[0]}
+    result = _result(case, "opencl", renderer.variant, renderer.device.name.strip(), waits, medians)
+    return result | {"stages_sum_ms": float(np.median([sum(times.values()) for times in stages]))}
 
 
 def measure_reference(case: Case) -> dict[str, Any]:
     """The same of the numpy reference, which has no stages to speak of."""
-    rng = np.random.default_rng(0)
-    renderer = ReferenceRenderer(synthetic_table(case, rng))
-    frame, display = synthetic_frame(case, rng), make_display(spectra.white_point("D65"), 1.0, 8)
+    table, frame, display = _synthetic(case)
+    renderer = ReferenceRenderer(table)
     classes = _times(lambda: renderer.labels(frame))
     outputs = _times(lambda: renderer.outputs(frame))
     waits = _times(lambda: renderer.picture(frame, display))
     until = [0.0, float(np.median(classes)), float(np.median(outputs)), float(np.median(waits))]
     stages = dict(zip(("classes", "transforms", "encode"), np.maximum(np.diff(until), 0).tolist(), strict=True))
-    return {
-        **_result(case, "reference", "reference", "numpy", waits),
-        "stages_ms": {"upload": 0.0, **stages, "download": 0.0},
-    }
+    return _result(case, "reference", "reference", "numpy", waits, {"upload": 0.0, **stages, "download": 0.0})
+
+
+def _synthetic(case: Case) -> tuple[TransformTable, RawFrame, Display]:
+    rng = np.random.default_rng(0)
+    return synthetic_table(case, rng), synthetic_frame(case, rng), make_display(spectra.white_point("D65"), 1.0, 8)
 
 
 def _times(render: Callable[[], object]) -> list[float]:
@@ -243,7 +242,9 @@ def _times(render: Callable[[], object]) -> list[float]:
     return waits
 
 
-def _result(case: Case, backend: str, variant: str, device: str, waits: list[float]) -> dict[str, Any]:
+def _result(
+    case: Case, backend: str, variant: str, device: str, waits: list[float], stages: dict[str, float]
+) -> dict[str, Any]:
     frame_ms = float(np.median(waits))
     return {
         "width": case.width,
@@ -255,7 +256,7 @@ def _result(case: Case, backend: str, variant: str, device: str, waits: list[flo
         "backend": backend,
         "variant": variant,
         "device": device,
-        "stages_ms": {},
+        "stages_ms": stages,
         "frame_ms": frame_ms,
         "mp_per_s": case.width * case.height / frame_ms / 1e3,
     }

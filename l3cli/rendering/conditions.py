@@ -171,14 +171,14 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     axes = tuple(feature.with_less_noise(axis, share) for feature, axis in further_features(rule))
     features = FurtherFeatures.of(axes) if axes else None
     first = replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=features)
-    later = tuple(
-        layer
-        if layer.structure is None
-        else replace(
-            layer, structure=replace(layer.structure, strength_edges=_scaled(layer.structure.strength_edges, share))
-        )
-        for layer in table.later
-    )
+
+    def scaled(layer: PlaneLayer) -> PlaneLayer:
+        if layer.structure is None:
+            return layer
+        edges = _scaled(layer.structure.strength_edges, share)
+        return replace(layer, structure=replace(layer.structure, strength_edges=edges))
+
+    later = tuple(map(scaled, table.later))
     return replace(table, first=replace(table.first, rule=first), later=later, conditions=())
 
 

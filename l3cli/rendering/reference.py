@@ -71,7 +71,10 @@ class ReferenceRenderer:
 
     def _labels(self, levelled: RawFrame) -> Integers:
         """Class (row, col) in the first layer of every pixel of a frame at the table's levels, among those of all sets."""
-        usual, *others = (table_labels(levelled, table) for table in self._sets.tables)
+        usual, *others = (
+            label_mosaic(levelled.values, table.first.rule, table.cfa, len(table.channels), levelled.phase)
+            for table in self._sets.tables
+        )
         chosen, labels = self._sets.chosen(levelled) if others else None, usual
         for number, of_set in enumerate(others, 1):
             labels = np.where(chosen == number, number * len(self.table.first.weights) + of_set, labels)
@@ -97,11 +100,6 @@ class ReferenceRenderer:
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
     """The frame on the black level, white level and depth that the table was trained for, its channels shaded alike."""
     return frame.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
-
-
-def table_labels(frame: RawFrame, table: TransformTable) -> Integers:
-    """Class (row, col) of every pixel of a frame at the table's levels."""
-    return label_mosaic(frame.values, table.first.rule, table.cfa, len(table.channels), frame.phase)
 
 
 def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, first: MosaicLayer) -> NDArray[np.float64]:

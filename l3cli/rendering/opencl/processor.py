@@ -24,9 +24,8 @@ PROCESSORS = {
     b"haswell": HASWELL,
     b"x86-64": frozenset[str](),
 }
-_names = {
-    name: ctypes.create_string_buffer(name) for name in PROCESSORS
-}  # as long as the process, as the device that names one
+# They live as long as the process, as the device that names one.
+_names = {name: ctypes.create_string_buffer(name) for name in PROCESSORS}
 
 
 def compiled_for(device: Any) -> str:

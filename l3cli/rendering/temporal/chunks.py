@@ -44,11 +44,6 @@ def chunks_of(place: int) -> range:
     return range(place // CHUNK, (place + LEAD) // CHUNK + 1)
 
 
-def first_needed(place: int) -> int:
-    """The first place that the frame at a place depends on."""
-    return max(0, place // CHUNK * CHUNK - LEAD)
-
-
 def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
     """Yield whether the filter must take each frame, given as its place and whether it is wanted itself: whether it, or a
     later one that depends on it, is wanted. Looks up to LEAD + CHUNK frames ahead."""
@@ -84,7 +79,7 @@ class AnyOrder:
         with self._alone:
             if place in self._made:
                 return self._made[place]
-            first = first_needed(place)
+            first = max(0, place // CHUNK * CHUNK - LEAD)  # that it depends on
             if not first <= self._next <= place:
                 self._begin(first)
             for at in range(self._next, place + 1):
