@@ -204,7 +204,7 @@ ADDITIONS: dict[str, dict[str, str | Edits]] = {
             ("Source = (\n", "Source = (\n    Rings |"),
         ],
         "l3cli/simulation/procedural.py": [
-            ("import charts, fields, leaves, sources", "import charts, fields, leaves, rings, sources"),
+            ("import fields, leaves, reflectances, sources", "import fields, leaves, reflectances, rings, sources"),
             (
                 "= {\n    sources.DeadLeaves:",
                 "= {\n    sources.Rings: lambda s, rng, nm: rings.rings(rng, s.size, nm),\n    sources.DeadLeaves:",
