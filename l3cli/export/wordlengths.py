@@ -109,7 +109,7 @@ def short_words(table: TransformTable) -> ShortWords:
     values = PLANE_TOP if table.later else max(2**table.bits - 1 - offset, offset)
     size = np.abs(weights)
     sums = size.sum(axis=-1) * values + np.abs(intercept)
-    windows = weights.shape[-1] - _taps_behind(table)
+    windows = weights.shape[-1] - (table.later[-1].ratio_taps if table.later else 0)
     second = np.sort(size[..., :windows], axis=-1)[..., -2:].min(axis=-1)
     second = np.maximum(second, size[..., windows:].max(axis=-1, initial=0.0))
     most = np.minimum(MOST_WEIGHT / (second + 1e-30), MOST_SUM * 2.0**split / (sums + 1e-30))
@@ -130,11 +130,6 @@ def short_words(table: TransformTable) -> ShortWords:
         (fraction - split).astype(np.uint8),
         split,
     )
-
-
-def _taps_behind(table: TransformTable) -> int:
-    """Return the number of taps of the last layer behind those of its windows."""
-    return table.later[-1].ratio_taps if table.later else 0
 
 
 def _value_step(table: TransformTable) -> float:

@@ -41,7 +41,7 @@ def find_pictures(path: Path) -> PictureSequence:
     """Return the sequence of a name: a folder (of a simulation its ideal pictures), a numbered pattern, a glob, or a video.
     InputFileError if there is none, its pictures differ in size, or a number is missing."""
     if is_video(path) and not _names_several(path):
-        return _video_sequence(path)
+        return PictureSequence(str(path), _video_shape(path), None, functools.partial(_video_pictures, path), (path,))
     return _file_pictures(path, picture_files(path))
 
 
@@ -104,11 +104,6 @@ def _file_pictures(path: Path, files: list[Path]) -> PictureSequence:
 
 
 # ------------------------------------------------------------------------------------------------------------ videos
-
-
-def _video_sequence(path: Path) -> PictureSequence:
-    rows, cols = _video_shape(path)
-    return PictureSequence(str(path), (rows, cols), None, functools.partial(_video_pictures, path), (path,))
 
 
 def _video_pictures(path: Path) -> Iterator[Linear]:

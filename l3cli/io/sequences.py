@@ -12,7 +12,7 @@ from pathlib import Path
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frames.dark import DarkFrame, average_dark
+from l3cli.frames.correction import DarkFrame, average_dark
 from l3cli.frames.frame import RawFrame
 from l3cli.io.file_names import (
     IDEAL,
@@ -205,7 +205,9 @@ def _series(path: Path, table: TransformTable, known: RawOverrides, dataset: str
     if dataset is not None and not format_of(path).wants_dataset:
         raise RecipeError(f"‹dataset› names an array of an HDF5 file; {path} is not one")
     if path == STDIN:
-        return _stdin(table, known)
+        if known.size is None:
+            raise RecipeError("raw frames on stdin have no header with their size; give it with ‹size› ROWSxCOLS")
+        return _series_of_stack(STDIN_NAME, "", read_stdin(table, known), table, known)
     if path.is_dir():
         return _series_of_files(str(path), _in_folder(path), table, known)
     if not path.exists() and PATTERN.search(path.name):
@@ -283,9 +285,3 @@ def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: Transfo
 
     numbers = None if stack.count is None else range(stack.count)
     return _Series(what, numbers, read, named, stack.rate, times=stack.times)
-
-
-def _stdin(table: TransformTable, known: RawOverrides) -> _Series:
-    if known.size is None:
-        raise RecipeError("raw frames on stdin have no header with their size; give it with ‹size› ROWSxCOLS")
-    return _series_of_stack(STDIN_NAME, "", read_stdin(table, known), table, known)

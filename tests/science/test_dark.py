@@ -17,7 +17,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
 from l3cli.errors import InputFileError
-from l3cli.frames.dark import average_dark, without_dark
+from l3cli.frames.correction import average_dark, without_dark
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.rendering.exposure import LightMeter

@@ -220,7 +220,8 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
         state = mean + covariance @ design.T @ np.linalg.solve(root.T, white)
         # Under a light that explains nothing the expansion may run away: it stays near the first guess.
         scale = np.clip(_scale(state, prior), first / FARTHEST, first * FARTHEST)
-        _hold_exposures(state, mean, len(shots))
+        exposures = slice(state.size - len(shots) * TERMS, None, TERMS)  # stay near those before
+        state[exposures] = np.clip(state[exposures], mean[exposures] / FARTHEST, mean[exposures] * FARTHEST)
     probability = -0.5 * white @ white - np.log(np.diag(root)).sum() + _peaks(state, prior)
     return _Solution(shots, (count, size), design, right, noise, mean, covariance, state, error, float(probability))
 
@@ -240,12 +241,6 @@ def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
         illumination[index, 0] = np.median(ratio(shot, expected[index]) / scale)
     glare = np.zeros(len(shots) * count)
     return np.concatenate([(scale[:, None] * prior.mean).ravel(), glare, illumination.ravel()])
-
-
-def _hold_exposures(state: Array, mean: Array, shots: int) -> None:
-    """Keep the exposures of a state, in place, near those before."""
-    first = state.size - shots * TERMS
-    state[first::TERMS] = np.clip(state[first::TERMS], mean[first::TERMS] / FARTHEST, mean[first::TERMS] * FARTHEST)
 
 
 def _scale(state: Array, prior: Prior) -> Array:

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.errors import InputFileError
-from l3cli.frames.correction import Correction, HotTest
-from l3cli.frames.dark import DarkFrame, without_dark
+from l3cli.frames.correction import Correction, DarkFrame, HotTest, without_dark
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.shading import shading_of_gain
 from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
