@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.layers import RATIO_TAPS, PlaneRule, one_rule
 from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.store import (
@@ -25,7 +24,7 @@ from l3cli.artifacts.store import (
     read_history,
     write_fields,
 )
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import RATIO_TAPS, PlaneRule, TransformTable, one_rule
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PlaneLayer
 from l3cli.artifacts.plane_rules import StructureRule, TreeRule
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import PlaneLayer, TransformTable
 from l3cli.classes import contrast, direction, level, saturation
 from l3cli.classes.features import further_features
 from l3cli.classes.plane_kernel import rule_constants, rule_macros

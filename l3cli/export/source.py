@@ -9,9 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PLANE_TOP
 from l3cli.artifacts.plane_rules import GRADIENT, StructureRule, TreeRule
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import PLANE_TOP, TransformTable
 from l3cli.classes import direction, saturation
 from l3cli.classes.features import further_features
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, raw_middle

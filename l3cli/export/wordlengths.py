@@ -15,8 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, TransformTable
 from l3cli.classes.planes import raw_middle
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.errors import InputFileError

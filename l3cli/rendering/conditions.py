@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CAMERA_NOISE, NoiseScale
 from l3cli.artifacts.class_rule import FurtherFeatures
-from l3cli.artifacts.layers import MosaicLayer, PlaneLayer, PlaneRule
-from l3cli.artifacts.table import Condition, TransformTable
+from l3cli.artifacts.table import Condition, MosaicLayer, PlaneLayer, PlaneRule, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.features import further_features
 from l3cli.classes.plane_kernel import kernel_macros

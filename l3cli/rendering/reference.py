@@ -6,8 +6,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PLANE_STEP, MosaicLayer, PlaneLayer
-from l3cli.artifacts.table import SpectralSmoothing, TransformTable
+from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, SpectralSmoothing, TransformTable
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.planes import FixedPoint, coarse, opponent_basis, refined_fixed_point
 from l3cli.classes.refinement import label_planes, mirrored, shaded_chroma

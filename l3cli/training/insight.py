@@ -5,9 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PlaneLayer, PlaneRule
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
-from l3cli.artifacts.table import SceneLight, TransformTable
+from l3cli.artifacts.table import PlaneLayer, PlaneRule, SceneLight, TransformTable
 from l3cli.classes.features import further_features
 from l3cli.classes.names import class_name, kind_name
 from l3cli.classes.tree import EVERY

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.schema import Stage
-from l3cli.artifacts.table import SpectralSmoothing, TransformTable
+from l3cli.artifacts.table import MosaicLayer, SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet
 from l3cli.classes.chroma import channel_shares, choose_chromas
 from l3cli.classes.decide import observe_patches

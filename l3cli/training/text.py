@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.layers import RATIO_TAPS
 from l3cli.artifacts.plane_rules import DIRECTIONS
+from l3cli.artifacts.table import RATIO_TAPS
 from l3cli.classes import level
 from l3cli.classes.rule import make_rule
 from l3cli.system.text import counted, size_text

@@ -7,9 +7,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from l3cli.artifacts.camera import CameraModel, NoiseScale
-from l3cli.artifacts.layers import RATIO_TAPS, MosaicLayer, PlaneLayer
 from l3cli.artifacts.plane_rules import TESTS, GradientScale, StructureRule, TreeRule
-from l3cli.artifacts.table import Condition, SceneLight, SpectralSmoothing, TransformTable
+from l3cli.artifacts.table import (
+    RATIO_TAPS,
+    Condition,
+    MosaicLayer,
+    PlaneLayer,
+    SceneLight,
+    SpectralSmoothing,
+    TransformTable,
+)
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.planes import fixed_point

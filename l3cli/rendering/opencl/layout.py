@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, PlaneRule
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, PlaneRule, TransformTable
 from l3cli.classes.plane_kernel import (
     joined,
     kernel_arrays,

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from l3cli.artifacts.layers import PlaneRule, rule_fields
 from l3cli.artifacts.partial_sums import PartialLayerSums, PartialSumsReader, write_partial_sums
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import PlaneRule, TransformTable, rule_fields
 from l3cli.errors import InputFileError
 from l3cli.stages.training.conditions import by_noise, with_noises
 from l3cli.stages.training.passes import Execution

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CAMERA_NOISE
-from l3cli.artifacts.layers import PlaneRule
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import GradientScale
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import PlaneRule, TransformTable
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.planes import fixed_point, opponent_basis
 from l3cli.physics.display import XYZ

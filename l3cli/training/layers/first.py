@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.layers import PLANE_TOP, PlaneLayer
+from l3cli.artifacts.table import PLANE_TOP, PlaneLayer
 from l3cli.classes.decide import labels as classes_of
 from l3cli.classes.level import unclipped_level
 from l3cli.classes.planes import COARSE, FixedPoint, coarse, refined_fixed_point

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.layers import PLANE_STEP, PlaneRule
 from l3cli.artifacts.partial_sums import LayerSums
+from l3cli.artifacts.table import PLANE_STEP, PlaneRule
 from l3cli.classes.refinement import mirrored, shaded_chroma, window_means
 from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PLANE_STEP
 from l3cli.artifacts.plane_rules import FACTORS, MOST_SHIFT, GradientScale, StructureRule, TreeRule
+from l3cli.artifacts.table import PLANE_STEP
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes import structure
 from l3cli.classes.planes import LUMINANCE

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PlaneRule
 from l3cli.artifacts.partial_sums import LayerSums
+from l3cli.artifacts.table import PlaneRule
 from l3cli.errors import L3Error
 from l3cli.training.sums import moment_matrix
 from l3cli.training.systems import fits_between, solve_positive
