@@ -93,6 +93,8 @@ class LayerRecipe(Recipe):
     achromatic: Share = 0.2  # share of them that show their scene without colour
     # pixels of a mosaic, a square of at least so many, that are learned from
     rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 900
+    # share of the square's pixels that they are: less than 1 where mosaics are to be large, as rows count by their error
+    density: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1.0
     ridge: Positive = 1e-5  # relative to the mean power of a tap
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y
     chroma_noise: NotNegative = 2.0  # the same for the two chroma rows

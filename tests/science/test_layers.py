@@ -314,3 +314,13 @@ def test_a_wrong_layer_is_one_line(lines: str, why: str, bayer: CameraModel, tmp
     layer = LAYER.removesuffix("side = 3\n") if lines.startswith("side ") else LAYER
     (tmp_path / "classes.toml").write_text(f"{layer}{lines}\n")
     assert why in refused(2, "train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "no.h5")
+
+
+def test_a_layer_learns_from_a_share_of_larger_squares(bayer: CameraModel) -> None:
+    frames = [a_frame(bayer, seed, smooth=False) for seed in range(2)]
+    dense, sparse = a_pass(bayer, rows=200), a_pass(bayer, rows=200, density=0.5)
+    assert (dense.exposed.inner, sparse.exposed.inner) == (15, 20)
+    rows = [
+        sum(one.count.sum() for one in sum_layer(each, a_rule(each), [(0, frames)]).values()) for each in (dense, sparse)
+    ]
+    assert rows[1] == pytest.approx(rows[0], rel=0.35)

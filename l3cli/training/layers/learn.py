@@ -54,7 +54,7 @@ class LayerPass:
     @property
     def exposed(self) -> Exposed:
         dark = self.camera.dark_signal(self.exposure)
-        inner = math.isqrt(self.recipe.rows - 1) + 1
+        inner = math.isqrt(math.ceil(self.recipe.rows / self.recipe.density) - 1) + 1
         margin = self.rule.radius + sum(margin_of(layer.side) for layer in self.before) + self.margin
         noisy = self.learning.noise != "none"
         return Exposed(self.camera, self.learning, dark, self.recipe.achromatic, noisy, inner, margin)
@@ -127,11 +127,14 @@ def sum_layer(
     see, reading, sums = layer.seer(), layer.reading(layer.recipe.side), no_sums(layer, rule)
     gathered = GatheredRows(sums, rule, reading, layer.basis, layer.grid_steps(rule))
     for first, frames in blocks:
+        rng = layer.rng(first, 3)
         for mosaics in sheets_of(drawn_mosaics(layer, frames, first, purpose=1), layer.camera.cfa.shape[0]):
             seen = see(mosaics)
             label = label_planes(seen.noisy, seen.label, rule, layer.rule)
             weight = row_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures)
-            gathered.add(seen, label, seen.inner_pixels(layer.margin), weight)
+            inner = seen.inner_pixels(layer.margin)
+            pixels = inner if layer.recipe.density == 1 else inner[rng.random(inner.size) < layer.recipe.density]
+            gathered.add(seen, label, pixels, weight)
         gathered.add_up()
     return sums
 
