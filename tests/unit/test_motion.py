@@ -159,6 +159,7 @@ def test_the_known_motion_leads_back_to_the_same_place(
 ) -> None:
     """On slopes, which no interpolation spoils, the frame before has the same value at the place that the motion names."""
     of = a_course(seed, pan_pixels_per_frame=pan, zoom_per_frame=zoom, shake_pixels=shake)
+    assert not clip.motion_between(of, [], 0).any()  # no frame is before the first
     for axis in (0, 1):
         seen = frames(np.indices(CANVAS)[axis] * SCALE, of)
         down, right, sure = clip.motion_between(of, [], 1)

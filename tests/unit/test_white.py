@@ -1,6 +1,7 @@
 """White of scenes: which light gives a camera's grey, what a table makes of it, estimates on frames, how it is followed."""
 
 import dataclasses
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from l3cli.frames.shading import Shading
 from l3cli.io.raw.cfa_codes import neutral_of_channels
 from l3cli.physics import correlated_lights, spectra
 from l3cli.physics.display import daylight, delta_e_2000, display_white, lab, scene_white
+from l3cli.rendering.raw_checks import other_camera
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.white.auto import AutoWhite
-from l3cli.rendering.white.balance import WhiteBalance, balanced, plain_balance
+from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance, balanced, plain_balance
 from l3cli.rendering.white.grey import GreyRenderer, Square
 from l3cli.rendering.white.scene_white import Whites
 from l3cli.rendering.white.source import AUTO, CAMERA, CameraWhite, SquareWhite, given_white, white_source
@@ -208,7 +210,9 @@ def test_surfaces_are_nearer_to_their_colours_than_by_adaptation_alone(
     assert errors[1] < 0.75 * errors[0]
 
 
-@pytest.mark.parametrize("neutral", [(1.0, 0.0, 0.0), (1e-300, 1e-300, 2e-300), (1e9, 1e-9, 1.0), (1.0, 1e-3, 1e3)])
+@pytest.mark.parametrize(
+    "neutral", [(1.0, 0.0, 0.0), (0, 0, 0), (1e-300, 1e-300, 2e-300), (1e9, 1e-9, 1.0), (1.0, 1e-3, 1e3)]
+)
 def test_neutrals_that_are_none_do_no_harm(neutral: tuple[float, ...], table: TransformTable) -> None:
     """They give a balance of finite numbers, or are refused in a line."""
     try:
@@ -307,3 +311,21 @@ def test_neutrals_are_those_of_the_channels() -> None:
 
 
 # ------------------------------------------------------------------------------------------------------- warnings
+
+
+def test_white_is_followed_from_the_first_frame_on() -> None:
+    steady, start = SteadyWhite(Fraction(10)), plain_balance(daylight(), 3)
+    aim = WhiteBalance(np.array([4.0, 1.0, 2.0]), 2 * np.eye(3), 0.5)
+    assert steady.balance(None) is None
+    assert steady.balance(start) is start
+    now = [steady.balance(aim) for _ in range(10)][-1]  # one second
+    assert now is not None
+    np.testing.assert_allclose(np.log(now.gains), (1 - np.exp(-1)) * np.log(aim.gains), atol=1e-9)
+    np.testing.assert_allclose(now.adaptation, start.adaptation + (1 - np.exp(-1)) * (aim.adaptation - start.adaptation))
+
+
+def test_another_camera_is_reported_by_its_name(table: TransformTable) -> None:
+    names = ("Canon", "Canon EOS Kiss X4", "Canon EOS 550D")
+    frame = RawFrame("a.dng", np.zeros((4, 4), np.uint16), 0.0, 100.0, taken_by=names)
+    for name, same in {"canon 550D": True, "my Kiss": True, "Canon 600D": False}.items():
+        assert (other_camera(frame, dataclasses.replace(table, camera_name=name)) == "") is same
