@@ -177,8 +177,7 @@ def test_eq1_sees_through_the_bandwidth_of_the_lights() -> None:
     assert np.abs(as_lines - true).max() > 0.1  # what taking the lights for lines would cost
     scaled = responsivity.solve(design / photons, 1e-3 * values, 1e-6)
     np.testing.assert_allclose(scaled, 1e-3 * recovered, atol=1e-9)  # smoothing does not depend on the unit
-    noisy = values + np.random.default_rng(1).normal(0, 0.05, len(values))
-    assert responsivity.solve(design / photons, noisy, 1e-6).min() >= 0
+    assert responsivity.solve(design / photons, values - 0.05, 1e-6).min() >= 0
 
 
 def test_a_saturated_monochromatic_capture_is_left_out_of_its_channel_alone() -> None:
