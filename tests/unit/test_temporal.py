@@ -8,11 +8,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.temporal import chunks
 from l3cli.rendering.temporal.chunks import CHUNK, LEAD, AnyOrder, Chunks, chunks_of, needed
-from l3cli.rendering.temporal.noise import Grid, require_noise
+from l3cli.rendering.temporal.noise import Grid
 from l3cli.rendering.temporal.opencl import opencl_filters
 from l3cli.rendering.temporal.reference import LEAST_WEIGHT, ONE, ReferenceFilter
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera
@@ -228,8 +228,3 @@ def test_after_a_broken_frame_the_others_are_what_they_were() -> None:
     assert asked.filtered(1, of_place(1)).name == "ab"
     broken.clear()
     assert asked.filtered(4, of_place(4)).name == "abcde"
-
-
-def test_a_table_without_its_camera_is_refused() -> None:
-    with pytest.raises(RecipeError, match="train the table again"):
-        require_noise(None)
