@@ -125,8 +125,6 @@ def edges_and_texture(shape: tuple[int, int]) -> np.ndarray:
 
 SEEN: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "noise": lambda picture: picture + RNG.normal(0.0, 0.08, picture.shape),
-    "darker": lambda picture: 0.8 * picture,
-    "shifted": lambda picture: np.roll(picture, 1, axis=1),
     "inverted": lambda picture: 1.0 - picture,
     "flat": lambda picture: np.full_like(picture, picture.mean()),
     "black": np.zeros_like,
