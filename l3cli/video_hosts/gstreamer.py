@@ -13,7 +13,7 @@ from fractions import Fraction
 from typing import Any
 
 from l3cli.errors import L3Error, RecipeError
-from l3cli.video_hosts.mosaics import format_error
+from l3cli.video_hosts import format_error
 
 INSTALL = "GStreamer's Python is missing; Debian has it in python3-gst-1.0 and gir1.2-gst-plugins-base-1.0"
 

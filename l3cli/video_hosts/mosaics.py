@@ -1,7 +1,6 @@
 """Common part of every host: a table that is open for mosaics of one size."""
 
 import functools
-import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from l3cli.api import Renderer
-from l3cli.errors import L3Error, RecipeError
+from l3cli.errors import RecipeError
 from l3cli.frames.camera_file import CameraFile, correction_in
 from l3cli.frames.frame import RawFrame
 from l3cli.io.raw.cfa_codes import codes_of
@@ -83,9 +82,3 @@ def pair(text: str, separator: str, name: str) -> tuple[int, int] | None:
     except (NoSuchNumber, ValueError):
         raise RecipeError(f'{name} "{text}" is not two whole numbers with "{separator}" between them') from None
     return first, second
-
-
-def format_error(error: Exception, dash: str = "_") -> str:
-    """Return an error as one line, with a host's names of parameters: words joined by `dash`."""
-    text = str(error) if isinstance(error, L3Error) else f"{type(error).__name__}: {error}"
-    return re.sub("‹(\\w+)›", lambda match: match[1].replace("_", dash), " ".join(text.split()))

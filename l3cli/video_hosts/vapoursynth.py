@@ -12,7 +12,8 @@ import numpy as np
 
 from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
-from l3cli.video_hosts.mosaics import Asked, Mosaics, format_error, pair
+from l3cli.video_hosts import format_error
+from l3cli.video_hosts.mosaics import Asked, Mosaics, pair
 
 INSTALL = 'VapourSynth is missing; install it, with Python ≥ 3.12, by: pip install "l3cli[vapoursynth]"'
 
