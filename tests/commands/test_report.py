@@ -12,6 +12,7 @@ from l3cli.artifacts.fit import Fit, PhotoFit
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.training_set import open_training_set, write_training_set
 from l3cli.physics import spectra
+from tests.helpers.browser import Browser
 from tests.helpers.calls import L3, Refused
 
 
@@ -175,3 +176,11 @@ def test_a_page_states_what_to_rely_on(bayer: CameraModel, tmp_path: Path, l3: L
     bands = re.findall(r"\b([rgb])\s+(\d\.\d+|\d)\s+(0\.\d)\b", plain[plain.index("Half widths") :])
     assert [(name, colours) for name, _, colours in bands] == [("r", "0.4"), ("g", "0.5"), ("b", "0.6")]
     assert "Figures of each channel" not in plain
+
+
+def test_it_is_painted_without_complaint(bayer: CameraModel, tmp_path: Path, l3: L3, tab: Browser) -> None:
+    page(photographed(bayer, ("one.dng",), guessed=False, deficit=0.0), tmp_path, l3)
+    for dark in (False, True):
+        tab.open(tmp_path / "report.html", width=500, dark=dark)
+        assert tab.complaints() == []
+        assert tab.run("document.documentElement.scrollWidth") <= 500

@@ -67,6 +67,13 @@ def test_a_file_is_opened_without_waiting(tmp_path: Path, monkeypatch: pytest.Mo
         assert stream.read() == b"content"
 
 
+def test_a_pipe_named_as_a_file_gets_the_hint_of_the_stream(refused: Refused, tmp_path: Path, places: Path) -> None:
+    save(RGGB, tmp_path / "table.h5")
+    (tmp_path / "a.raw").symlink_to(places / "pipe")
+    line = refused(3, "render", tmp_path / "table.h5", tmp_path / "a.raw", "-o", tmp_path / "a.png", *FAST)
+    assert "or - for headerless frames on stdin" in line
+
+
 def test_a_loop_of_links_is_no_frame_and_no_folder_of_clips(refused: Refused, tmp_path: Path, places: Path) -> None:
     save(RGGB, tmp_path / "table.h5")
     (tmp_path / "loop.tif").symlink_to("loop.tif")

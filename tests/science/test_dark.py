@@ -20,6 +20,7 @@ from l3cli.errors import InputFileError
 from l3cli.frames.correction import average_dark, without_dark
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.rendering.exposure import LightMeter
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
@@ -253,3 +254,11 @@ def test_frames_of_simulate_state_their_exposure_time(pipeline: Path, l3: L3, tm
         assert "exposure time unknown" not in err
         rendered.append(read_image(tmp_path / f"{name}.png")[0].tobytes())
     assert rendered[0] == rendered[1]
+
+
+def test_a_mosaic_keeps_its_exposure_time(tmp_path: Path, leaky: Path, l3: L3) -> None:
+    write_mosaic(leaky / "frame.tif", np.load(leaky / "frame.npy"), 3.0)
+    code, _, err = l3("render", leaky / "table.h5", leaky / "frame.tif", "-o", leaky / "tif.exr")
+    assert code == 0
+    assert "dark current" not in err
+    assert read_image(leaky / "tif.exr")[0].tobytes() == picture(leaky, l3, "--exposure-time", 3)[0]

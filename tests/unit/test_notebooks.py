@@ -4,6 +4,7 @@
 """
 
 import ast
+import base64
 import importlib
 import re
 import sys
@@ -45,6 +46,43 @@ def test_a_notebook_is_stripped_listed_and_of_the_public_face_alone(name: str, e
             assert not module.startswith("l3cli."), module
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "l3":
             assert node.attr in l3cli.__all__
+
+
+def test_outputs_are_stripped(execution: ModuleType) -> None:
+    cell = nbformat.v4.new_code_cell("1", execution_count=3, outputs=[nbformat.v4.new_output("stream", text="1")])
+    cell.metadata["scrolled"] = True
+    left = execution.stripped(
+        nbformat.v4.new_notebook(cells=[cell], metadata={"kernelspec": {"name": "mine", "display_name": "my machine"}})
+    )
+    assert left.cells[0].outputs == []
+    assert left.cells[0].execution_count is None
+    assert left.cells[0].metadata == {}
+    assert left.metadata == execution.METADATA
+
+
+def test_a_page_shows_code_next_to_what_it_printed_and_drew(execution: ModuleType, tmp_path: Path) -> None:
+    new = nbformat.v4
+    outputs = [
+        new.new_output("stream", text="one\n"),
+        new.new_output("stream", text="two\n"),
+        new.new_output("display_data", data={"image/png": base64.b64encode(b"PNG").decode(), "text/plain": "<Figure>"}),
+        new.new_output("execute_result", data={"text/plain": "42"}),
+    ]
+    notebook = new.new_notebook(cells=[new.new_markdown_cell("# A title"), new.new_code_cell("f()", outputs=outputs)])
+    assert execution.page(notebook, "x", tmp_path).split("\n\n")[:-1] == [
+        "# A title",
+        "```python\nf()\n```",
+        "```none\none\ntwo\n```",
+        "![What the cell above draws](x-1-2.png)",
+        "```none\n42\n```",
+    ]
+    assert (tmp_path / "x-1-2.png").read_bytes() == b"PNG"
+
+
+def test_a_folder_that_exists_is_left_alone(execution: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "mine.md").write_text("mine")
+    assert execution.main(str(tmp_path)) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.md"]
 
 
 def test_a_notebook_that_fails_is_named(

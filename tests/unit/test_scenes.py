@@ -242,6 +242,12 @@ def test_drawn_scenes_keep_their_bytes() -> None:
     assert leaves.mean(dtype=float) == pytest.approx(0.2019747975542909, rel=1e-9)
 
 
+def test_saturation_zero_is_grey_and_one_changes_nothing() -> None:
+    sample = np.linspace(0.1, 0.9, 31)
+    assert np.allclose(paint.with_saturation(sample, 1.0), sample)
+    assert np.ptp(paint.with_saturation(sample, 0.0)) < 1e-12
+
+
 def test_no_colorchecker_among_the_training_reflectances() -> None:
     library = spectra.reflectance_library(WAVELENGTH)
     _, chart = spectra.colorchecker(WAVELENGTH)
@@ -281,6 +287,12 @@ def test_a_composition_of_any_size_is_a_scene() -> None:
         cube = procedural.composition(np.random.default_rng(0), size, WAVELENGTH)
         assert cube.shape == (*size, 31)
         assert np.isfinite(cube).all()
+
+
+def test_the_grid_covers_what_the_camera_sees() -> None:
+    assert procedural.grid(np.arange(390.0, 711.0, 5.0))[[0, -1]].tolist() == [390.0, 710.0]
+    assert procedural.grid(np.array([450.0, 655.0]))[[0, -1]].tolist() == [390.0, 710.0]
+    assert procedural.grid(np.array([362.0, 1003.0]))[[0, -1]].tolist() == [360.0, 1010.0]
 
 
 @pytest.mark.parametrize("name", ["default", "demo_unseen", "small"])

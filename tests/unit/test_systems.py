@@ -16,7 +16,7 @@ from l3cli.training.row_weighting import DARKEST, ERROR_FLOOR, SpectralWeighting
 from l3cli.training.solve import Solution, equal_responses, solve
 from l3cli.training.sums import pairs
 from l3cli.training.symmetry import Turn
-from l3cli.training.systems import Equations, Integers, solve_within
+from l3cli.training.systems import Equations, Integers, fits, solve_within
 from tests.helpers.cameras import random_camera
 from tests.helpers.tables import random_table, with_refinement
 
@@ -56,6 +56,16 @@ def test_taps_that_all_but_clip_do_not_get_weights_that_no_layer_could_read() ->
     assert room[1] > 3.9  # four times, rounded
     np.testing.assert_allclose(np.delete(rows, 3, 0) @ solution[0, :, 0], 1.0, atol=0.05)  # what rows have in common stays
     np.testing.assert_array_equal(solution[1], without[1])
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_what_fits_follows_from_the_camera_s_bits(bits: int) -> None:
+    top = 2.0**bits - 1
+    integers = Integers(bits, top / 16, top)
+    rows = np.zeros((2, 82, 3))
+    rows[0, 5] = top * 15 / 16 * 2**15 / 2**18 * 0.9  # a weight per DN in steps of a plane below 2¹⁵
+    rows[1, 5] = rows[0, 5] * 1.3
+    assert fits(rows, np.array([0.0, 1.0, 0.0]), integers).tolist() == [True, False]
 
 
 def solutions_of(camera: CameraModel, recipe: LearningRecipe, bits: Integers | None) -> tuple[list[Solution], Goal]:
