@@ -77,7 +77,7 @@ def _lines(content: dict[str, Any]) -> list[str]:
         if not item["name"].startswith("frames/") or item["name"].startswith(f"frames/{min(frames)}/"):
             lines.append(_line(item))
     if "insight" in content:
-        from l3cli.training.text import learned
+        from l3cli.training.summary import learned
 
         lines += learned(content["insight"])
     return lines

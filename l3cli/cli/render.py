@@ -62,8 +62,7 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
         raise click.UsageError("Missing argument 'INPUT...'.")
     if any(needs_isolation(path) for path in inputs):
         start()  # it takes a third of a second, like what follows
-    from l3cli.stages.rendering.clip_inputs import are_clips, clips_of
-    from l3cli.stages.rendering.clips import ClipJob, alone
+    from l3cli.stages.rendering.clips import ClipJob, alone, are_clips, clips_of
 
     clips = clips_of(inputs, table, options, output)
     if clips == inputs and not are_clips(inputs, output, options.format):

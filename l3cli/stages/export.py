@@ -18,7 +18,7 @@ from l3cli.physics.display import XYZ
 from l3cli.rendering.conditions import mix_for, mixed, noise_limits
 from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import given_white
-from l3cli.stages.rendering.lights import mix_of_given
+from l3cli.stages.rendering.render import mix_of_given
 from l3cli.system.console import Console
 from l3cli.system.files import write_whole
 from l3cli.system.output_guard import OutputGuard

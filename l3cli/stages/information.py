@@ -29,7 +29,7 @@ def content(file: Path) -> dict[str, Any]:
     note_inputs({"artifact": [file]})
     described = describe(file)
     if described["kind"] == TransformTable.kind:
-        from l3cli.training.insight import insight
+        from l3cli.training.summary import insight
 
         described["insight"] = insight(load(TransformTable, file))
     return described

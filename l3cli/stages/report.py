@@ -151,7 +151,7 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
     """Return cameras, training sets and tables of one array; `called` are the names of the cameras of all arrays, `limit`
     bytes is what the pictures of a set may take."""
     from l3cli.classes.names import class_name
-    from l3cli.training.insight import insight
+    from l3cli.training.summary import insight
 
     sections = [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
     for number, (name, camera) in enumerate(cameras):

@@ -16,7 +16,6 @@ from l3cli.classes.decide import label_sums
 from l3cli.classes.level import unclipped_level
 from l3cli.classes.statistics import patch_statistics, truncation
 from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
-from l3cli.training.division import BATCH
 from l3cli.training.patches import Floats, Patches, colourless_frame, expose_patches, levels_at, noise_share, patches_of
 from l3cli.training.row_weighting import TARGET_FLOOR, RowWeighting
 from l3cli.training.sums import (
@@ -28,7 +27,7 @@ from l3cli.training.sums import (
     rounding_number,
     runs_of,
 )
-from l3cli.training.training_pass import TrainingPass
+from l3cli.training.training_pass import BATCH, TrainingPass
 
 EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
 DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker patches get no more weight

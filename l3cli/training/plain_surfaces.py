@@ -4,7 +4,13 @@
 Patches of scenes are textured. A class follows them where their detail tells something of their colour, which is wrong on
 plain areas, and its plain areas are few. So every plain class is also taught uniform areas of measured surfaces of its
 colour, as they are and paler, bare and painted; and whites and greys of paint, of which the made world is full. Where there
-are none, as the colour is that of stripes which repeat with the array, it is taught that these are grey.
+are none, as the colour is that of stripes which repeat with the array, it is taught that these are grey
+(docs/method.md#stripes).
+
+Training surfaces are smooth spectra and plain patches of bright leaves are few. So where the outputs are the camera's
+channels, plain classes are also taught that each band may differ by itself (docs/method.md#single-bands): else a class takes
+for noise whatever of a spectrum its handful of colours do not span, and casts a colour on all areas of another material.
+Noise differs from pixel to pixel; spectrum is what a whole neighbourhood has in common.
 """
 
 import functools
@@ -19,9 +25,72 @@ from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.chroma import chroma_centres
 from l3cli.physics import spectra
 from l3cli.physics.paint import LARGEST, SMALLEST, with_saturation, with_titanium_white
-from l3cli.training.stripes import MODULATIONS, false_colours, optimal_reflectances, shares
 
 Array = NDArray[np.float64]
+
+MODULATIONS = np.linspace(0.3, 0.95, 8)  # of the stripes that are taught
+CENTRE = 0.65  # modulation whose colour is the centre of a chroma: half way to white begins what is taken for stripes
+FARTHEST = 8  # stripes at most that have a chroma
+APART = 0.1  # in shares of the channels, from the chroma of white, or noise takes greys for stripes
+UNLIKE = 0.5  # of its distance to white that stripes keep from every optimal colour
+BAND_EDGES = 31  # wavelengths at which an optimal colour may begin or end
+BLACKS = (0.02, 0.1, 0.3)  # reflectances of an optimal colour where it is dark
+
+
+def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
+    """Stripes (stripe, channel) of a whole number of periods in an array `cfa` (row, col) and a mean of 0, that are the same
+    value within ±1 at all sites of a channel, and not the same at all channels."""
+    rows, cols = cfa.shape
+    sites = np.stack([cfa == channel for channel in range(channels)]).reshape(channels, -1)
+    sites = sites / sites.sum(axis=1, keepdims=True)
+    down, across = np.mgrid[:rows, :cols]
+    stripes = []
+    for u, v, quarter in np.ndindex(rows, cols, 4):
+        wave = np.cos(2 * np.pi * (u * down / rows + v * across / cols) + np.pi / 2 * quarter).ravel()
+        means = sites @ wave
+        if np.ptp(means) > 0.5 and np.allclose(sites @ wave**2, means**2, atol=1e-9):
+            stripes.append(means.round(6) + 0.0)  # no −0: equal stripes are one
+    return np.unique(np.reshape(stripes, (-1, channels)), axis=0)
+
+
+def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Array:
+    """Stripes (stripe, channel), as those of `uniform_stripes`, whose colour no surface can have under a light of `photons`
+    at each `wavelength` in nm: none is less than UNLIKE of its distance to white away from an optimal colour, and none
+    near white."""
+    electrons = camera.signal_weights @ spectra.sampling_matrix(wavelength, camera.wavelength) * photons
+    white = electrons.sum(axis=1)
+    if not white.min() > 0:
+        return np.zeros((0, white.size))
+    stripes = uniform_stripes(camera.cfa, white.size)
+    optimal = shares(np.einsum("sw,cw->sc", optimal_reflectances(wavelength), electrons))
+    centres = stripe_shares(white, stripes)
+    distance = np.linalg.norm(centres - shares(white[None]), axis=1)
+    nearest = np.linalg.norm(centres[:, None] - optimal[None], axis=2).min(axis=1)
+    false = (distance >= APART) & (nearest >= UNLIKE * distance)
+    order = np.argsort(-nearest[false], kind="stable")[:FARTHEST]
+    return np.asarray(stripes[false][order])
+
+
+def stripe_shares(white: Array, stripes: Array) -> Array:
+    """The chroma centres (stripe, channel) of stripes (stripe, channel) on a white of these signals (channel)."""
+    return shares(white * (1.0 + CENTRE * stripes))
+
+
+def shares(signals: Array) -> Array:
+    """Signals (…, channel) over their sum."""
+    return np.asarray(signals / signals.sum(axis=-1, keepdims=True))
+
+
+def optimal_reflectances(wavelength: Array) -> Array:
+    """Reflectances (surface, wavelength) that are bright in one band or in all but one and dark elsewhere: Schrödinger's
+    optimal colours, the most vivid that a surface can have, and paler ones."""
+    edges = np.linspace(0, wavelength.size, BAND_EDGES).round()
+    first, last = np.triu_indices(BAND_EDGES, 1)
+    place = np.arange(wavelength.size)
+    band = (place >= edges[first, None]) & (place < edges[last, None])
+    bright = np.concatenate([band, ~band])
+    return np.concatenate([np.where(bright, 1.0, black) for black in BLACKS])
+
 
 SATURATIONS = (0.2, 0.4, 0.6, 0.8, 1.0)  # of measured surfaces: what is made of them is mostly paler
 EDGES, WIDTHS = (0.1, 0.2, 0.4), (6.5, 9.5)  # of titanium white, K/S at 405 nm and nm, as the training scenes have them
@@ -146,3 +215,35 @@ def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Ar
 def _nearest(signals: Array, centres: Array) -> NDArray[np.intp]:
     """The chroma (sample) of signals (sample, channel)."""
     return np.argmin(((shares(signals)[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
+
+
+SPREAD = 0.1  # standard deviation of one band by itself, of its mean
+
+
+def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
+    """Return the gain (channel) from a flat patch of one channel to the output of that channel, by regression over plain
+    patches of summed `moments` (column, column); None if a channel has no signal there. `window` (tap) names channels."""
+    taps, means = window.size, _membership(window) / np.bincount(window)
+    signal, both = means.T @ moments[:taps, :taps] @ means, means.T @ moments[:taps, taps + 1 :]
+    return np.asarray(both.diagonal() / signal.diagonal()) if signal.diagonal().min() > 0 else None
+
+
+def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Array:
+    """Moments (column, column) of flat patches, as many as make up those of a class, `moments`: they differ from the mean
+    colour of these in each band by itself, by SPREAD of it. `gains` as from `output_gains`."""
+    taps, member = window.size, _membership(window)
+    mean = moments[:taps, taps] @ member / np.bincount(window)  # times the number of patches, as weighed
+    columns = np.concatenate([member, np.zeros((1, gains.size)), np.diag(gains)])
+    power = (SPREAD * mean) ** 2 / max(moments[taps, taps], 1e-12)
+    return np.asarray((columns * power) @ columns.T)
+
+
+def teaches(rule: ClassRule, index: int) -> bool:
+    """Return whether patches of a class are plain: of the lowest of several contrasts, and nothing saturated."""
+    place = rule.split(index)
+    return bool(rule.contrasts > 1 and place.contrast == 0 and not rule.case(place.kind))
+
+
+def _membership(window: NDArray[np.int64]) -> Array:
+    """1 where a tap is of a channel (tap, channel)."""
+    return (window[:, None] == np.arange(window.max() + 1)).astype(np.float64)

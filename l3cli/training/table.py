@@ -22,9 +22,9 @@ from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
 from l3cli.training.goal import one_light
 from l3cli.training.patches import draw_levels, expose_patches, patches_of, white_signal
+from l3cli.training.plain_surfaces import false_colours, stripe_shares
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.solve import Solution, equal_responses, solve
-from l3cli.training.stripes import false_colours, stripe_shares
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.training.symmetry import site_maps, turned_classes, turns_of
 from l3cli.training.training_pass import TrainingPass, brightness_of

@@ -25,7 +25,7 @@ from l3cli.stages.checking.kinds import KINDS, names
 from l3cli.stages.simulation.preparation import fitting, prepare
 from l3cli.system.console import Silent
 from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
-from l3cli.training.text import class_figures
+from l3cli.training.summary import class_figures
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS

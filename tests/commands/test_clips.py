@@ -15,8 +15,7 @@ from l3cli.io.picture_sequences import find_pictures
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.simulation.preparation import prepare
-from l3cli.stages.simulation.stored_frames import StoredFrames
-from l3cli.stages.simulation.units import simulate_unit, units_of
+from l3cli.stages.simulation.units import StoredFrames, simulate_unit, units_of
 from tests.helpers.calls import L3, Refused
 from tests.helpers.tables import colorimetric_table
 

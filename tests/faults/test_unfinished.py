@@ -81,11 +81,11 @@ def test_a_simulation_killed_among_its_pictures_is_finished(
     frames = sorted(Path("out/set.h5.parts").glob("0*.h5"))
 
     assert len(frames) == 3
-    from l3cli.stages.simulation import stored_frames
+    from l3cli.stages.simulation import units
 
     made = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stored_frames, "write_part", lambda *arguments: made.append(arguments))
+        patch.setattr(units, "write_part", lambda *arguments: made.append(arguments))
         assert l3(*SIMULATE.split(), "--resume") == (0, "", "")
     assert made == []
     assert contents() == whole
@@ -129,7 +129,7 @@ def test_a_run_killed_when_all_is_there_leaves_nothing_to_the_next(folder: Path,
     assert l3(*SIMULATE.split()) == (0, "", "")
     whole = contents()
     shutil.rmtree("out")
-    left = kill(SIMULATE, "stages.simulation.stored_frames", "remove", 1)
+    left = kill(SIMULATE, "stages.simulation.units", "remove", 1)
     assert {name for name in left if "l3lock" not in name} > whole.keys()
     assert l3(*SIMULATE.split(), "--resume") == (0, "", "")
     assert contents() == whole

@@ -11,11 +11,10 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
 from l3cli.training.accumulate import sum_sites
-from l3cli.training.division import frame_blocks
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_camera
 from l3cli.training.row_weighting import row_weighting
 from l3cli.training.table import assemble, learn_site, pilot_patches, survey, take_pilot
-from l3cli.training.training_pass import FIRST, LAST, TrainingPass, spread_patches
+from l3cli.training.training_pass import FIRST, LAST, TrainingPass, frame_blocks, spread_patches
 
 REPEATS = 2  # of which the faster counts, in CPU seconds: other work on the machine only slows
 FRAMES, SIDE = 8, 160

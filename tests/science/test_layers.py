@@ -20,9 +20,8 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import lab
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.stages.training.refinement_layers import layer_pass
-from l3cli.training.layers.first import Seen
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
-from l3cli.training.layers.mosaics import mosaics_of, sheets_of
+from l3cli.training.layers.mosaics import Seen, mosaics_of, sheets_of
 from l3cli.training.layers.rows import GatheredRows, require_exact, row_weights
 from l3cli.training.layers.rules import gradient_scale, structure_rule
 from l3cli.training.patches import white_signal

@@ -17,8 +17,7 @@ from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.simulation.light import make_light
 from l3cli.training.patches import white_signal
-from l3cli.training.plain_surfaces import FEWEST, PlainSurfaces, plain_surfaces
-from l3cli.training.stripes import false_colours
+from l3cli.training.plain_surfaces import FEWEST, PlainSurfaces, false_colours, plain_surfaces
 from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 

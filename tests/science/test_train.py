@@ -38,10 +38,10 @@ from l3cli.training.patches import (
     white_signal,
 )
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
+from l3cli.training.solve import parent_of, parents_of
 from l3cli.training.sums import EXACT, STEP, grid_steps, moment_matrix
 from l3cli.training.symmetry import orientations, site_maps, stabilisers
 from l3cli.training.table import add_up
-from l3cli.training.thin_classes import parent_of, parents_of
 from l3cli.training.training_pass import LAST, TrainingPass
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS

@@ -16,7 +16,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import PlaneLayer, TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.rendering.renderer import BACKENDS, make_renderer
-from l3cli.training.insight import insight
+from l3cli.training.summary import insight
 from tests.helpers.calls import L3
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table, with_refinement, with_tree

@@ -15,9 +15,8 @@ from l3cli.errors import RecipeError
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import SPECTRA_DARKEST, ReferenceRenderer, smoothed_spectra
-from l3cli.training.insight import insight
 from l3cli.training.recipe import LearningRecipe, check_learning
-from l3cli.training.text import learned
+from l3cli.training.summary import insight, learned
 from tests.helpers.tables import frame_of_all_levels, random_table, with_spectra
 
 SIXTEEN = np.arange(16).reshape(4, 4)

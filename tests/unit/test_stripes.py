@@ -10,7 +10,15 @@ from hypothesis.extra import numpy as hnp
 
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.physics import spectra
-from l3cli.training.stripes import APART, FARTHEST, UNLIKE, false_colours, optimal_reflectances, shares, uniform_stripes
+from l3cli.training.plain_surfaces import (
+    APART,
+    FARTHEST,
+    UNLIKE,
+    false_colours,
+    optimal_reflectances,
+    shares,
+    uniform_stripes,
+)
 from tests.helpers.paths import CONFIGS
 
 BAYER = np.array([[0, 1], [1, 2]])

@@ -32,17 +32,15 @@ from l3cli.errors import InputFileError
 from l3cli.options.pipeline import TrainOptions
 from l3cli.parallel import workers
 from l3cli.physics import spectra
-from l3cli.stages.training.held_frames import FRAMES
 from l3cli.stages.training.passes import Execution, first_pass
-from l3cli.stages.training.run import open_run
+from l3cli.stages.training.run import FRAMES, open_run
 from l3cli.system.console import Silent
-from l3cli.training import division
-from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, work_shares
+from l3cli.training import training_pass
 from l3cli.training.layers import learn
 from l3cli.training.patches import colourless_frame
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.sums import empty_sums
-from l3cli.training.training_pass import LAST, TrainingPass, spread_patches
+from l3cli.training.training_pass import BATCH, LAST, SUM_BYTES, TrainingPass, frame_blocks, spread_patches, work_shares
 from tests.helpers.calls import L3, Refused
 from tests.helpers.training_sets import a_frame, a_set, in_shards
 from tests.helpers.training_speed import stage_shares, synthetic_frame, train
@@ -184,7 +182,7 @@ def test_three_layers_have_the_same_bytes_in_shards(
 ) -> None:
     """A layer by structure and one by a tree, each in a pass of its own, with a second set of all of them: by one process,
     by two, and in shards, more of them than frames; a shard takes only the table of the pass before."""
-    monkeypatch.setattr(division, "BATCH", 500)  # two blocks of frames, one for each shard …
+    monkeypatch.setattr(training_pass, "BATCH", 500)  # two blocks of frames, one for each shard …
     monkeypatch.setattr(learn, "LAYER_ROWS", 2000)  # … of the refinement layers, too
     training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
     (tmp_path / "classes.toml").write_text(THREE_LAYERS.replace("draws = 2\n", "draws = 2\nnoise_left = 0.1\n"))

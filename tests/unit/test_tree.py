@@ -13,7 +13,7 @@ from l3cli.artifacts.schema import equal
 from l3cli.artifacts.table import PLANE_TOP
 from l3cli.classes import tree
 from l3cli.classes.windows import Integers
-from l3cli.training.layers.tree import ROWS_PER_TAP, TreeSample, grow
+from l3cli.training.layers.rules import ROWS_PER_TAP, TreeSample, grow
 from l3cli.training.symmetry import orientations
 from tests.helpers.tables import random_tree
 

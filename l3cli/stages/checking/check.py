@@ -19,7 +19,7 @@ from l3cli.stages.checking import measurements, recipes
 from l3cli.stages.checking.kinds import CAMERA, KINDS, Kind, kind_of, names
 from l3cli.stages.checking.recipes import Meaning, Source, files_named, key_in
 from l3cli.system.ledger import note_inputs
-from l3cli.training.text import class_lines
+from l3cli.training.summary import class_lines
 
 
 class Judge(NamedTuple):

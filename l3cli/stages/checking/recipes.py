@@ -29,10 +29,9 @@ from l3cli.simulation.run import SimulationRun
 from l3cli.simulation.sources import FileSource, name_of, wanted_scenes
 from l3cli.simulation.sources import Source as SceneSource
 from l3cli.simulation.summary import camera_figures, lab_figures
-from l3cli.stages.simulation.preparation import prepare
-from l3cli.stages.simulation.scenes import refusals, size_of
+from l3cli.stages.simulation.preparation import prepare, refusals, size_of
 from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults
-from l3cli.training.text import class_figures
+from l3cli.training.summary import class_figures
 
 SUFFIX = re.compile("_(dn|e|s|nm|um|mm|m)$")  # of a key with a unit
 SHORTEST = 4  # letters of a text that an error is known by

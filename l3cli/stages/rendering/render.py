@@ -1,33 +1,39 @@
 """The render stage: raw frames through a table → pictures, one by one, as a sequence or as a video."""
 
+import contextlib
 import functools
 import itertools
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import astuple, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.errors import DeviceError, InputFileError, RecipeError, suggestion
+from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError, suggestion
 from l3cli.frames.camera_file import CameraFile, correction_in, hot_test
+from l3cli.frames.frame import RawFrame
 from l3cli.io.pictures.dng import MOSAICS
 from l3cli.io.sequences import FrameSequence, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, Pacing
 from l3cli.options.render import RenderOptions
 from l3cli.physics.spaces import REC2020
-from l3cli.rendering.conditions import mixed, nearest_for
+from l3cli.rendering.conditions import Mix, described, mixed, nearest_for
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.raw_checks import odd_exposure_time
 from l3cli.rendering.rendition import Rendition, chosen_space, outputs_as_they_are
 from l3cli.rendering.temporal.chunks import Chunks, filters
 from l3cli.rendering.white.scene_white import far_from_training
-from l3cli.rendering.white.source import given_white, usual_balance, white_source
-from l3cli.stages.rendering.checkpoint import FrameOrigins, checkpointed
+from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance, white_source
 from l3cli.stages.rendering.destination import (
     Destination,
+    FrameOrigins,
+    checkpointed,
     claim,
     destination_of,
     overrides,
@@ -37,7 +43,6 @@ from l3cli.stages.rendering.destination import (
     video_choice,
 )
 from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of, while_reading
-from l3cli.stages.rendering.lights import mix_of_first, mix_of_given
 from l3cli.stages.rendering.sequence import SequenceJob, Tally, render_frames
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
@@ -165,3 +170,71 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
     if options.remosaic not in (None, *MOSAICS):
         raise RecipeError(f'mosaic "{options.remosaic}" is unknown; {suggestion(options.remosaic, MOSAICS)}')
     return replace(rendition, space=replace(REC2020, curve=None), raw=True, mosaic=options.remosaic)
+
+
+Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for or nearest_for
+
+
+def mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
+    """The choice for a white that is given by name or "x,y"; None, the transforms of all lights in common, for that of the
+    table. RecipeError as given_white."""
+    if not table.lights:
+        return None
+    given = given_white(white, table)
+    if given is None:
+        names = ", ".join(light.name for light in table.lights)
+        console.info(f"the table's transforms for all its lights in common ({names}) are taken; ‹white› chooses others")
+        return None
+    mix = choice(table, given.light.xyz)
+    assert mix is not None
+    console.info(f"white {white}: transforms of {described(table, mix)}")
+    return mix
+
+
+def mix_of_first(
+    source: WhiteSource, table: TransformTable, sequence: FrameSequence, console: Console
+) -> tuple[Mix | None, FrameSequence]:
+    """The light nearest to the white of the first of the frames, by whose transforms all of them are rendered, and the
+    frames; None, the transforms of all lights in common, where it has none. What is wrong with a frame is said when it is
+    rendered."""
+    first, sequence = _first_frame(sequence)
+    white, alone = None, sequence.count == 1
+    if first is not None:
+        with contextlib.suppress(L3Error):
+            white = source.white(first)
+    if first is None or white is None:
+        if not alone:
+            console.info("the first frame tells no white; the table's transforms for all its lights in common are taken")
+        return None, sequence
+    mix = nearest_for(table, white.light.xyz)
+    assert mix is not None
+    extent = "" if alone else ", for all frames"
+    console.info(f"{first.name}: white {source.about}: transforms of {described(table, mix)}{extent}")
+    return mix, sequence
+
+
+def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequence]:
+    """The first frame, None if there is none or it is broken, and the frames again: those of a stream come once."""
+    frames = sequence.frames
+    number = next(iter(frames.wanted), None)
+    if number is None:
+        return None, sequence
+    first: RawFrame | None = None
+    broken: Exception | None = None
+    try:
+        first = frames.series.read(number)
+    except (L3Error, OSError) as error:
+        broken = error
+    if not sequence.is_stream:
+        return first, sequence
+
+    def read(wanted: int) -> RawFrame | None:
+        if wanted != number:
+            return frames.series.read(wanted)
+        if broken is not None:
+            raise broken
+        return first
+
+    # Numbers without an end come once, too.
+    wanted = itertools.chain([number], frames.wanted) if isinstance(frames.wanted, Iterator) else frames.wanted
+    return first, replace(sequence, frames=replace(frames, series=replace(frames.series, read=read), wanted=wanted))

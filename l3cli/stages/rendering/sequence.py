@@ -27,8 +27,7 @@ from l3cli.rendering.white.balance import WhiteBalance
 from l3cli.rendering.white.chart import ChartSceneWhite
 from l3cli.rendering.white.scene_white import SceneWhite, implausible, unlike_stated
 from l3cli.rendering.white.source import WhiteSource
-from l3cli.stages.rendering.checkpoint import FrameOrigins, PictureCheckpoint
-from l3cli.stages.rendering.destination import Destination
+from l3cli.stages.rendering.destination import Destination, FrameOrigins, PictureCheckpoint
 from l3cli.stages.rendering.executors import Exposed, Local, Remote, Unread
 from l3cli.system.console import Console
 from l3cli.system.files import atomic_output, sha256

@@ -13,13 +13,12 @@ from l3cli.parallel import WorkerPool
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.system.console import Console
 from l3cli.training.accumulate import sum_sites
-from l3cli.training.division import WorkShare, frame_blocks, work_shares
 from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
 from l3cli.training.row_weighting import RowWeighting, row_weighting
 from l3cli.training.solve import Solution
 from l3cli.training.sums import add
 from l3cli.training.table import Pilot, assemble, learn_site, pilot_patches, survey, take_pilot
-from l3cli.training.training_pass import FIRST, LAST, TrainingPass, has_two_passes
+from l3cli.training.training_pass import FIRST, LAST, TrainingPass, WorkShare, frame_blocks, has_two_passes, work_shares
 
 MOST_PILOTED = 256  # frames that a worker looks at in one go before the passes
 

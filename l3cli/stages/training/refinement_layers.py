@@ -21,13 +21,13 @@ from l3cli.system.console import Console
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
 from l3cli.training.layers.rules import (
     PILOT_MOSAICS,
+    TreeSample,
     gradient_scale,
     luminance_noise,
     sample_tree,
     structure_rule,
     tree_rule,
 )
-from l3cli.training.layers.tree import TreeSample
 from l3cli.training.recipe import TrainingRecipe
 from l3cli.training.training_pass import spread_patches
 

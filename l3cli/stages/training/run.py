@@ -1,4 +1,5 @@
-"""A training run: what all of its passes and shards have in common, and the frames of its training sets."""
+"""A training run: what all of its passes and shards have in common, and the frames of its training sets, of which a process
+keeps those of small ones."""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -6,16 +7,55 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
+
 from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.options.pipeline import TrainOptions
 from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.toml import load_recipe, read_text
-from l3cli.stages.training.held_frames import FRAMES
 from l3cli.system.files import require_same, sha256, stamp
 from l3cli.training.recipe import TrainingRecipe, draft_of, for_camera
-from l3cli.training.training_pass import FIRST, spread_patches
+from l3cli.training.training_pass import FIRST, SUM_BYTES, spread_patches
+
+
+class HeldFrames:
+    """Frames by the digest of their set and their index in it, as many as fit into the bytes that sums may take. The first
+    stay: a pass begins again with them."""
+
+    def __init__(self, most: int = SUM_BYTES) -> None:
+        self.most, self.bytes = most, 0
+        self._frames: dict[tuple[str, int], TrainingPair] = {}
+
+    def get(self, digest: str, index: int) -> TrainingPair | None:
+        """The frame, if it is held."""
+        return self._frames.get((digest, index))
+
+    def add(self, digest: str, index: int, frame: TrainingPair) -> None:
+        """Hold a frame, if there is room for it."""
+        size = sum(value.nbytes for value in vars(frame).values() if isinstance(value, np.ndarray))
+        if self.bytes + size <= self.most:
+            self._frames[digest, index] = frame
+            self.bytes += size
+
+    def clear(self) -> None:
+        """Hold nothing."""
+        self._frames.clear()
+        self.bytes = 0
+
+
+FRAMES = HeldFrames()  # of this process
+
+
+@contextlib.contextmanager
+def held_for_a_run() -> Iterator[None]:
+    """Frames that this process reads within are held until the end."""
+    try:
+        yield
+    finally:
+        FRAMES.clear()
+
 
 FIRST_PASS = "first"  # whose table is not the end of a run, as those of layers after which others follow are not
 LAYERS = ("first layer", "second layer", "third layer", "fourth layer")

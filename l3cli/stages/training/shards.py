@@ -1,4 +1,5 @@
-"""Training in shards, as over several machines: partial sums of each, merged into the table."""
+"""Training in shards, as over several machines: partial sums of each, of the first layer or of a later one, merged into
+the table."""
 
 import contextlib
 from collections.abc import Iterator
@@ -18,23 +19,28 @@ from l3cli.artifacts.partial_sums import (
 )
 from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import PlaneRule, TransformTable, rule_fields
 from l3cli.errors import InputFileError
 from l3cli.options.pipeline import ShardOptions
 from l3cli.recipes.toml import parse_recipe
 from l3cli.stages.training.conditions import by_noise, passes_of, require_one_go, with_noises
-from l3cli.stages.training.layer_shards import merged_layer, write_layer_shard
 from l3cli.stages.training.passes import Execution, first_pass, pass_of, sum_unit, summed
-from l3cli.stages.training.refinement_layers import warn_of_left_out_layers
+from l3cli.stages.training.refinement_layers import (
+    layer_mosaics,
+    layer_pass,
+    layer_rule,
+    summed_layer,
+    warn_of_left_out_layers,
+)
 from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun
 from l3cli.stages.training.whole import execution_of, report_table
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
-from l3cli.training.division import frame_blocks
+from l3cli.training.layers.learn import add_sums, learn_layer, no_sums
 from l3cli.training.recipe import TrainingRecipe, check_layers, draft_of
 from l3cli.training.sums import empty_sums
 from l3cli.training.table import add_up, assemble, learn_site
-from l3cli.training.training_pass import FIRST, LAST, TrainingPass
+from l3cli.training.training_pass import FIRST, LAST, TrainingPass, frame_blocks
 
 NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))  # of tables that are not the end of a run
 
@@ -184,3 +190,56 @@ def _require_all_shards(paths: tuple[Path, ...], heads: list[Head]) -> None:
     if missing:
         named = ", ".join(missing[:8]) + (" …" if len(missing) > 8 else "")
         raise InputFileError(f"shards are missing: {named}; make them with l3 train --shard")
+
+
+def write_layer_shard(
+    run: TrainingRun, shard: tuple[int, int], table: TransformTable, output: Path, execution: Execution
+) -> None:
+    """Write what a shard (number from 1, of how many) sums up for the layer on `table`."""
+    mosaics = layer_mosaics(run, len(table.later))
+    layer = layer_pass(table, run.recipe, mosaics, run.seed)
+    rule = layer_rule(run, layer, execution)
+    index, count = shard
+    blocks = layer.blocks[index - 1 :: count]
+    layers = [layer_pass(each, run.recipe, mosaics, run.seed) for each in by_noise(table)]
+    rules = [rule, *(layer_rule(run, each, execution, like=rule) for each in layers[1:])]
+    sets = [summed_layer(run, each, rule, blocks, execution) for each, rule in zip(layers, rules, strict=True)]
+    head = PartialLayerSums(
+        history=run.history_of_layers(layer.number),
+        shard=index,
+        shards=count,
+        mosaics=np.array(mosaics),
+        side=layer.recipe.side,
+        ratio_taps=layer.ratio_taps,
+        **rule_fields(rule),
+        gradients=tuple(each.scale for each in rules[1:]),
+        table=table,
+        sites=np.array(list(sets[0])),
+    )
+    write_partial_sums(output, head, *(sums.values() for sums in sets))
+    execution.console.info(f"{output}: shard {index} of {count}, layer {layer.number}")
+
+
+def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:
+    """The table with the layer that all shards of its pass give; InputFileError, which names `path`, if they do not fit
+    their recipe."""
+    head: PartialLayerSums = readers[0].head
+    rules: list[PlaneRule] = [head.rule, *(head.rule.scaled_as(scale) for scale in head.gradients)]
+    tables = enumerate(zip(by_noise(head.table), rules, strict=True))
+    usual, *others = (_with_layer(*each, readers, number, recipe, seed, path) for number, each in tables)
+    return with_noises(usual, others, recipe.learning.noises)
+
+
+def _with_layer(
+    table: TransformTable, rule: PlaneRule, readers: list[PartialSumsReader], condition: int, recipe: TrainingRecipe,
+    seed: int, path: Path,
+) -> TransformTable:  # fmt: skip
+    head: PartialLayerSums = readers[0].head
+    layer = layer_pass(table, recipe, tuple(head.mosaics.tolist()), seed)
+    sums = no_sums(layer, rule)
+    if (layer.recipe.side, layer.ratio_taps, list(sums)) != (head.side, head.ratio_taps, head.sites.tolist()):
+        raise InputFileError(f"{path} holds sums of other windows or sites than its recipe and camera have; make it again")
+    for index, site in enumerate(sums):
+        for reader in readers:
+            add_sums({site: sums[site]}, {site: reader.site(index, condition)})
+    return replace(table, later=(*table.later, learn_layer(layer, rule, sums)), history=head.history)

@@ -11,10 +11,9 @@ from l3cli.errors import RecipeError
 from l3cli.options.pipeline import TrainOptions
 from l3cli.parallel import workers
 from l3cli.stages.training.conditions import learn_conditions, runs_by_light
-from l3cli.stages.training.held_frames import held_for_a_run
 from l3cli.stages.training.passes import Execution, first_pass, learn_first
 from l3cli.stages.training.refinement_layers import learn_refinement_layers
-from l3cli.stages.training.run import TrainingRun, open_run
+from l3cli.stages.training.run import TrainingRun, held_for_a_run, open_run
 from l3cli.system.console import Console
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work

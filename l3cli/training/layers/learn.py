@@ -17,9 +17,7 @@ from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.planes import FixedPoint
 from l3cli.classes.refinement import label_planes
 from l3cli.classes.windows import neighbourhoods
-from l3cli.training.division import LAYER_ROWS, frame_blocks
-from l3cli.training.layers.first import FirstLayer, PlaneStage, Seen, margin_of
-from l3cli.training.layers.mosaics import Exposed, Mosaics, mosaics_of, sheets_of
+from l3cli.training.layers.mosaics import Exposed, FirstLayer, Mosaics, PlaneStage, Seen, margin_of, mosaics_of, sheets_of
 from l3cli.training.layers.rows import (
     GatheredRows,
     Reading,
@@ -32,6 +30,7 @@ from l3cli.training.layers.solve import LayerGoal, solve_layer
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
 from l3cli.training.sums import turned_places, width_of
 from l3cli.training.symmetry import orientations, site_maps, turned_structures
+from l3cli.training.training_pass import LAYER_ROWS, frame_blocks
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from l3cli.artifacts.table import PLANE_STEP, PlaneRule
 from l3cli.classes.refinement import mirrored, shaded_chroma, window_means
 from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error
-from l3cli.training.layers.first import Floats, Seen
+from l3cli.training.layers.mosaics import Floats, Seen
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.row_weighting import ERROR_FLOOR, TARGET_FLOOR, lab_error
 from l3cli.training.sums import (

@@ -1,22 +1,189 @@
-"""Class rules of a plane layer: by structure, or by a tree grown for it (docs/method.md#structure, docs/method.md#trees)."""
+"""Class rules of a plane layer: by structure (docs/method.md#structure), or by a tree grown for it (docs/method.md#trees).
 
+A tree grows from a sample of the layer's rows, best first: of all splits of all leaves the one is made by which the squared
+error of refitted filters falls most, less what the freedom of their taps alone would bring, if that is more than chance. The
+tree is one for all sites, each of which has filters of its own.
+"""
+
+import heapq
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.plane_rules import FACTORS, MOST_SHIFT, GradientScale, StructureRule, TreeRule
+from l3cli.artifacts.plane_rules import DEEPEST, FACTORS, MOST_SHIFT, SMALLEST, TESTS, GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.table import PLANE_STEP
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes import structure
 from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import plane_evidence
+from l3cli.classes.tree import EVERY, Evidence, turned_tests
 from l3cli.training.layers.learn import LayerPass
-from l3cli.training.layers.mosaics import LARGEST_SIDE, mosaics_of
+from l3cli.training.layers.mosaics import LARGEST_SIDE, Floats, mosaics_of
 from l3cli.training.layers.rows import row_weights
-from l3cli.training.layers.tree import TreeSample, grow, turned_evidence
 from l3cli.training.symmetry import orientations
+
+CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
+ROWS_PER_TAP = 4  # of a site that a leaf has at least
+FINE = (
+    2.0**16
+)  # steps of the largest value of a column: products of a million rows add up to less than 2^53 without rounding
+RIDGE = 1e-6  # relative to the mean power of a tap
+SURE = 3.0  # standard deviations of what a split gains by chance that it has to gain: the best of many is seldom farther off
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class TreeSample:
+    """Rows of one canonical site, as it sees them."""
+
+    taps: Floats  # (row, tap) as the layer before makes them of noisy mosaics, weighted
+    target: Floats  # (row, output) weighted, in units of what errors look like
+    numerators: Floats  # (test, row)
+    denominators: Floats  # (denominator, row)
+
+    @classmethod
+    def concatenated(cls, parts: Sequence["TreeSample"]) -> "TreeSample":
+        taps, target = (np.concatenate([getattr(part, name) for part in parts]) for name in ("taps", "target"))
+        numerators, denominators = (
+            np.concatenate([getattr(part, name) for part in parts], axis=1) for name in ("numerators", "denominators")
+        )
+        return cls(taps, target, numerators, denominators)
+
+    def on_grid(self) -> "TreeSample":
+        """Taps and targets rounded, so that sums of their products are exact in whatever order they are added."""
+        return replace(self, taps=_rounded(self.taps), target=_rounded(self.target))
+
+    def above(self, test: int, threshold: np.float32, rows: Indices) -> NDArray[np.bool_]:
+        """Which of the rows (row) take a test's second branch."""
+        denominator = self.denominators[EVERY[test].denominator, rows]
+        return np.asarray(self.numerators[test, rows] > threshold * denominator)
+
+    def quotient(self, test: int, rows: Indices) -> Floats:
+        """Return the quotients that are compared with thresholds."""
+        return np.asarray(self.numerators[test, rows] / self.denominators[EVERY[test].denominator, rows])
+
+
+def _rounded(values: Floats) -> Floats:
+    """Values (row, column) as multiples of a power of two for each column."""
+    _, power = np.frexp(np.abs(values).max(axis=0, initial=SMALLEST))
+    step = np.ldexp(1 / FINE, power).astype(np.float32)
+    return np.asarray(np.rint(values / step) * step, np.float32)
+
+
+def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
+    """Numerators (test, pixel) and denominators of `pixels` as a site sees them that is learned in an orientation."""
+    test, sign = turned_tests(turn)
+    numerators = seen.numerators.reshape(TESTS, -1)[:, pixels][test] * np.array(sign)[:, None]
+    return numerators, seen.denominators.reshape(len(seen.denominators), -1)[:, pixels]
+
+
+class Tree(NamedTuple):
+    """Nodes as TreeRule has them."""
+
+    test: NDArray[np.uint8]
+    threshold: NDArray[np.float32]
+    branch: NDArray[np.int32]
+
+
+class _Split(NamedTuple):
+    gain: float
+    test: int
+    threshold: np.float32
+
+
+def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
+    """A tree of at most so many leaves from the samples of all canonical sites; of one leaf if there are none."""
+    samples = [one.on_grid() for one in samples]
+    test, threshold, branch, depth = [0], [np.float32(0)], [0], [0]
+    waiting: list[tuple[float, int, _Split, list[Indices]]] = []
+
+    def look(node: int, rows: list[Indices]) -> None:
+        split = _best_split(samples, rows) if depth[node] < DEEPEST else None
+        if split is not None:
+            heapq.heappush(waiting, (-split.gain, node, split, rows))
+
+    if samples:
+        look(0, [np.arange(len(one.taps)) for one in samples])
+    for _ in range(leaves - 1):
+        if not waiting:
+            break
+        _, node, split, rows = heapq.heappop(waiting)
+        test[node], threshold[node], branch[node] = split.test, split.threshold, len(test)
+        above = [one.above(split.test, split.threshold, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)]
+        for side in (False, True):
+            test.append(0)
+            threshold.append(np.float32(0))
+            branch.append(0)
+            depth.append(depth[node] + 1)
+            look(len(test) - 1, [of_leaf[up == side] for of_leaf, up in zip(rows, above, strict=True)])
+    return Tree(np.array(test, np.uint8), np.array(threshold, np.float32), np.array(branch, np.int32))
+
+
+def _best_split(samples: Sequence[TreeSample], rows: list[Indices]) -> _Split | None:
+    """The split of a leaf's rows of every site that gains most; None if there is none that gains and leaves enough."""
+    taps = samples[0].taps.shape[1]
+    if min(map(len, rows)) < 2 * ROWS_PER_TAP * taps:
+        return None
+    best = None
+    before = [
+        float(_error(*(each[-1:] for each in _sums(one, of_leaf, [of_leaf.size])))[0])
+        for one, of_leaf in zip(samples, rows, strict=True)
+    ]
+    noise = np.array([error / of_leaf.size for error, of_leaf in zip(before, rows, strict=True)])
+    chance = SURE * np.sqrt(2 * taps * np.square(noise).sum())
+    for test in range(TESTS):
+        quotients = np.concatenate([one.quotient(test, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)])
+        cuts = np.quantile(quotients, np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
+        cuts = np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
+        gain = np.zeros(len(cuts))
+        for one, of_leaf, error in zip(samples, rows, before, strict=True):
+            gain += _gains(one, of_leaf, test, cuts, error)
+        if gain.max() > (best.gain if best else chance):
+            best = _Split(float(gain.max()), test, cuts[gain.argmax()])
+    return best
+
+
+def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, before: float) -> Array:
+    """By how much (cut) the error of one site falls; −∞ where too few rows are left on a side."""
+    taps = sample.taps.shape[1]
+    passed = np.add.reduce([sample.above(test, cut, rows).astype(np.intp) for cut in cuts])  # of increasing cuts
+    order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
+    many = np.array([below, rows.size - below])
+    good = many.min(axis=0) >= ROWS_PER_TAP * taps
+    gain = np.full(len(cuts), -np.inf)
+    if good.any():
+        sums = _sums(sample, rows[order], [*below[good].tolist(), rows.size])
+        left = _error(*(each[:-1] for each in sums))
+        right = _error(*(each[-1] - each[:-1] for each in sums))
+        low, high = many[:, good]
+        gain[good] = before - left - right - taps * (left / low + right / high - before / rows.size)
+    return gain
+
+
+def _sums(sample: TreeSample, rows: Indices, ends: list[int]) -> tuple[Array, Array, Array]:
+    """Σ x xᵀ (end, tap, tap), Σ x yᵀ (end, tap, output), Σ y² (end) of the rows before each of `ends`, exact."""
+    taps, target = sample.taps[rows], sample.target[rows]
+    moments, cross, power = [], [], []
+    for first, last in zip([0, *ends[:-1]], ends, strict=True):
+        x, y = taps[first:last].astype(np.float64), target[first:last].astype(np.float64)
+        moments.append(x.T @ x)
+        cross.append(x.T @ y)
+        power.append((y * y).sum())
+    return np.cumsum(moments, axis=0), np.cumsum(cross, axis=0), np.cumsum(power)
+
+
+def _error(moments: Array, cross: Array, power: Array) -> Array:
+    """Squared error (…) that the best filters of these sums leave."""
+    taps = moments.shape[-1]
+    ridge = RIDGE * np.trace(moments, axis1=1, axis2=2) / taps + 1e-9
+    solved = np.linalg.solve(moments + ridge[:, None, None] * np.eye(taps), cross)
+    return np.asarray(power - (cross * solved).sum(axis=(1, 2)))
+
 
 PILOT_MOSAICS = 48  # over all frames, that tell how noisy the first layer's luminance is
 BRIGHTEST = 0.8  # share of full scale up to which they tell
