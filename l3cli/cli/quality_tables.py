@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 from l3cli.classes.names import further_headings, heading
 from l3cli.cli import terminal
 from l3cli.cli.terminal import show, show_table
+from l3cli.physics.figures import FIGURES, figure_text
 from l3cli.system.text import figure as number
 
 if TYPE_CHECKING:
@@ -13,18 +14,6 @@ if TYPE_CHECKING:
 WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
 BAND_FIGURES = ("psnr", "output_psnr", "ssim")
-HEADINGS = {
-    "mean_delta_e": "ΔE00 mean",
-    "median_delta_e": "median",
-    "p95_delta_e": "95 %",
-    "scielab": "S-CIELAB",
-    "psnr": "PSNR dB",
-    "output_psnr": "linear dB",
-    "ssim": "SSIM",
-    "mean_angle": "SAM mean °",
-    "median_angle": "median",
-    "p95_angle": "95 %",
-}
 
 
 def print_tables(document: dict[str, Any]) -> None:
@@ -35,10 +24,10 @@ def print_tables(document: dict[str, Any]) -> None:
     baselines = document["pipelines"][1:]
     main = [figures[0]] + [figure for figure in figures if figure == "psnr" and wide]
     shown = [("ours", figure) for figure in figures] + [(baseline, figure) for baseline in baselines for figure in main]
-    named = [HEADINGS[figure] if owner == "ours" else f"{owner}\n{HEADINGS[figure]}" for owner, figure in shown]
+    named = [FIGURES[figure].short if owner == "ours" else f"{owner}\n{FIGURES[figure].short}" for owner, figure in shown]
 
     def values(row: dict[str, Any]) -> list[str]:
-        return [_number(figure, row[owner][figure]) for owner, figure in shown]
+        return [figure_text(figure, row[owner][figure]) for owner, figure in shown]
 
     rows = [[f["scene"], f["illuminant"], f"{f['level']:.3f}", *values(f)] for f in document["frames"]]
     rows.append(["mean", "", "", *values(document["mean"])])
@@ -48,11 +37,24 @@ def print_tables(document: dict[str, Any]) -> None:
     if len(document["by_illuminant"]) > 1:
         lights = [[g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_illuminant"]]
         show_table(["", "by illuminant"], ["light", "frames", *named], lights)
+    _print_patches(document)
     _print_bands(document)
     _print_classes(document, figures[0])
     for baseline, counts in document["better"].items():
-        shares = ", ".join(f"{HEADINGS[figure]} {counts[figure]}" for figure in main)
+        shares = ", ".join(f"{FIGURES[figure].short} {counts[figure]}" for figure in main)
         show(f"better than {baseline} in so many of {len(document['frames'])} frames: {shares}")
+
+
+def _print_patches(document: dict[str, Any]) -> None:
+    """Blotches in plain patches, by their kind and the level of their frames."""
+    named = ["level", "kind", "patches", *(f"{owner}\nmottle" for owner in document["pipelines"])]
+    rows = [
+        [f"{e['from']:.3f}–{e['to']:.3f}", e["kind"], str(e["patches"])]
+        + [figure_text("mottle", e[owner]["mottle"]) for owner in document["pipelines"]]
+        for e in document["by_patch"]
+    ]
+    if rows:
+        show_table(["", "mottle of plain patches"], named, rows)
 
 
 def _print_bands(document: dict[str, Any]) -> None:
@@ -61,17 +63,17 @@ def _print_bands(document: dict[str, Any]) -> None:
         return
     owners = document["pipelines"]
     shown = [("ours", figure) for figure in BAND_FIGURES] + [(owner, "psnr") for owner in owners[1:]]
-    named = [HEADINGS[figure] if owner == "ours" else f"{owner}\n{HEADINGS[figure]}" for owner, figure in shown]
-    rows = [[e["band"], *(_number(figure, e[owner][figure]) for owner, figure in shown)] for e in document["by_band"]]
+    named = [FIGURES[figure].short if owner == "ours" else f"{owner}\n{FIGURES[figure].short}" for owner, figure in shown]
+    rows = [[e["band"], *(figure_text(figure, e[owner][figure]) for owner, figure in shown)] for e in document["by_band"]]
     show_table(["", "by band"], ["band", *named], rows)
 
 
 def _print_classes(document: dict[str, Any], figure: str) -> None:
     owners = document["pipelines"]
-    named = ["class", "pixels", *(f"{owner}\n{HEADINGS[figure]}" for owner in owners)]
+    named = ["class", "pixels", *(f"{owner}\n{FIGURES[figure].short}" for owner in owners)]
 
     def row(name: str, entry: dict[str, Any]) -> list[str]:
-        return [name, str(entry["pixels"]), *(_number(figure, entry[owner][figure]) for owner in owners)]
+        return [name, str(entry["pixels"]), *(figure_text(figure, entry[owner][figure]) for owner in owners)]
 
     for axis, entries in document["by_class"].items():
         if len(entries) > 1:
@@ -110,7 +112,3 @@ def print_sequence(figures: "SequenceFigures") -> None:
 
 def _known(value: float | None) -> str:
     return "–" if value is None else number(value, ".3f")
-
-
-def _number(figure: str, value: float) -> str:
-    return number(value, ".4f" if figure == "ssim" else ".2f")

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from l3cli.errors import InputFileError, RecipeError, suggestion
-from l3cli.evaluation.evaluation import OURS, higher_is_better
+from l3cli.evaluation.evaluation import OURS
 from l3cli.frames.scene import shown_alike
+from l3cli.physics.figures import in_words, sign
 from l3cli.system.text import short_names
 
 LARGEST = 1e12  # of a figure, of a luminance in cd/m²
@@ -20,7 +21,6 @@ OTHER_SCENES = (
     "the evaluations are of other scenes or lights, and not compared in words; simulate all with one recipe and seed"
 )
 UNKNOWN_SCENES = "not every frame says what it shows: that scenes and lights are the same is not known; simulate them again"
-UNITS = {"delta_e": " ΔE00", "scielab": " ΔE00", "psnr": " dB", "angle": "°"}  # by the end of a figure's name
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,7 @@ def require_comparable(curves: list[Curve]) -> None:
 def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
     """Return the luminances (cd/m²) at which the better of two curves changes, on a logarithmic scale between their
     points."""
-    sign = 1.0 if higher_is_better(figure) else -1.0
-    lead = sign * (np.array(one.value) - np.array(other.value))
+    lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     luminances = []
     for at, to in pairwise(np.flatnonzero(lead)):
         if lead[at] * lead[to] < 0:  # where they are equal between the two, the better one changes there
@@ -161,8 +160,7 @@ def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
 
 def verdict(one: Curve, other: Curve, figure: str) -> str:
     """Which of two curves is the better where, and by how much at most."""
-    sign = 1.0 if higher_is_better(figure) else -1.0
-    lead = sign * (np.array(one.value) - np.array(other.value))
+    lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     if not lead.any():
         return f"{figure}: {one.name} and {other.name} are equal at every luminance."
     bounds = [0.0, *crossings(one, other, figure), np.inf]
@@ -172,7 +170,7 @@ def verdict(one: Curve, other: Curve, figure: str) -> str:
         most = inside[np.argmax(abs(inside))]
         better, worse = (one, other) if most > 0 else (other, one)
         than = "" if parts else f" is better than {worse.name}"
-        parts.append(f"{better.name}{than} {_range(low, high)}, by up to {_difference(abs(most), figure)}")
+        parts.append(f"{better.name}{than} {_range(low, high)}, by up to {in_words(abs(most), figure)}")
     return f"{figure}: {'; '.join(parts)}."
 
 
@@ -180,11 +178,6 @@ def _range(low: float, high: float) -> str:
     if low == 0.0:
         return "at every luminance" if high == np.inf else f"below {high:.3g} cd/m²"
     return f"above {low:.3g} cd/m²" if high == np.inf else f"from {low:.3g} to {high:.3g} cd/m²"
-
-
-def _difference(value: float, figure: str) -> str:
-    unit = next((unit for end, unit in UNITS.items() if figure.endswith(end)), "")
-    return f"{value:.2g}{unit}" if value < 10 else f"{value:.0f}{unit}"
 
 
 def clipping(curve: Curve) -> str | None:

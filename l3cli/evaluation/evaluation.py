@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -15,8 +16,10 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, light_of, merges
 from l3cli.evaluation.classes import ClassErrors
 from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
+from l3cli.evaluation.mottle import KINDS, mottle
 from l3cli.evaluation.quality import VIEWING, Target, band_figures, cropped, judge_bands
 from l3cli.physics.display import XYZ
+from l3cli.physics.figures import known_mean, sign
 
 Array = NDArray[np.floating]
 FORMAT = 2  # of the document; a change of its keys raises it
@@ -68,6 +71,7 @@ class Evaluation:
         self._figure = "mean_delta_e" if self._pictures else "mean_angle"
         self._colours: dict[bytes, Colour] = {}  # by light
         self._frames: list[dict[str, Any]] = []
+        self._patches: list[tuple[tuple[float, float], list[str], dict[str, Array]]] = []  # level, kinds, variances
         self._bands: list[dict[str, list[dict[str, float]]]] = []  # by frame, pipeline, output
         self._classes = ClassErrors(table, self.pipelines)
 
@@ -113,11 +117,16 @@ class Evaluation:
             "exposure": frame.exposure, "clipped": float((frame.raw >= self._camera.white_level).mean()),
             "shown": frame.shown and {"scene": frame.shown.scene.tolist(), "light": frame.shown.light},
         }  # fmt: skip
+        judged: dict[str, tuple[Any, Array]] = {}
         if self._pictures:
-            judge: Callable[[Array], tuple[Any, Array]] = Target(frame.target, frame.white, border, self._viewing).judge
+            target, variances = Target(frame.target, frame.white, border, self._viewing), {}
+            for name, of in planes.items():
+                figures, errors, variances[name] = target.judge(of)
+                judged[name] = figures, errors
+            self._patches.append((_octave(level), target.patches.kinds, variances))
         else:
             judge = functools.partial(judge_bands, target=frame.target, white=frame.white, border=border)
-        judged = {name: judge(of) for name, of in planes.items()}
+            judged = {name: judge(of) for name, of in planes.items()}
         self._frames.append({**about, **{name: dataclasses.asdict(figures) for name, (figures, _) in judged.items()}})
         if not self._pictures:
             self._bands.append({name: band_figures(of, frame.target, frame.white, border) for name, of in planes.items()})
@@ -137,6 +146,7 @@ class Evaluation:
         better         per other pipeline: in how many frames ours is better, by figure
         by_level       from, to (of the frames' level, a factor of two), frames, then per pipeline the mean figures
         by_illuminant  illuminant, frames, then as by_level
+        by_patch       plain patches of one kind at frames of one level: from, to, kind, patches, per pipeline mottle
         by_band        outputs that are not XYZ: band, then per pipeline psnr, output_psnr and ssim, means over the frames
         by_class       level, contrast, chroma, saturation: lists of what names a class, pixels, per pipeline the mean error;
                        pixels without an angle are left out
@@ -155,6 +165,7 @@ class Evaluation:
             "better": {name: self._better(name, tuple(first[OURS])) for name in self.pipelines[1:]},
             "by_level": self._grouped(lambda frame: _octave(frame["level"]), lambda key: {"from": key[0], "to": key[1]}),
             "by_illuminant": self._grouped(lambda frame: frame["illuminant"], lambda key: {"illuminant": key}),
+            "by_patch": self._by_patch(),
             "by_band": self._by_band(),
             "by_class": self._classes.by_axis(self._figure),
             "worst_classes": self._classes.worst(self._figure, OURS),
@@ -167,12 +178,28 @@ class Evaluation:
             self._colours[key] = fit_colour(self._camera, light, self._wanted)
         return self._colours[key]
 
-    def _mean(self, frames: Iterable[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    def _mean(self, frames: Iterable[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
         frames = list(frames)
         return {
-            name: {figure: float(np.mean([frame[name][figure] for frame in frames])) for figure in frames[0][name]}
+            name: {figure: known_mean([frame[name][figure] for frame in frames]) for figure in frames[0][name]}
             for name in self.pipelines
         }
+
+    def _by_patch(self) -> list[dict[str, Any]]:
+        """Return the mottle of the plain patches of each kind, by the level of their frames."""
+        entries = []
+        for bounds, kind in itertools.product(sorted({level for level, _, _ in self._patches}), KINDS):
+            members = [
+                (variances, index)
+                for level, kinds, variances in self._patches
+                for index, of in enumerate(kinds)
+                if (level, of) == (bounds, kind)
+            ]
+            if members:
+                about = {"from": bounds[0], "to": bounds[1], "kind": kind, "patches": len(members)}
+                figures = {name: np.array([of[name][index] for of, index in members]) for name in self.pipelines}
+                entries.append({**about, **{name: {"mottle": mottle(of)} for name, of in figures.items()}})
+        return entries
 
     def _by_band(self) -> list[dict[str, Any]]:
         """Return the mean figures of each output."""
@@ -183,12 +210,10 @@ class Evaluation:
         return bands
 
     def _better(self, baseline: str, figures: tuple[str, ...]) -> dict[str, int]:
-        """Return the number of frames in which ours is better than `baseline`, by figure."""
-        counts = {}
-        for figure in figures:
-            sign = 1.0 if higher_is_better(figure) else -1.0
-            counts[figure] = sum(sign * (frame[OURS][figure] - frame[baseline][figure]) > 0 for frame in self._frames)
-        return counts
+        """Return the number of frames in which ours is better than `baseline`, by every figure that all frames have."""
+        values = {of: [(frame[OURS][of], frame[baseline][of]) for frame in self._frames] for of in figures}
+        whole = {figure: pairs for figure, pairs in values.items() if (None, None) not in pairs}
+        return {figure: sum(sign(figure) * (a - b) > 0 for a, b in pairs) for figure, pairs in whole.items()}
 
     def _grouped(self, key: Callable[[dict], Any], about: Callable[[Any], dict[str, Any]]) -> list[dict[str, Any]]:
         groups = []
@@ -196,11 +221,6 @@ class Evaluation:
             members = [frame for frame in self._frames if key(frame) == value]
             groups.append({**about(value), "frames": len(members), **self._mean(members)})
         return groups
-
-
-def higher_is_better(figure: str) -> bool:
-    """Return whether a larger value of a figure is the better one, as of PSNR and SSIM; errors are better when small."""
-    return figure.endswith(("psnr", "ssim"))
 
 
 def _octave(level: float) -> tuple[float, float]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import RecipeError
+from l3cli.evaluation.mottle import PlainPatches, mottle
 from l3cli.physics.display import (
     LUMA,
     daylight,
@@ -45,6 +46,7 @@ class Quality:
     median_delta_e: float
     p95_delta_e: float
     scielab: float  # mean CIEDE2000 after the eye's blur
+    mottle: float | None  # C*ab of blotches in plain patches, root mean square; None: the target has no such patches
     psnr: float  # dB, of non-linear sRGB in 0…1
     output_psnr: float  # dB, of XYZ before clipping; 1 is the luminance shown white, times each output's share in the white
     ssim: float  # of the luma of non-linear sRGB
@@ -74,27 +76,36 @@ class Target:
         self._target = cropped(target, border)
         linear = displayed(self._target, white, self._scale)
         self._curve, self._labs = srgb_curve(linear), self._labs_of(linear)
+        self.patches = PlainPatches(self._labs[0])
 
     def _labs_of(self, linear: Array) -> tuple[Array, Array]:
         """L*a*b* (row, col, 3) as displayed, and after the eye's blur."""
         xyz = displayed_xyz(linear)
         return lab(xyz, daylight()), _blurred_lab(xyz, daylight(), self._viewing)
 
-    def judge(self, rendered: Array) -> tuple[Quality, Array]:
-        """Return the figures of XYZ planes (3, row, col), and their ΔE00 as displayed (row, col) within the border."""
+    def judge(self, rendered: Array) -> tuple[Quality, Array, Array]:
+        """Return the figures of XYZ planes (3, row, col), their ΔE00 as displayed (row, col) within the border, and the
+        variance of colour in each plain patch."""
         rendered = cropped(rendered, self._border)
         linear = displayed(rendered, self._white, self._scale)
         curve = srgb_curve(linear)
-        difference, seen = map(delta_e_2000, self._labs_of(linear), self._labs)
-        return Quality(
-            mean_delta_e=float(difference.mean()),
-            median_delta_e=float(np.median(difference)),
-            p95_delta_e=float(np.percentile(difference, 95)),
-            scielab=float(seen.mean()),
-            psnr=psnr(curve, self._curve),
-            output_psnr=psnr(rendered / self._peaks, self._target / self._peaks),
-            ssim=ssim(curve @ LUMA, self._curve @ LUMA),
-        ), difference
+        labs = self._labs_of(linear)
+        difference, seen = map(delta_e_2000, labs, self._labs)
+        variances = self.patches.variances(labs[0])
+        return (
+            Quality(
+                mean_delta_e=float(difference.mean()),
+                median_delta_e=float(np.median(difference)),
+                p95_delta_e=float(np.percentile(difference, 95)),
+                scielab=float(seen.mean()),
+                mottle=mottle(variances),
+                psnr=psnr(curve, self._curve),
+                output_psnr=psnr(rendered / self._peaks, self._target / self._peaks),
+                ssim=ssim(curve @ LUMA, self._curve @ LUMA),
+            ),
+            difference,
+            variances,
+        )
 
 
 def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> Quality:

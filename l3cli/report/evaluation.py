@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.classes.names import further_headings, heading
+from l3cli.physics.figures import FIGURES, figure_text
 from l3cli.report.drawing import Plot, spanning
 from l3cli.report.parts import Block, Comparison, Figure, Figures, Front, Key, Picture, Section, Subsection, Table, Text
 from l3cli.report.pictures import Jpeg, Pixels, fitted
@@ -12,22 +13,11 @@ from l3cli.system.text import counted, tidy
 from l3cli.system.text import figure as number
 
 OURS = "ours"
-NAMES = {  # figure → heading; unit and meaning
-    "mean_delta_e": "mean ΔE00",
-    "median_delta_e": "median ΔE00",
-    "p95_delta_e": "95 % ΔE00",
-    "scielab": "S-CIELAB ΔE00",
-    "psnr": "PSNR (dB)",
-    "output_psnr": "linear PSNR (dB)",
-    "ssim": "SSIM (1)",
-    "mean_angle": "mean spectral angle (°)",
-    "median_angle": "median angle (°)",
-    "p95_angle": "95 % angle (°)",
-}
 MEANINGS = (
     "ours is the table; basic is a pipeline that learns nothing (interpolation, white balance, colour matrix). Pictures are "
     "compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown white. ΔE00: CIEDE2000; "
-    "S-CIELAB: the same after the eye's blur; PSNR of sRGB, linear PSNR of XYZ."
+    "S-CIELAB: the same after the eye's blur; mottle: C*ab of blotches in plain patches, after a Gaussian of 4 pixels; PSNR "
+    "of sRGB, linear PSNR of XYZ."
 )
 BAND_MEANINGS = (
     "ours is the table; the other pipelines learn nothing. The spectral angle is that between the outputs of a pixel and "
@@ -64,7 +54,7 @@ def luminance_section(
     and sentences on where the better one changes."""
     parts = []
     for figure, cameras in curves.items():
-        heading = NAMES.get(figure, figure)
+        heading = FIGURES[figure].heading if figure in FIGURES else figure
         x = spanning("luminance of a perfect white (cd/m²)", cameras[0][1], log=True)
         plot = Plot(x, spanning(heading, [value for _, _, values in cameras for value in values]))
         series = {name: (np.array(luminance), np.array(value)) for name, luminance, value in cameras}
@@ -88,7 +78,7 @@ def summary(document: dict[str, Any]) -> str:
     """Return the evaluation in a sentence."""
     figure = main_of(document)
     means = ", ".join(f"{name} {main_figure(document['mean'][name], figure)}" for name in document["pipelines"])
-    name = NAMES[figure]
+    name = FIGURES[figure].heading
     return f"{name[0].upper()}{name[1:]} over {counted(len(document['frames']), 'frame')}: {means}."
 
 
@@ -99,7 +89,7 @@ def main_figure(figures: dict[str, float], figure: str) -> str:
 
 def _quality_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
     figure, figures = main_of(document), tuple(document["frames"][0][OURS])
-    headings = ("pipeline", *(NAMES[name] for name in figures))
+    headings = ("pipeline", *(FIGURES[name].heading for name in figures))
     means = tuple((name, *_texts(document["mean"][name], figures)) for name in document["pipelines"])
     baselines = document["pipelines"][1:]
     about = ("frame", "scene", "light", "level (share of full scale)")
@@ -108,18 +98,30 @@ def _quality_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
         + tuple(figure_text(figure, f[baseline][figure]) for baseline in baselines)
         for index, f in enumerate(document["frames"])
     )
-    heads = (*about, *(NAMES[name] for name in figures), *(f"{baseline}: {NAMES[figure]}" for baseline in baselines))
+    heads = (
+        *about,
+        *(FIGURES[name].heading for name in figures),
+        *(f"{baseline}: {FIGURES[figure].heading}" for baseline in baselines),
+    )
     blocks: list[Block] = [
         Table("Means over the frames", headings, means),
         Text(MEANINGS if figure == "mean_delta_e" else BAND_MEANINGS),
         Table("Frames", heads, rows),
     ]
+    if document["by_patch"]:
+        patches = tuple(
+            (f"{e['from']:.3f}–{e['to']:.3f}", e["kind"], str(e["patches"]))
+            + tuple(figure_text("mottle", e[owner]["mottle"]) for owner in document["pipelines"])
+            for e in document["by_patch"]
+        )
+        heads = ("level (share of full scale)", "kind", "patches", *(f"{owner}: mottle" for owner in document["pipelines"]))
+        blocks.append(Table("Mottle of plain patches (C*ab)", heads, patches))
     if document["by_band"]:
         shown = [(owner, name) for name in ("psnr", "output_psnr", "ssim") for owner in document["pipelines"]]
         bands = tuple(
             (each["band"], *(figure_text(name, each[owner][name]) for owner, name in shown)) for each in document["by_band"]
         )
-        blocks.append(Table("By band", ("band", *(f"{owner}: {NAMES[name]}" for owner, name in shown)), bands))
+        blocks.append(Table("By band", ("band", *(f"{owner}: {FIGURES[name].heading}" for owner, name in shown)), bands))
     if len(groups := document["by_illuminant"]) > 1:
         blocks.append(_grouped(document, "By illuminant", "illuminant", "frames", [(g["illuminant"], g) for g in groups]))
     return tuple(blocks)
@@ -137,7 +139,7 @@ def _grouped(
     rows = tuple(
         (name, str(of[counts]), *(figure_text(figure, of[owner][figure]) for owner in owners)) for name, of in entries
     )
-    return Table(caption, (heading, counts, *(f"{owner}: {NAMES[figure]}" for owner in owners)), rows)
+    return Table(caption, (heading, counts, *(f"{owner}: {FIGURES[figure].heading}" for owner in owners)), rows)
 
 
 def _level_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
@@ -163,14 +165,16 @@ def _curves(document: dict[str, Any], entries: list[dict[str, Any]], at: np.ndar
     figure = main_of(document)
     values = {name: np.array([entry[name][figure] for entry in entries]) for name in document["pipelines"]}
     everything = np.concatenate(list(values.values()))
-    plot = Plot(spanning(f"{label} (share of full scale)", at, log=True), spanning(NAMES[figure], everything, zero=True))
+    plot = Plot(
+        spanning(f"{label} (share of full scale)", at, log=True), spanning(FIGURES[figure].heading, everything, zero=True)
+    )
     keys = plot.curves({name: (at, curve) for name, curve in values.items()}, ("line", "dashed", "dotted", "dashed"))
     values_text = "; ".join(
         f"{name} {figure_text(figure, curve[0])} at level {tidy(at[0], 2)}, "
         f"{figure_text(figure, curve[-1])} at {tidy(at[-1], 2)}, at most {figure_text(figure, curve.max())}"
         for name, curve in values.items()
     )
-    return plot.figure(title, f"{NAMES[figure]}: {values_text}.", keys)
+    return plot.figure(title, f"{FIGURES[figure].heading}: {values_text}.", keys)
 
 
 def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
@@ -188,11 +192,6 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 def _kind(entry: dict[str, Any]) -> str:
     return f"saturation case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
-
-
-def figure_text(figure: str, value: float) -> str:
-    """Return a figure of quality as text, without its unit."""
-    return number(value, ".4f" if figure == "ssim" else ".2f")
 
 
 # ------------------------------------------------------------------------------------------------ beginning of a page
@@ -218,10 +217,10 @@ def front_section(
     each = limit // sum(len(frame) for frame in pictures.values())
     comparisons = [_comparison(document, index, names, anchor, each, jpeg) for index, names in pictures.items()]
     over = "" if count == 1 else f", mean over {counted(count, 'frame')}"
-    meaning = f"{NAMES[figure]} of ours{over}. A ΔE00 of 1 is just visible."
+    meaning = f"{FIGURES[figure].heading} of ours{over}. A ΔE00 of 1 is just visible."
     pipelines = document["pipelines"]
     rows = tuple(
-        (NAMES[name], *(figure_text(name, document["mean"][owner][name]) for owner in pipelines))
+        (FIGURES[name].heading, *(figure_text(name, document["mean"][owner][name]) for owner in pipelines))
         for name in document["frames"][0][OURS]
     )
     table = Table("Figures" if count == 1 else "Means over the frames", ("figure", *pipelines), rows)
@@ -230,7 +229,7 @@ def front_section(
     if comparisons[1:]:
         title_of_others = "The worst and the best frame" if count > SEEN else "Other frames"
         parts.append(Subsection(title_of_others, tuple(comparisons[1:])))
-    which = "" if count == 1 else f"The first is, of {count} frames, the one of median {NAMES[figure]}."
+    which = "" if count == 1 else f"The first is, of {count} frames, the one of median {FIGURES[figure].heading}."
     return Section(title, which, tuple(parts))
 
 
@@ -239,7 +238,7 @@ def verdict(document: dict[str, Any]) -> str:
     count, figure = len(document["frames"]), main_of(document)
     sentences = []
     for baseline, wins in document["better"].items():
-        lost = [NAMES[name] for name, won in wins.items() if 2 * won <= count]
+        lost = [FIGURES[name].heading for name, won in wins.items() if 2 * won <= count]
         if all(won == count for won in wins.values()):
             often = ", in every frame" if count > 1 else ""
             sentences.append(f"Ours is nearer to the ideal than {baseline} by every figure{often}.")
@@ -254,7 +253,7 @@ def verdict(document: dict[str, Any]) -> str:
 
 
 def _in_frames(figure: str, won: int, count: int) -> str:
-    return NAMES[figure] + (f" in {won} of {count} frames" if count > 1 else "")
+    return FIGURES[figure].heading + (f" in {won} of {count} frames" if count > 1 else "")
 
 
 def _comparison(
@@ -277,6 +276,6 @@ def _picture(frame: dict[str, Any], name: str, pixels: Pixels, figure: str, limi
     elif name == "error":
         shows = f"ΔE00 of ours at every pixel, mean {figure_text(figure, frame[OURS][figure])}"
     else:
-        shows = f"{NAMES[figure]} {main_figure(frame[name], figure)}"
+        shows = f"{FIGURES[figure].heading} {main_figure(frame[name], figure)}"
     caption = f"{name}: {shows}{reduced}"
     return Picture(uri, rows, cols, caption, f"{frame['scene']}, {caption}")

@@ -8,9 +8,10 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import equal
 from l3cli.frames.scene import shown_alike
+from l3cli.physics.figures import FIGURES, figure_text, known_mean
 from l3cli.report.camera import array_figure, responsivity_figures
 from l3cli.report.drawing import Plot, spanning
-from l3cli.report.evaluation import NAMES, OURS, figure_text, level_middles, main_of
+from l3cli.report.evaluation import OURS, level_middles, main_of
 from l3cli.report.parts import Block, Comparison, Figure, Figures, Gallery, Picture, Section, Subsection, Table, Text
 from l3cli.report.pictures import Jpeg, Pixels, fitted
 from l3cli.system.text import counted
@@ -93,8 +94,8 @@ def _frames(side: Side, places: list[Place]) -> list[dict[str, Any]]:
     return [frames[side.places[place]] for place in places] if places else list(frames)
 
 
-def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float:
-    return float(np.mean([frame[pipeline][figure] for frame in _frames(side, places)]))
+def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float | None:
+    return known_mean([frame[pipeline][figure] for frame in _frames(side, places)])
 
 
 def _verdict(sides: list[Side], shared: list[Place]) -> str:
@@ -105,7 +106,7 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
         cause = f" ({OTHERS})" if others else ""
         return f"The tables were evaluated on different frames{cause}: their figures are not comparable."
     figure = main_of(sides[0].document)
-    ranked = sorted(sides, key=lambda side: _mean(side, shared, OURS, figure))
+    ranked = sorted(sides, key=lambda side: _mean(side, shared, OURS, figure) or 0.0)
     values = ", ".join(f"{_title(side, sides)} {figure_text(figure, _mean(side, shared, OURS, figure))}" for side in ranked)
     errors = np.array([[frame[OURS][figure] for frame in _frames(side, shared)] for side in ranked])
     won = int((errors[0] <= errors.min(axis=0)).sum())
@@ -115,7 +116,8 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
     caveat += f" Left out are {counted(others, 'frame')}: {OTHERS}." if others else ""
     often = "" if len(shared) == 1 else f", in {won} of {len(shared)} frames"
     best = f"{_title(ranked[0], sides)} is nearest to the ideal{often}."
-    return f"{best} {NAMES[figure][0].upper()}{NAMES[figure][1:]} over {frames} that all have: {values}.{caveat}"
+    name = FIGURES[figure].heading
+    return f"{best} {name[0].upper()}{name[1:]} over {frames} that all have: {values}.{caveat}"
 
 
 def _title(side: Side, sides: list[Side]) -> str:
@@ -148,7 +150,9 @@ def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:
     figure_names = tuple(sides[0].document["frames"][0][OURS])
     same = len({main_of(side.document) for side in sides}) == 1
     heads = (
-        ("table", "frames", "array", *(NAMES[figure] for figure in figure_names)) if same else ("table", "frames", "array")
+        ("table", "frames", "array", *(FIGURES[figure].heading for figure in figure_names))
+        if same
+        else ("table", "frames", "array")
     )
     rows = []
     for side in sides:
@@ -173,12 +177,12 @@ def _level_figure(sides: list[Side]) -> Figure | None:
     x = spanning(
         "level of the pixel's neighbourhood (share of full scale)", np.concatenate([at for at, _ in curves]), log=True
     )
-    plot = Plot(x, spanning(NAMES[figure], np.concatenate([values for _, values in curves]), zero=True))
+    plot = Plot(x, spanning(FIGURES[figure].heading, np.concatenate([values for _, values in curves]), zero=True))
     series = {_title(side, sides): curve for side, curve in zip(sides, curves, strict=True)}
     ranges = (
         f"{name} {figure_text(figure, of.min())} to {figure_text(figure, of.max())}" for name, (_, of) in series.items()
     )
-    finding = f"{NAMES[figure]} of ours, over all frames of each: {'; '.join(ranges)}."
+    finding = f"{FIGURES[figure].heading} of ours, over all frames of each: {'; '.join(ranges)}."
     return plot.figure("Error over the class's level", finding, plot.curves(series))
 
 

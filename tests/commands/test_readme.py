@@ -63,8 +63,8 @@ def test_every_option_named_in_passing_exists() -> None:
 
 
 def shape(line: str) -> str:
-    """A line without its numbers and its spacing."""
-    return " ".join(re.sub(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", "#", line).split())
+    """A line without its numbers, there or not, and its spacing."""
+    return " ".join(re.sub(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?|(?<!\S)–(?!\S)", "#", line).split())
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame
 from l3cli.errors import InputFileError
 from l3cli.evaluation.basic import develop, fit_colour, light_of, white_preserving_ridge
 from l3cli.evaluation.demosaic import band_baselines, baselines, bayer_roles, interpolate, tiled
-from l3cli.evaluation.evaluation import higher_is_better
+from l3cli.evaluation.mottle import BLUR, PlainPatches, mottle
 from l3cli.evaluation.pictures import error_map
 from l3cli.evaluation.quality import (
     OPPONENT_FROM_XYZ,
@@ -30,6 +30,7 @@ from l3cli.evaluation.quality import (
 )
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
+from l3cli.physics.figures import sign
 from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import FEW_CLASSES
@@ -61,8 +62,29 @@ def test_more_error_is_worse_in_every_figure() -> None:
     for judge in (lambda planes: quality(planes, target, D65), lambda planes: band_quality(planes, target, D65)):
         small, large = (dataclasses.asdict(judge(target * factor + (factor - 1) * noise)) for factor in (1.02, 1.2))
         for figure, value in small.items():
-            better, worse = (value, large[figure]) if higher_is_better(figure) else (large[figure], value)
-            assert better > worse, figure
+            if figure != "mottle":  # noise has no plain patches
+                assert sign(figure) * (value - large[figure]) > 0, figure
+
+
+def test_mottle_is_that_of_blotches_and_of_nothing_else() -> None:
+    col = np.arange(160)
+    target = np.zeros((80, 160, 3)) + (60, 5, 5)
+    target[:, 80:] = (20, 0, 0)
+    patches = PlainPatches(target)
+    assert patches.kinds == ["grey", "dark"]
+    period, amplitude = 37.0, (2.0, 3.0)  # of blotches, of a* and b*
+    shown = target.copy()
+    shown[:, :80, 1:] += np.array(amplitude) * np.sin(2 * np.pi * col[:80, None] / period)
+    shown[:, 74:86] += 50  # edges
+    shown[..., 0] += 7 * np.sin(col / 6)  # lightness
+    shown[:, 80:, 1:] += 4.0  # another colour
+    bright, dark = patches.variances(shown)
+    left = np.exp(-2 * np.pi**2 * BLUR**2 / period**2)
+    assert np.sqrt(bright) == pytest.approx(np.hypot(*amplitude) * left / np.sqrt(2), rel=0.15)
+    assert dark == pytest.approx(0, abs=1e-12)
+    grain = target + 5 * (-1.0) ** col[:, None]  # what the blur takes
+    assert (mottle(patches.variances(grain)) or 9) < 0.3  # of 7.1
+    assert mottle(PlainPatches(np.random.default_rng(0).random((80, 80, 3)) * 50).variances(target[:, :80])) is None
 
 
 def test_the_border_is_left_out() -> None:

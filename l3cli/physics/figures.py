@@ -1,0 +1,55 @@
+"""Figures of quality: their names, units, and which of two values is the better one (docs/method.md#quality-figures)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from l3cli.system.text import figure as number
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure as pages, tables and sentences name it."""
+
+    heading: str  # on a page
+    short: str  # over a column of a terminal's table, beneath those before it
+    unit: str = ""  # behind a difference
+    more_is_better: bool = False
+    digits: int = 2
+
+
+FIGURES = {  # those of frames, in the order in which they are shown
+    "mean_delta_e": Figure("mean ΔE00", "ΔE00 mean", " ΔE00"),
+    "median_delta_e": Figure("median ΔE00", "median", " ΔE00"),
+    "p95_delta_e": Figure("95 % ΔE00", "95 %", " ΔE00"),
+    "scielab": Figure("S-CIELAB ΔE00", "S-CIELAB", " ΔE00"),
+    "mottle": Figure("mottle of plain patches (C*ab)", "mottle", " C*ab"),
+    "psnr": Figure("PSNR (dB)", "PSNR dB", " dB", more_is_better=True),
+    "output_psnr": Figure("linear PSNR (dB)", "linear dB", " dB", more_is_better=True),
+    "ssim": Figure("SSIM (1)", "SSIM", more_is_better=True, digits=4),
+    "mean_angle": Figure("mean spectral angle (°)", "SAM mean °", "°"),
+    "median_angle": Figure("median angle (°)", "median", "°"),
+    "p95_angle": Figure("95 % angle (°)", "95 %", "°"),
+}
+
+
+def figure_text(figure: str, value: float | None) -> str:
+    """Return a figure as text, without its unit; a dash where a frame has none."""
+    return "–" if value is None else number(value, f".{FIGURES[figure].digits}f")
+
+
+def known_mean(values: Sequence[float | None]) -> float | None:
+    """Return the mean of the values that are known; None if none is."""
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None
+
+
+def sign(figure: str) -> float:
+    """Return 1 if more of a figure is better, else -1; of a figure that other versions of the program gave, too."""
+    known = FIGURES.get(figure)
+    return 1.0 if known and known.more_is_better else -1.0
+
+
+def in_words(value: float, figure: str) -> str:
+    """Return a difference of a figure with its unit."""
+    unit = FIGURES[figure].unit if figure in FIGURES else ""
+    return f"{value:.2g}{unit}" if value < 10 else f"{value:.0f}{unit}"
