@@ -6,7 +6,7 @@ from typing import Any
 
 from markup import code, page, plain, table
 
-from l3cli.stages.checking.kinds import KINDS, schema
+from l3cli.stages.check import KINDS, schema
 
 INTRO = (
     "The keys of every recipe, made of the types that recipes are checked with. [Recipes](../commands.md#recipes) says what "

@@ -9,7 +9,7 @@ from l3cli.artifacts.camera_curves import full_width
 from l3cli.artifacts.fit import ChartFit, NoiseFit, PhotoFit, SeriesFit
 from l3cli.calibration import gain
 from l3cli.calibration.captures import corner_falloff
-from l3cli.calibration.photo.lights import NOTICED
+from l3cli.calibration.photo.estimate import NOTICED
 from l3cli.calibration.responsivity import likely_mistake
 from l3cli.calibration.statistics import defect_counts
 from l3cli.errors import InputFileError

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.calibration.statistics import Defects
-from l3cli.charts import patches
 from l3cli.errors import InputFileError
+from l3cli.frames import chart
 from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES, Body, ChartCapture
 
 CORE = 0.25  # half the side of a patch's sampled core, in chart cells
@@ -18,8 +18,8 @@ def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
 
     corners (4, 2) are col, row of the outer corners of patches 1, 6, 24, 19; the chart may be turned and in perspective.
     """
-    cells = patches.corner_cells(CHART_ROWS, CHART_COLS)
-    return patches.patch_map(patches.homography(cells, corners), (CHART_ROWS, CHART_COLS), (rows, cols), CORE)
+    cells = chart.corner_cells(CHART_ROWS, CHART_COLS)
+    return chart.patch_map(chart.homography(cells, corners), (CHART_ROWS, CHART_COLS), (rows, cols), CORE)
 
 
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:
@@ -127,8 +127,8 @@ def cross_validate(photons: Array, values: Array, black_level: float) -> float:
     """Return the relative RMSE of charts (chart, patch) predicted with alpha and beta from the charts under the other
     lights."""
     predicted = np.empty_like(values)
-    for chart in range(len(values)):
-        others = np.arange(len(values)) != chart
+    for left_out in range(len(values)):
+        others = np.arange(len(values)) != left_out
         alpha, beta = fit_gain(photons[others].ravel(), values[others].ravel(), black_level)
-        predicted[chart] = alpha * photons[chart] + beta
+        predicted[left_out] = alpha * photons[left_out] + beta
     return float(relative_rmse(values, predicted, black_level))

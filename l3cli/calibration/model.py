@@ -12,6 +12,7 @@ from l3cli.calibration.captures import (
     Charts,
     Sensor,
     correct_by_frames,
+    fit_series,
     measure_charts,
     measure_sensor,
     measure_sweep,
@@ -19,7 +20,6 @@ from l3cli.calibration.captures import (
 )
 from l3cli.calibration.photo.responsivity import fit_photos
 from l3cli.calibration.responsivity import Curves, check_efficiency, efficiency
-from l3cli.calibration.series import fit_series
 from l3cli.calibration.statistics import Each, channel_shares
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Measurements, SensorFigures

@@ -40,7 +40,7 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
 
 def _draft(folder: Path, measurements: Path | None, output: Path, options: DraftOptions) -> Result:
     """Write the draft; UsageError if what only a calibration takes is given, too."""
-    from l3cli.stages.draft import draft
+    from l3cli.stages.calibration import draft
 
     given = [name for name in ("photos", "light", "truth", "export", "accept") if getattr(options, name)]
     if measurements is not None or given:

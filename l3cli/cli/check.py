@@ -38,8 +38,8 @@ def check(recipes: tuple[str, ...], options: CheckOptions) -> Result:
     \b
     Example: l3 check camera.toml scenes.toml
     """
-    from l3cli.stages.checking.check import as_text
-    from l3cli.stages.checking.check import check as stage
+    from l3cli.stages.check import as_text
+    from l3cli.stages.check import check as stage
 
     judged = stage(recipes)
     fault, faulty = None, [judgement for judgement in judged if judgement.findings]

@@ -22,7 +22,7 @@ def schema(kind: str, options: Options) -> Result:
     \b
     Example: l3 schema camera
     """
-    from l3cli.stages.checking.kinds import schema as stage
+    from l3cli.stages.check import schema as stage
 
     document = stage(kind)
     return Result({"schema": document}, lambda: show_json(document))

@@ -1,17 +1,22 @@
-"""Corrections of raw frames: bad and hot pixels, shading, and dark frames taken off (docs/method.md#corrections)."""
+"""Corrections of raw frames: bad and hot pixels, shading, and dark frames taken off (docs/method.md#corrections); and those
+of a camera model's file, checked against the table."""
 
+import functools
 import hashlib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.errors import InputFileError
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import CLIPPED, Shading, shading_of
+from l3cli.system.files import require_same
 
 NEIGHBOURS = 4  # that a value is made of: the mean of the two in the middle
 FARTHEST = 16  # rows and columns to each side in which they are searched
@@ -316,3 +321,56 @@ def _spread(values: NDArray[np.float64]) -> float:
 def _differs(frame: RawFrame, first: RawFrame) -> bool:
     about = [(each.values.shape, each.phase, each.orientation, each.exposure) for each in (frame, first)]
     return about[0] != about[1]
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """The file of a camera model."""
+
+    path: Path  # absolute: workers open it
+    digest: str  # SHA-256
+
+
+def correction_in(file: CameraFile, table: TransformTable) -> Correction:
+    """The correction that a camera model knows; InputFileError if it knows none, or its array is not the table's."""
+    camera = _camera_of(file)
+    if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
+        theirs, ours = (_written(each.cfa, each.channels) for each in (camera, table))
+        raise InputFileError(
+            f"{file.path.name} is a camera with the array {theirs}, the table is for {ours}; give its camera"
+        )
+    return correction_of(camera)
+
+
+@functools.lru_cache(1)
+def correction_again(file: CameraFile) -> Correction:
+    """In a worker: the correction of a run, made once."""
+    require_same(file.path, file.digest)
+    return correction_of(_camera_of(file))
+
+
+def _camera_of(file: CameraFile) -> CameraModel:
+    """The camera model in a file, or that of a table."""
+    from l3cli.artifacts.store import load, open_artifact
+
+    with open_artifact(file.path, CameraModel, TransformTable) as root:
+        kind = str(root.attrs["kind"])
+    if kind == CameraModel.kind:
+        return load(CameraModel, file.path)
+    camera = load(TransformTable, file.path).camera
+    if camera is None:
+        raise InputFileError(f"{file.path} is a table of an older version, without its camera; give a camera model")
+    return camera
+
+
+def hot_test(table: TransformTable) -> HotTest:
+    """By the noise of the table's camera; RecipeError if an older table does not have it."""
+    if table.camera is None:
+        raise RecipeError(
+            "‹hot› needs the camera's noise, which tables of older versions do not hold; train the table again"
+        )
+    return HotTest.of(table.camera)
+
+
+def _written(cfa: np.ndarray, channels: tuple[str, ...]) -> str:
+    return "/".join(" ".join(channels[site] for site in row) for row in cfa)

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.simulation import fields, leaves, sources
-from l3cli.simulation.framing import framed_size, resampled, scale_of, turned
+from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.motion import Course, View, before, course
 from l3cli.simulation.reflectances import DRAWN, palette, surfaces
-from l3cli.simulation.run import SimulationRun
+from l3cli.simulation.sources import framed_size, resampled, scale_of, turned
 
 Array = NDArray[np.float64]
 Cube = NDArray[np.float32]  # (row, col, band)

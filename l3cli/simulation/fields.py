@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.physics.paint import with_saturation
+from l3cli.physics.spectra import with_saturation
 
 Field = NDArray[np.float32]
 Direction = tuple[float, float]  # by how much a field is drawn out, and where, radians

@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from l3cli.frames.scene import NO_ILLUMINANT, SHOWN, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ
-from l3cli.physics.paint import LARGEST, SMALLEST, kubelka_munk, with_saturation, with_titanium_white
+from l3cli.physics.spectra import (
+    BLACKEST,
+    WHITEST,
+    kubelka_munk,
+    with_saturation,
+    with_titanium_white,
+)
 from l3cli.simulation.light import make_light, matching_weights
 
 Array = NDArray[np.floating]
@@ -110,11 +116,11 @@ def dyed(rng: np.random.Generator, of: Surfaces, count: int) -> Array:
 def _material(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -> Array:
     if kind in DYED:
         return _dye(rng, of, kind, rng.random() * saturation)
-    return np.clip(_DRAW[kind](rng, of), SMALLEST, LARGEST)
+    return np.clip(_DRAW[kind](rng, of), BLACKEST, WHITEST)
 
 
 def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -> Array:
-    reflectance = np.clip(with_saturation(_DRAW[kind](rng, of), saturation, of.drawn), SMALLEST, LARGEST)
+    reflectance = np.clip(with_saturation(_DRAW[kind](rng, of), saturation, of.drawn), BLACKEST, WHITEST)
     return _painted(rng, reflectance, of.wavelength) if rng.random() < PAINTED else reflectance
 
 

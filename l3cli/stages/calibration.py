@@ -1,26 +1,41 @@
-"""The calibration stage: lab measurements → camera model."""
+"""The calibration stage: lab measurements → camera model; and its draft: a folder of captures, or of tables alone → a
+measurement file with what is missing marked."""
 
 import itertools
+import os
 import shlex
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.store import save
 from l3cli.calibration import figures, model
+from l3cli.calibration.draft.compose import compose
+from l3cli.calibration.draft.folder import Reading, compose_tables, first_lines, survey
+from l3cli.calibration.draft.names import natural, read_name
+from l3cli.calibration.draft.sorting import Spectra
 from l3cli.errors import L3Error, RecipeError
 from l3cli.export.profiles import ALWAYS, file_names
-from l3cli.frames.measurement import FinishedCurves, SweepTable
-from l3cli.io.measurements import inputs_of, inputs_of_photos, load_measurements, photo_measurements
-from l3cli.io.photos import export_offsets, offset_paths
-from l3cli.options.pipeline import CalibrateOptions
+from l3cli.frames.measurement import CaptureFolder, FinishedCurves, SweepTable
+from l3cli.io.frames import list_captures, read_capture, read_spectra
+from l3cli.io.measurement_recipe import MeasurementRecipe
+from l3cli.io.measurements import inputs_of, inputs_of_photos, load_measurements, measurements_of, photo_measurements
+from l3cli.io.photos import array_of, export_offsets, offset_paths
+from l3cli.options.pipeline import CalibrateOptions, DraftOptions
 from l3cli.parallel import ordered_map
+from l3cli.recipes.toml import parse_recipe
 from l3cli.stages.export import write
+from l3cli.system.files import write_whole
+from l3cli.system.ledger import is_noting
 from l3cli.system.output_guard import OutputGuard
-from l3cli.system.plan import Made, before_work
+from l3cli.system.plan import Made, before_work, is_dry
+from l3cli.system.text import counted
 
 
 def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions) -> tuple[CameraModel, dict[str, Any]]:
@@ -89,3 +104,81 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
         csv = result["curves"]["csv"] or f"l3 export {shlex.quote(str(output))} -o DIR"
         console.info(f"{output}: written, with the curves as dataset responsivity; as CSV: {csv}")
         return camera, result
+
+
+MOST_LINES = 8  # assumptions and missing things of which each gets a line on the console
+
+
+def draft(folder: Path, output: Path, options: DraftOptions) -> str:
+    """Write the draft of a measurement file of the captures in a folder, or of its tables if it has no frames; its text.
+
+    Sensor, array and optics are those of the options' camera, since frames do not state them. InputFileError if
+    the folder holds neither raw frames nor responsivities, RecipeError if the camera is another one, L3Error if the output
+    cannot be written.
+    """
+    if output.suffix != ".toml":
+        raise RecipeError(f"{output}: a measurement file ends in .toml; name it MEASUREMENTS.toml")
+    camera, console = options.camera, options.console
+    with OutputGuard(console) as claims:
+        claims.protect(*(camera_files(camera) if camera else ()))
+        claims.claim_file(output, options.force, recipe=True)
+        known = load_camera(camera) if camera else None
+        listing = list_captures(folder)
+        if is_dry() or is_noting():
+            contents = counted(len(listing.frames), "frame") if listing.frames else counted(len(listing.tables), "table")
+            inputs = {
+                "frames": [folder / name for name in listing.frames],
+                "tables": [folder / name for name in listing.tables],
+            }
+            before_work(inputs, Made(output, f"draft of a measurement file of {contents}"))
+        notes, name = list[str](), folder.absolute().name
+        if not listing.frames and (tables := spectra_of(listing, output, notes)):
+            text, contents = compose_tables(tables, known, name, notes), f"{counted(len(tables), 'table')}, no frames"
+        else:
+            notes = list(listing.notes)
+            reading = Reading(lambda path: read_capture(folder / path), array_of, console.progress)
+            seen = survey(listing, spectra_of(listing, output, notes), notes, known, reading)
+
+            def read(path: str) -> NDArray[np.float64]:
+                return reading.read(path).values.astype(np.float64)
+
+            text, notes = compose(seen, known, name, named_from(folder, output), read), seen.notes
+            contents = f"{len(seen.groups)} captures, {sum(len(group.frames) for group in seen.groups)} frames"
+        write_whole(output, str(text))
+        assumed = first_lines([f"assumed: {line}" for line in text.assumed], MOST_LINES, "… and {} more, marked ASSUMED")
+        missing = first_lines([f"missing: {line}" for line in text.missing], MOST_LINES, "… and {} more, marked TODO")
+        for line in (*notes, *assumed, *missing):
+            console.info(line)
+        written = f"{output}: {contents}"
+        problem = "" if text.missing else _problem(str(text), output)
+        if problem:
+            console.warn(f"l3 calibrate will not take it yet: {problem}")
+        then = "fill in what is marked TODO, then" if text.missing else "next"
+        console.info(written if problem else f"{written}; {then}: l3 calibrate {output} -o camera.h5")
+        return str(text)
+
+
+def _problem(text: str, output: Path) -> str:
+    """Return why calibration would refuse a draft in which nothing seems to be missing; "" if it would not, before any
+    frame."""
+    try:
+        measurements_of(parse_recipe(text, MeasurementRecipe, str(output)), output)
+    except L3Error as error:
+        return str(error)
+    return ""
+
+
+# ---------------------------------------------------------------------------------------------------- survey
+
+
+def named_from(path: Path, output: Path) -> str:
+    """Return the name of a path in a measurement file: relative to its folder, whole where that leads out of it."""
+    relative = os.path.relpath(path, output.parent)
+    return str(path.absolute()) if relative.startswith("..") else Path(relative).as_posix()
+
+
+def spectra_of(listing: CaptureFolder, output: Path, notes: list[str]) -> list[Spectra]:
+    """Return the tables of spectra of a folder in the natural order of their names; `notes` gets what is left out."""
+    tables = read_spectra(listing, notes)
+    spectra = [Spectra(named_from(listing.folder / name, output), read_name(name), table) for name, table in tables]
+    return sorted(spectra, key=lambda each: natural(each.name.path))

@@ -36,8 +36,7 @@ from l3cli.report.side_by_side import Side, shared_frame, side_by_side_section
 from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
 from l3cli.simulation.procedural import chart_places
-from l3cli.stages.checking.check import Judgement
-from l3cli.stages.checking.kinds import CAMERA
+from l3cli.stages.check import CAMERA, Judgement
 from l3cli.stages.evaluation import FrameRenderers, evaluate_frame, raw_of, warn_if_unlike
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256, write_whole

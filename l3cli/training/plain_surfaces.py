@@ -24,7 +24,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.chroma import chroma_centres
 from l3cli.physics import spectra
-from l3cli.physics.paint import LARGEST, SMALLEST, with_saturation, with_titanium_white
+from l3cli.physics.spectra import BLACKEST, WHITEST, with_saturation, with_titanium_white
 
 Array = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, Array]:
     """Reflectances of surfaces (surface, wavelength), and of painted greys."""
     grid = np.array(wavelength)
     paler = np.concatenate([with_saturation(spectra.reflectance_library(grid), each) for each in SATURATIONS])
-    paler = np.clip(paler, SMALLEST, LARGEST)
+    paler = np.clip(paler, BLACKEST, WHITEST)
     painted = [with_titanium_white(paler, grid, edge, width) for edge in EDGES for width in WIDTHS]
     greys = np.repeat(GREYS[:, None], grid.size, axis=1)
     whites = [with_titanium_white(greys, grid, edge, width) for edge in EDGES for width in WIDTHS]

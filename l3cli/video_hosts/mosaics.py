@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.api import Renderer
 from l3cli.errors import RecipeError
-from l3cli.frames.camera_file import CameraFile, correction_in
+from l3cli.frames.correction import CameraFile, correction_in
 from l3cli.frames.frame import RawFrame
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.files import RawOverrides, frame_of

@@ -20,8 +20,7 @@ from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.lab import LabRecipe, plan
 from l3cli.simulation.light import automatic_exposure, make_light
 from l3cli.simulation.recipe import SceneRecipe
-from l3cli.stages.checking.check import judge
-from l3cli.stages.checking.kinds import KINDS, names
+from l3cli.stages.check import KINDS, judge, names
 from l3cli.stages.simulation.preparation import fitting, prepare
 from l3cli.system.console import Silent
 from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning

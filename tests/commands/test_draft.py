@@ -13,8 +13,8 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.calibration.draft import sorting
-from l3cli.charts.locate import locate
 from l3cli.cli import run
+from l3cli.frames.chart import locate
 from l3cli.io.curves import write_curves
 from l3cli.io.frames import read_capture
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng

@@ -167,8 +167,7 @@ def test_pictures_that_do_not_fit_are_left_out_if_asked(
 
 def test_a_size_is_that_of_the_framed_scene(bayer: CameraModel, tmp_path: Path) -> None:
     from l3cli.frames.scene import Scene
-    from l3cli.simulation.framing import framed, framed_size
-    from l3cli.simulation.sources import Framing
+    from l3cli.simulation.sources import Framing, framed, framed_size
 
     scene = Scene("x", np.array([550.0]), np.zeros((31, 45, 1), np.float32), None)
     for text in ({}, {"crop": (1, 2, 20, 30)}, {"rotate": 90}, {"scale": 0.7}, {"scale": 9.0, "rotate": 270},

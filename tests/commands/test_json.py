@@ -14,7 +14,7 @@ import pytest
 from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as program
 from l3cli.recipes.schema import RESULTS
-from l3cli.stages.checking.kinds import OUTPUT, schema
+from l3cli.stages.check import OUTPUT, schema
 from tests.helpers.calls import L3
 
 jsonschema = pytest.importorskip("jsonschema")

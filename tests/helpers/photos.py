@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.calibration.photo import estimate
 from l3cli.calibration.photo.estimate import WAVELENGTH, Posterior, Shot
-from l3cli.charts.patches import corner_cells, homography, through
+from l3cli.frames.chart import corner_cells, homography, through
 from l3cli.io.curves import shipped_statistics
 from l3cli.physics import charts, spectra
 

@@ -13,9 +13,8 @@ from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.calibration import gain, noise, responsivity
-from l3cli.calibration.captures import Sensor, measure_charts, measure_sweep
+from l3cli.calibration.captures import Sensor, fit_series, measure_charts, measure_sweep
 from l3cli.calibration.model import from_data_sheet
-from l3cli.calibration.series import fit_series
 from l3cli.calibration.statistics import mean_value, measure_level, no_defects
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import (

@@ -21,8 +21,7 @@ from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.calibration.captures import corner_falloff, flat_field
 from l3cli.calibration.statistics import defect_counts, defect_map, joined_defects, outliers
 from l3cli.errors import InputFileError
-from l3cli.frames.camera_file import CameraFile
-from l3cli.frames.correction import NEIGHBOURS, Correction, HotTest, correction_of, plan_correction
+from l3cli.frames.correction import NEIGHBOURS, CameraFile, Correction, HotTest, correction_of, plan_correction
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.measurement import Body
 from l3cli.frames.shading import FRACTION, STEP, clipped_from, colour_corrected, shading_of

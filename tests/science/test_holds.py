@@ -15,7 +15,7 @@ from l3cli.artifacts.training_set import open_training_set
 from l3cli.errors import InputFileError
 from l3cli.evaluation.comparison import Curve, clipping, crossings, curve_of, require_comparable, verdict
 from l3cli.frames.frame import RawFrame
-from l3cli.physics import paint, spectra
+from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.rendering.renderer import make_renderer
 from l3cli.simulation import reflectances
@@ -126,7 +126,7 @@ def test_titanium_white_darkens_the_violet_only() -> None:
     for seed in range(20):
         grey = np.full(wavelength.size, 0.05 + 0.045 * seed)
         rng = np.random.default_rng(seed)
-        painted = paint.with_titanium_white(grey, wavelength, rng.uniform(0.05, 0.8), rng.uniform(5.0, 11.0))
+        painted = spectra.with_titanium_white(grey, wavelength, rng.uniform(0.05, 0.8), rng.uniform(5.0, 11.0))
         assert (painted <= grey + 1e-12).all()
         assert (np.diff(painted) > -1e-12).all()
         assert painted[wavelength > 500] == pytest.approx(grey[wavelength > 500], rel=0.02)

@@ -15,10 +15,10 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.fit import PhotoFit
 from l3cli.artifacts.store import load
-from l3cli.calibration.photo import lights
+from l3cli.calibration.photo import estimate as estimation
 from l3cli.calibration.photo.estimate import WAVELENGTH, Posterior, Prior, camera_prior, estimate, smooth, terms
-from l3cli.charts import locate, patches
-from l3cli.charts.patches import corner_cells, homography, through
+from l3cli.frames import chart
+from l3cli.frames.chart import corner_cells, homography, through
 from l3cli.io.curves import shipped_statistics
 from l3cli.io.images import read_image
 from l3cli.physics import charts, spectra
@@ -101,7 +101,7 @@ def test_the_light_that_is_advised_helps_more_than_more_of_the_same(prior: Prior
     shot = photos.shot(camera, "D65", np.random.default_rng(1))
     posterior = estimate([shot], prior)
     candidates = {name: spectra.illuminant(name, WAVELENGTH) for name in ("D65", "A", "F11", "D50")}
-    best, remaining = lights.next_light(shot, posterior, candidates, list(candidates.values()), SURFACES)
+    best, remaining = estimation.next_light(shot, posterior, candidates, list(candidates.values()), SURFACES)
     assert best in ("A", "F11")
     assert 0.2 < remaining < 0.95
 
@@ -121,21 +121,21 @@ def test_a_wrong_light_is_noticed_and_the_right_one_not(prior: Prior, true: str,
     for seed in range(2):
         camera, rng = photos.drawn(seed), np.random.default_rng(seed)
         wrong = photos.shot(camera, true, rng, uneven=0.2, named=named)
-        assert lights.compare([wrong], 0, prior, candidates)[1] > lights.NOTICED
+        assert estimation.compare([wrong], 0, prior, candidates)[1] > estimation.NOTICED
         right = photos.shot(camera, true, rng, uneven=0.2)
-        assert lights.compare([right], 0, prior, candidates)[1] <= lights.NOTICED
+        assert estimation.compare([right], 0, prior, candidates)[1] <= estimation.NOTICED
 
 
 def test_a_light_that_is_only_guessed_widens_the_band(prior: Prior) -> None:
     candidates = {name: spectra.illuminant(name, WAVELENGTH) for name in ("A", "D50", "D55", "D65", "D75", "F11")}
     camera = photos.drawn(6)
     shot = photos.shot(camera, "D55", np.random.default_rng(6))
-    likely = lights.probabilities([shot], 0, prior, candidates)
+    likely = estimation.probabilities([shot], 0, prior, candidates)
     assert sum(likely.values()) == pytest.approx(1.0)
     assert likely["A"] + likely["F11"] < 0.01
     guessed = replace(shot, light=candidates[max(likely, key=lambda name: likely[name])])
     known = estimate([guessed], prior)
-    unsure = lights.unsure_of_light(known, [guessed], 0, prior, candidates)
+    unsure = estimation.unsure_of_light(known, [guessed], 0, prior, candidates)
     assert (np.diag(unsure.covariance) >= np.diag(known.covariance)).all()
     assert np.diag(unsure.covariance).mean() > 1.1 * np.diag(known.covariance).mean()
 
@@ -174,7 +174,7 @@ def test_the_table_is_that_of_the_measured_cameras() -> None:
 @pytest.mark.parametrize("turns", [0, 3])
 def test_a_chart_is_found_however_it_lies(turns: int) -> None:
     mosaic = photograph(UPRIGHT, np.random.default_rng(0), turns=turns)
-    located = locate.locate(mosaic, BAYER, REFLECTANCE, GRID)
+    located = chart.locate(mosaic, BAYER, REFLECTANCE, GRID)
     assert located is not None
     corners = through(located.to_pixels, corner_cells(*GRID))
     col, row = UPRIGHT.T
@@ -184,15 +184,15 @@ def test_a_chart_is_found_however_it_lies(turns: int) -> None:
 
 def test_a_picture_without_a_chart_has_none() -> None:
     far = UPRIGHT + 5000
-    assert locate.locate(photograph(far, np.random.default_rng(1)), BAYER, REFLECTANCE, GRID) is None
+    assert chart.locate(photograph(far, np.random.default_rng(1)), BAYER, REFLECTANCE, GRID) is None
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 500), (8, 8), (10, 2000)])
 def test_a_picture_of_a_few_pixels_has_none(shape: tuple[int, int]) -> None:
     mosaic = np.random.default_rng(1).uniform(0, 1000, shape)
-    assert locate.locate(mosaic, BAYER, REFLECTANCE, GRID) is None
+    assert chart.locate(mosaic, BAYER, REFLECTANCE, GRID) is None
     with np.errstate(all="raise"):
-        assert locate.locate(np.zeros((80, 90)), BAYER, REFLECTANCE, GRID) is None
+        assert chart.locate(np.zeros((80, 90)), BAYER, REFLECTANCE, GRID) is None
 
 
 def test_values_next_to_dust_and_clipping_and_the_noise_of_one_shot() -> None:
@@ -202,11 +202,11 @@ def test_values_next_to_dust_and_clipping_and_the_noise_of_one_shot() -> None:
     to_pixels = homography(corner_cells(*GRID), UPRIGHT)
     row, col = 190, 215  # in patch 1
     mosaic[row : row + 4, col : col + 5] = 2900.0
-    values = patches.patch_values([mosaic], BAYER, to_pixels, GRID, saturation=2950.0)
-    truth = patches.patch_values([clean], BAYER, to_pixels, GRID, saturation=1e9)
+    values = chart.patch_values([mosaic], BAYER, to_pixels, GRID, saturation=2950.0)
+    truth = chart.patch_values([clean], BAYER, to_pixels, GRID, saturation=1e9)
     np.testing.assert_allclose(values.mean, truth.mean, rtol=0.02, atol=3)
     assert {(patch, why) for patch, _, why in values.left_out} == {(18, "clipped")}
-    transfer = patches.photon_transfer([truth])
+    transfer = chart.photon_transfer([truth])
     assert transfer is not None
     assert transfer[0] == pytest.approx(GAIN, rel=0.1)
     assert transfer[1] == pytest.approx(READ, rel=0.5)
@@ -219,7 +219,7 @@ def test_two_frames_give_the_noise_without_the_pattern() -> None:
     rng = np.random.default_rng(5)
     noisy = [np.rint(scene * pattern + READ * rng.standard_normal(scene.shape)) for _ in range(2)]
     to_pixels = homography(corner_cells(*GRID), UPRIGHT)
-    two = patches.patch_values(noisy, BAYER, to_pixels, GRID, saturation=1e9)
+    two = chart.patch_values(noisy, BAYER, to_pixels, GRID, saturation=1e9)
     np.testing.assert_allclose(np.median(two.variance), READ**2, rtol=0.15)
 
 
@@ -227,7 +227,7 @@ def test_too_small_a_chart_is_refused() -> None:
     mosaic = photograph(UPRIGHT, np.random.default_rng(6))
     tiny = homography(corner_cells(*GRID), 300 + (UPRIGHT - 300) / 20)
     with pytest.raises(ValueError, match="pixels of channel"):
-        patches.patch_values([mosaic], BAYER, tiny, GRID, saturation=1e9)
+        chart.patch_values([mosaic], BAYER, tiny, GRID, saturation=1e9)
 
 
 # Charts of paints, plastics and textiles under the photo's light, and what they are under daylight.

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from l3cli.calibration.photo import lights
-from l3cli.calibration.photo.estimate import WAVELENGTH, Prior, camera_prior, estimate, statistics
+from l3cli.calibration.photo.estimate import NOTICED, WAVELENGTH, Prior, camera_prior, compare, estimate, statistics
 from l3cli.calibration.photo.responsivity import ColourMatrix, curves_of_matrices, usual_curves
 from l3cli.frames.measurement import FinishedCurves
 from l3cli.io.curves import prior_files, read_cameras, read_finished
@@ -183,7 +182,7 @@ def test_a_wrong_light_is_noticed(cameras: list[Camera]) -> None:
             shot = photos.shot(
                 camera.responsivity, true, np.random.default_rng(index), noise=NOISE, glare=0.02, uneven=0.2, named=named
             )
-            (right if true == named else wrong).append(lights.compare([shot], 0, prior, candidates)[1] > lights.NOTICED)
+            (right if true == named else wrong).append(compare([shot], 0, prior, candidates)[1] > NOTICED)
     print(f"noticed {100 * np.mean(wrong):.1f} % of {len(wrong)}, false alarms {100 * np.mean(right):.1f} % of {len(right)}")
     assert np.mean(wrong) >= 0.9
     assert np.mean(right) <= 0.05

@@ -18,7 +18,7 @@ FLOORS = [
     {"errors", "system", "recipes"},
     {"physics"},
     {"artifacts", "spectra", "frames"},
-    {"classes", "charts"},
+    {"classes"},
     {"calibration", "simulation", "training", "rendering", "evaluation", "report", "io", "parallel"},
     {"export"},
     {"options"},
@@ -48,11 +48,11 @@ DOORS = {
     "gi": ("video_hosts/gstreamer.py", "video_hosts/plugins/"),
 }
 BUDGET = {  # at most; a change that lowers a number lowers it here, towards the goal behind it
-    "lines of l3cli": 48_268,  # 41 000
-    "lines of l3cli/stages": 5_397,  # 5 500
-    "lines of l3cli/cli": 1_583,  # 1 700
+    "lines of l3cli": 48_184,  # 41 000
+    "lines of l3cli/stages": 5_378,  # 5 500
+    "lines of l3cli/cli": 1_581,  # 1 700
     "lines of tests": 36_495,  # 32 000
-    "modules": 312,  # 290
+    "modules": 297,  # 290
     "modules in the root": 3,
     "lines of the longest module": 500,
     "modules of less than 60 lines with one importer": 1,  # 0

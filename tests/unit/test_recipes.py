@@ -34,7 +34,7 @@ from l3cli.recipes.toml import (
 from l3cli.simulation.lab import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.spectra.file import read_table
-from l3cli.stages.checking.kinds import KINDS, kind_of, schema
+from l3cli.stages.check import KINDS, kind_of, schema
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera

@@ -11,7 +11,7 @@ from l3cli.frames.scene import Scene, shown_alike
 from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.io.scenes.rgb import read as read_rgb_picture
-from l3cli.physics import paint, spectra
+from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ, srgb_curve
 from l3cli.simulation import light, procedural, reflectances
 from tests.helpers.calls import L3, Refused
@@ -190,8 +190,8 @@ def test_every_material_is_a_smooth_reflectance() -> None:
     for kind in reflectances.KINDS:
         drawn = np.array([reflectances._material(rng, of, kind, 1.0) for _ in range(200)])
         assert drawn.shape == (200, WAVELENGTH.size)
-        assert drawn.min() >= paint.SMALLEST
-        assert drawn.max() <= paint.LARGEST
+        assert drawn.min() >= spectra.BLACKEST
+        assert drawn.max() <= spectra.WHITEST
         assert np.median(abs(np.diff(drawn, n=2)).max(axis=1)) < 0.12, kind
 
 
@@ -244,8 +244,8 @@ def test_drawn_scenes_keep_their_bytes() -> None:
 
 def test_saturation_zero_is_grey_and_one_changes_nothing() -> None:
     sample = np.linspace(0.1, 0.9, 31)
-    assert np.allclose(paint.with_saturation(sample, 1.0), sample)
-    assert np.ptp(paint.with_saturation(sample, 0.0)) < 1e-12
+    assert np.allclose(spectra.with_saturation(sample, 1.0), sample)
+    assert np.ptp(spectra.with_saturation(sample, 0.0)) < 1e-12
 
 
 def test_no_colorchecker_among_the_training_reflectances() -> None:

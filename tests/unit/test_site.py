@@ -15,7 +15,7 @@ import pytest
 
 from l3cli.cli import COMMANDS, l3
 from l3cli.recipes.toml import Recipe
-from l3cli.stages.checking.kinds import KINDS
+from l3cli.stages.check import KINDS
 from tests.helpers.paths import ROOT
 
 SITE = ROOT / "docs/site"

@@ -15,8 +15,8 @@ from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.physics import spectra
 from l3cli.physics.display import lab
 from l3cli.simulation import procedural, sources
-from l3cli.simulation.framing import framed
 from l3cli.simulation.procedural import draw
+from l3cli.simulation.sources import framed
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cubes import WAVELENGTH, a_cube, basis_file
 

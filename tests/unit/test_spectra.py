@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.calibration import responsivity, series
+from l3cli.calibration import captures, responsivity
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import BandCapture
 from l3cli.frames.scene import Scene, SpectralCube
@@ -225,7 +225,7 @@ def test_a_bands_centre_does_not_depend_on_where_it_was_sampled_most() -> None:
     grid = np.concatenate([np.arange(500.0, 550.0, 0.5), np.arange(550.0, 601.0, 5.0)])
     shape = np.maximum(0.0, 1.0 - np.abs(grid - 550.0) / 40.0) * np.ones((24, 1))
     capture = BandCapture("b", 1.0, [], "filter", np.zeros((4, 2)), grid, shape)
-    assert series.band_centre(capture) == pytest.approx(550.0, abs=1.0)
+    assert captures.band_centre(capture) == pytest.approx(550.0, abs=1.0)
 
 
 # ----------------------------------------------------------------------------------------------------------- files

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, PITCH_UM, CfaRecipe
 from l3cli.calibration.draft import sorting
-from l3cli.calibration.draft.matching import (
+from l3cli.calibration.draft.sorting import (
+    Group,
+    Scale,
     Spectra,
     columns_of,
     match_charts,
@@ -21,7 +23,6 @@ from l3cli.calibration.draft.matching import (
     radiances,
     unknown_unit,
 )
-from l3cli.calibration.draft.sorting import Group, Scale
 from l3cli.errors import listed
 from l3cli.recipes.toml import toml_value
 from l3cli.spectra.table import CurveTable

@@ -11,7 +11,6 @@ from l3cli.artifacts.camera import Noise
 from l3cli.artifacts.fit import PhotoFit
 from l3cli.calibration import noise
 from l3cli.calibration.photo import estimate as priors
-from l3cli.calibration.photo import lights
 from l3cli.calibration.photo.estimate import (
     FLOOR,
     ROLES,
@@ -26,9 +25,19 @@ from l3cli.calibration.photo.estimate import (
     turned,
 )
 from l3cli.calibration.responsivity import BAND_FLOOR, COVERAGE, Curves
-from l3cli.charts import locate, patches
-from l3cli.charts.patches import PatchValues, corner_cells, homography, through
 from l3cli.errors import InputFileError
+from l3cli.frames.chart import (
+    LEAST_FIT,
+    PatchValues,
+    components,
+    corner_cells,
+    fit,
+    homography,
+    locate,
+    patch_values,
+    photon_transfer,
+    through,
+)
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.measurement import Body, CurveStatistics, Measurements, PhotoCapture, SensorFigures
 from l3cli.physics import spectra
@@ -73,7 +82,7 @@ def measure(capture: PhotoCapture, body: Body) -> Photograph:
     to_pixels = _geometry(capture, np.mean(mosaics, axis=0), cfa, reflectance)
     saturation = noise.SATURATED * (frame.white_level - black)
     try:
-        values = patches.patch_values(mosaics, cfa, to_pixels, chart.grid, saturation)
+        values = patch_values(mosaics, cfa, to_pixels, chart.grid, saturation)
     except ValueError as error:
         raise InputFileError(f"{capture.name}: {error}; the chart is too small or its corners are wrong") from error
     _check(capture, values, body, reflectance)
@@ -107,7 +116,7 @@ def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], refl
     """Return the homography (3, 3) from the chart's cells to pixels."""
     rows, cols = capture.chart.grid
     if capture.corners is None:
-        located = locate.locate(mosaic, cfa, reflectance, capture.chart.grid)
+        located = locate(mosaic, cfa, reflectance, capture.chart.grid)
         if located is None:
             raise InputFileError(
                 f"{capture.name}: no chart of {rows}×{cols} patches is found in it; give its corners, in a measurement "
@@ -142,7 +151,7 @@ def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: 
             raise InputFileError(
                 f"{capture.name}: channel {name} sees nothing of the chart; expose longer, or check black level"
             )
-    if capture.corners is not None and locate.fit(values.mean, locate.components(reflectance)) < locate.LEAST_FIT / 2:
+    if capture.corners is not None and fit(values.mean, components(reflectance)) < LEAST_FIT / 2:
         raise InputFileError(
             f"{capture.name}: the patches at the given corners are not those of the chart; give col, row of the outer "
             "corners of patches 1, 6, 24 and 19 in this order"
@@ -159,7 +168,7 @@ def _over_white(
 ) -> Array:
     """Return the light (patch, channel) at each patch over its mean, from an even white in the chart's place."""
     mosaics = [white.values.astype(np.float64) - black for white in whites]
-    values = patches.patch_values(mosaics, cfa, to_pixels, grid, saturation)
+    values = patch_values(mosaics, cfa, to_pixels, grid, saturation)
     if not values.used.all() or values.mean.min() <= 0:
         raise InputFileError(
             f"{whites[0].name}: the white shot is clipped, dark or not plain where the chart lies; take it again"
@@ -178,11 +187,11 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
     posterior, shots, far = _without_far_ones(shots, prior)
     for index, photo in enumerate(photographs):
         if photo.capture.light is None:
-            posterior = lights.unsure_of_light(posterior, shots, index, prior, candidates())
-    comparisons = [lights.compare(shots, index, prior, candidates()) for index in range(len(shots))]
+            posterior = priors.unsure_of_light(posterior, shots, index, prior, candidates())
+    comparisons = [priors.compare(shots, index, prior, candidates()) for index in range(len(shots))]
     judged = [candidates()[name] for name in JUDGED_UNDER]
-    errors = [lights.response_errors(posterior.responsivity, posterior.covariance, light, _surfaces()) for light in judged]
-    next_light, remaining = lights.next_light(shots[0], posterior, candidates(), judged, _surfaces())
+    errors = [priors.response_errors(posterior.responsivity, posterior.covariance, light, _surfaces()) for light in judged]
+    next_light, remaining = priors.next_light(shots[0], posterior, candidates(), judged, _surfaces())
     guessed = [photo.capture.light is None for photo in photographs]
     names = {id(light): name for name, light in candidates().items()}  # a guessed light is one of these
     named = [photo.capture.light or names[id(shot.light)] for photo, shot in zip(photographs, shots, strict=True)]
@@ -243,7 +252,7 @@ def _prior_and_lights(photographs: Sequence[Photograph], measurements: Measureme
     for prior in _priors(measurements):
         ours = list(shots)
         for index in unknown:
-            likely = lights.probabilities([ours[index]], 0, prior, candidates())
+            likely = priors.probabilities([ours[index]], 0, prior, candidates())
             ours[index] = replace(ours[index], light=candidates()[max(likely, key=lambda name: likely[name])])
         # Curves are not to be blamed for a light that is named wrongly: the first shot may be under any.
         others = [[replace(ours[0], light=light), *ours[1:]] for light in candidates().values()]
@@ -315,7 +324,7 @@ def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tu
         return replace(measurements.datasheet, black_level=first.black_level, white_level=first.white_level), False
     if first.white_level > 2**measurements.body.bits - 1:
         raise InputFileError(f"{first.capture.name} has the white level {first.white_level:g}; correct sensor.bits")
-    transfer = patches.photon_transfer([photo.values for photo in photographs])
+    transfer = photon_transfer([photo.values for photo in photographs])
     if transfer is None:
         raise InputFileError(
             f"{first.capture.name}: its noise does not grow with the signal as a sensor's does; is it a raw file as the "

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.charts.patches import corner_cells, through
 from l3cli.errors import InputFileError
+from l3cli.frames.chart import corner_cells, through
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.physics import charts
 from l3cli.rendering.white.grey import Grey
 from l3cli.rendering.white.scene_white import SceneWhite, Whites
 
 if TYPE_CHECKING:
-    from l3cli.charts.locate import Located
+    from l3cli.frames.chart import Located
 
 NEUTRALS = range(18, 24)  # patches, from white to black
 CORE = 0.25  # half the side of the square of a patch that is measured, in patches: their frames stay out
@@ -46,7 +46,7 @@ class ChartWhite:
 
     def white(self, frame: RawFrame) -> ChartSceneWhite:
         """The white of a frame; InputFileError if there is no chart in it, or no grey of one can be measured."""
-        from l3cli.charts.locate import locate
+        from l3cli.frames.chart import locate
 
         table, (rows, cols) = self._table, charts.CLASSIC
         mosaic = frame.shading_corrected().values - (frame.black_level + frame.dark)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, L3Error
-from l3cli.frames.camera_file import CameraFile, correction_again
+from l3cli.frames.correction import CameraFile, correction_again
 from l3cli.frames.frame import RawFrame, upright
 from l3cli.io.pictures.dng import raw_values
 from l3cli.io.pictures.registry import BY_SUFFIX, Label, Picture, picture_file

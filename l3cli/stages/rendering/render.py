@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError, suggestion
-from l3cli.frames.camera_file import CameraFile, correction_in, hot_test
+from l3cli.frames.correction import CameraFile, correction_in, hot_test
 from l3cli.frames.frame import RawFrame
 from l3cli.io.pictures.dng import MOSAICS
 from l3cli.io.sequences import FrameSequence, find_frames, read_dark

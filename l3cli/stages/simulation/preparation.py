@@ -16,9 +16,9 @@ from l3cli.io.scenes.registry import format_of, is_folder
 from l3cli.recipes.toml import read_text
 from l3cli.simulation import recipe as asked
 from l3cli.simulation import sources
+from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.light import SCENE_LIGHT, column_names, make_light, make_target, read_curve, recorded_under
 from l3cli.simulation.recipe import SceneRecipe
-from l3cli.simulation.run import SimulationRun
 from l3cli.simulation.sensor import noise_plugin
 from l3cli.simulation.sources import FileSource, name_of
 from l3cli.system.console import Console
@@ -40,7 +40,7 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
     from l3cli.frames.scene import ChannelPicture
     from l3cli.simulation import procedural
     from l3cli.simulation.clip import clip_of
-    from l3cli.simulation.framing import framed
+    from l3cli.simulation.sources import framed
 
     scene: Scene | ChannelPicture
     if wanted.path is None:
@@ -127,7 +127,7 @@ def _check_size(wanted: sources.WantedScene, run: SimulationRun) -> None:
 
 def size_of(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
     """(rows, cols) of a scene as it lies on the sensor, of a file by its header; errors as of `refusals`."""
-    from l3cli.simulation.framing import framed_size
+    from l3cli.simulation.sources import framed_size
 
     source = wanted.source
     size = source.size if isinstance(source, sources.Synthetic) else _file_size(wanted, run)

@@ -12,8 +12,8 @@ from l3cli.io.file_names import IDEAL, MOTION, RAW
 from l3cli.options.pipeline import SimulateOptions
 from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
+from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.recipe import SceneRecipe, shots
-from l3cli.simulation.run import SimulationRun
 from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
 from l3cli.stages.simulation.units import (
     StoredFrames,

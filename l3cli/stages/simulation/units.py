@@ -20,8 +20,8 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.parallel import WorkerPool
 from l3cli.parallel.cluster import scratch_folder
 from l3cli.simulation import sources
+from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.recipe import Pair, Shot
-from l3cli.simulation.run import SimulationRun
 from l3cli.stages.simulation.preparation import files_of, scene_over_time
 from l3cli.system.checkpoint import Checkpoint, key_in
 from l3cli.system.files import is_ours, refuse_protected, require_same, sweep, write_whole

@@ -1,25 +1,118 @@
-"""Stage of `l3 check`: find the recipes that are meant, judge each, and list every fault with its line."""
+"""Stage of `l3 check`: find the recipes that are meant and their kinds, judge each, and list every fault with its line; and
+the JSON schema of each kind."""
 
 import itertools
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
+
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, load_camera
+from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
-from l3cli.recipes.builtin import known_benchmarks
+from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
+from l3cli.recipes.builtin import known_benchmarks, known_recipes
 from l3cli.recipes.faults import LISTED, Fault, about_others, typed
-from l3cli.recipes.toml import KeyPath, key_lines, line_of, parse_toml, read_text
+from l3cli.recipes.schema import output_schema, schema_of
+from l3cli.recipes.toml import TELLING, KeyPath, Recipe, key_lines, line_of, parse_toml, read_text
+from l3cli.simulation.lab import LabRecipe
+from l3cli.simulation.recipe import SceneRecipe
 from l3cli.simulation.summary import camera_lines, lab_lines, scene_lines
-from l3cli.stages.checking import measurements, recipes
-from l3cli.stages.checking.kinds import CAMERA, KINDS, Kind, kind_of, names
-from l3cli.stages.checking.recipes import Meaning, Source, files_named, key_in
+from l3cli.stages.recipes import (
+    Meaning,
+    Source,
+    camera_meaning,
+    camera_recipe_faults,
+    class_meaning,
+    class_recipe_faults,
+    files_named,
+    key_in,
+    lab_meaning,
+    lab_recipe_faults,
+    measurement_faults,
+    measurement_lines,
+    measurement_meaning,
+    scene_meaning,
+    scene_recipe_faults,
+)
 from l3cli.system.ledger import note_inputs
+from l3cli.training.recipe import TrainingRecipe
 from l3cli.training.summary import class_lines
+
+
+class Kind(NamedTuple):
+    """Kind of a recipe."""
+
+    name: str
+    recipes: tuple[type[Recipe], ...]  # the structures that it may have
+    folder: str | None  # of configs/
+
+    @property
+    def title(self) -> str:
+        return self.recipes[0].title
+
+    def structure(self, content: Mapping[str, Any]) -> type[Recipe]:
+        """Return the structure of a file of this kind."""
+        return self.recipes[-1] if "base" in content else self.recipes[0]
+
+
+CAMERA = "camera"
+BASED = {"a camera recipe": ("base", "phase"), "a measurement file": ("dark", "white")}  # that tell a file with a base
+KINDS = {
+    kind.name: kind
+    for kind in (
+        Kind(CAMERA, (CameraRecipe, PhaseRecipe), "cameras"),
+        Kind("lab", (LabRecipe,), "lab"),
+        Kind("scenes", (SceneRecipe,), "scenes"),
+        Kind("classes", (TrainingRecipe,), "classes"),
+        Kind("measurements", (MeasurementRecipe, CorrectionRecipe), None),
+    )
+}
+FEATURES = {"ClassRecipe": tuple(feature.Options for feature in (level, contrast, saturation, chroma))}
+OUTPUT = "output"
+
+
+def kind_of(content: Mapping[str, Any]) -> Kind | None:
+    """Return the kind that has most of a file's keys and tables, those counting most that no other kind has; None where two
+    have equally many."""
+    ranked = sorted(KINDS.values(), key=lambda kind: _likeness(content, kind), reverse=True)
+    best, second = (_likeness(content, kind) for kind in ranked[:2])
+    return ranked[0] if best > second else None
+
+
+def _likeness(content: Mapping[str, Any], kind: Kind) -> tuple[int, int]:
+    based = BASED.get(kind.title, ()) if "base" in content or kind.name == CAMERA else ()
+    telling = sum(key in content for key in (*TELLING[kind.title], *based))
+    fields = {field.encode_name: field for field in msgspec.structs.fields(kind.structure(content))}
+    return telling, sum(_fits(fields[key], value) for key, value in content.items() if key in fields)
+
+
+def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
+    """Return whether a table is where one belongs, and a list where one does."""
+    try:
+        msgspec.convert(value, field.type)
+    except msgspec.ValidationError as error:
+        return " - at " in str(error) or "missing" in str(error) or "unknown" in str(error)
+    return True
+
+
+def names() -> dict[str, list[tuple[Kind, Path]]]:
+    """Return every recipe that comes with l3, by name: its kind and file; several kinds may have one of a name."""
+    known: dict[str, list[tuple[Kind, Path]]] = {}
+    for kind in KINDS.values():
+        for name, path in (known_recipes(kind.folder) if kind.folder else {}).items():
+            known.setdefault(name, []).append((kind, path))
+    return known
+
+
+def schema(kind: str) -> dict[str, Any]:
+    """Return the JSON schema of a kind of recipe, or of the JSON that commands print (OUTPUT)."""
+    return output_schema() if kind == OUTPUT else schema_of(KINDS[kind].recipes, KINDS[kind].title, FEATURES)
 
 
 class Judge(NamedTuple):
@@ -31,11 +124,11 @@ class Judge(NamedTuple):
 
 
 JUDGES = {
-    CAMERA: Judge(recipes.camera_recipe_faults, recipes.camera_meaning, camera_lines),
-    "lab": Judge(recipes.lab_recipe_faults, recipes.lab_meaning, lab_lines),
-    "scenes": Judge(recipes.scene_recipe_faults, recipes.scene_meaning, scene_lines),
-    "classes": Judge(recipes.class_recipe_faults, recipes.class_meaning, class_lines),
-    "measurements": Judge(measurements.faults, measurements.meaning, measurements.lines),
+    CAMERA: Judge(camera_recipe_faults, camera_meaning, camera_lines),
+    "lab": Judge(lab_recipe_faults, lab_meaning, lab_lines),
+    "scenes": Judge(scene_recipe_faults, scene_meaning, scene_lines),
+    "classes": Judge(class_recipe_faults, class_meaning, class_lines),
+    "measurements": Judge(measurement_faults, measurement_meaning, measurement_lines),
 }
 INDENT = "  "
 ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")  # of a message: what differs between equal faults

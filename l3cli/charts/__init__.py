@@ -1,1 +1,0 @@
-"""A colour chart in a mosaic: found, and its patches measured."""

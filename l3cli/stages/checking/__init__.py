@@ -1,1 +1,0 @@
-"""Recipes checked before anything runs: all that is wrong with them, and what they mean."""
