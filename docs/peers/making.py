@@ -10,7 +10,7 @@ from pathlib import Path
 import provenance
 
 import l3cli
-from l3cli.options.tools import InitOptions
+from l3cli.options.commands import InitOptions
 from l3cli.recipes.builtin import find_recipe, known_benchmarks
 from l3cli.stages.starting import start
 

@@ -12,10 +12,20 @@ They raise the errors of `l3cli.errors`: RecipeError (a wrong call or recipe), I
 nothing unless they are given a `console` (`l3cli.system.console.Console`).
 """
 
-from l3cli.api.artifacts import load, load_camera, load_table, load_training_set, save
 from l3cli.api.figures import delta_e_2000, psnr, scielab, ssim
 from l3cli.api.frames import Renderer, read_raw
-from l3cli.api.stages import calibrate, evaluate, render, simulate, train
+from l3cli.api.stages import (
+    calibrate,
+    evaluate,
+    load,
+    load_camera,
+    load_table,
+    load_training_set,
+    render,
+    save,
+    simulate,
+    train,
+)
 from l3cli.errors import L3Error
 
 __all__ = [

@@ -7,7 +7,7 @@ import click
 from l3cli.cli import options as declared
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import show, show_table
-from l3cli.options.tools import BenchOptions
+from l3cli.options.commands import BenchOptions
 
 
 @click.command()

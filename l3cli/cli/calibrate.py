@@ -8,7 +8,7 @@ from l3cli.cli import options as declared
 from l3cli.cli import terminal
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import show
-from l3cli.options.pipeline import DraftOptions
+from l3cli.options.commands import DraftOptions
 
 
 @click.command()

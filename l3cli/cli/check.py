@@ -9,7 +9,7 @@ from l3cli.cli import terminal
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import show
 from l3cli.errors import InputFileError
-from l3cli.options.tools import CheckOptions
+from l3cli.options.commands import CheckOptions
 
 
 class AnyRecipe(declared.RecipeFile):

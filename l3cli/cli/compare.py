@@ -9,7 +9,7 @@ import click
 from l3cli.cli import options as declared
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import show, show_table, width
-from l3cli.options.tools import CompareOptions
+from l3cli.options.commands import CompareOptions
 from l3cli.system.text import printable
 
 if TYPE_CHECKING:

@@ -1,13 +1,21 @@
-"""l3 evaluate: a table's quality on frames with known targets."""
+"""l3 evaluate: a table's quality on frames with known targets, as tables on stdout."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
 from l3cli.cli import options as declared
+from l3cli.cli import terminal
 from l3cli.cli.results import Result
-from l3cli.options.pipeline import SequenceOptions
+from l3cli.cli.terminal import show, show_table
+from l3cli.options.commands import SequenceOptions
+from l3cli.physics.figures import FIGURES, figure_text
+from l3cli.system.text import figure as number
+
+if TYPE_CHECKING:
+    from l3cli.evaluation.sequence import SequenceFigures
 
 
 @click.command()
@@ -38,7 +46,6 @@ def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) 
         return _sequence(options.sequence, table, options)
     if table is None or frames is None or options.ideal is not None:
         raise click.UsageError("give TABLE.h5 and TRAINING.h5, or --sequence PICTURES with or without --ideal")
-    from l3cli.cli.quality_tables import print_tables
     from l3cli.stages.evaluation import evaluate as stage
 
     document = stage(table, frames, options)
@@ -51,8 +58,112 @@ def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> R
     for name in ("backend", "viewing", "force"):
         if click.get_current_context().get_parameter_source(name) is not ParameterSource.DEFAULT:
             raise click.UsageError(f"--{name} is for a table; leave it out with --sequence")
-    from l3cli.cli.quality_tables import print_sequence
     from l3cli.stages.evaluation import evaluate_sequence
 
     figures = evaluate_sequence(sequence, options)
     return Result(figures.document(), lambda: print_sequence(figures))
+
+
+WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
+LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
+BAND_FIGURES = ("psnr", "output_psnr", "ssim")
+
+
+def print_tables(document: dict[str, Any]) -> None:
+    """Frames, means, light levels, illuminants, classes and the worst of them; with the main figure of each baseline."""
+    width = terminal.width()
+    wide = width is None or width >= WIDE
+    figures = [figure for figure in document["frames"][0]["ours"] if wide or figure not in LESS_NEEDED]
+    baselines = document["pipelines"][1:]
+    main = [figures[0]] + [figure for figure in figures if figure == "psnr" and wide]
+    shown = [("ours", figure) for figure in figures] + [(baseline, figure) for baseline in baselines for figure in main]
+    named = [FIGURES[figure].short if owner == "ours" else f"{owner}\n{FIGURES[figure].short}" for owner, figure in shown]
+
+    def values(row: dict[str, Any]) -> list[str]:
+        return [figure_text(figure, row[owner][figure]) for owner, figure in shown]
+
+    rows = [[f["scene"], f["illuminant"], f"{f['level']:.3f}", *values(f)] for f in document["frames"]]
+    rows.append(["mean", "", "", *values(document["mean"])])
+    show_table([], ["scene", "light", "level", *named], rows)
+    levels = [[f"{g['from']:.3f}–{g['to']:.3f}", str(g["frames"]), *values(g)] for g in document["by_level"]]
+    show_table(["", "by light level"], ["level", "frames", *named], levels)
+    if len(document["by_illuminant"]) > 1:
+        lights = [[g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_illuminant"]]
+        show_table(["", "by illuminant"], ["light", "frames", *named], lights)
+    _print_patches(document)
+    _print_bands(document)
+    _print_classes(document, figures[0])
+    for baseline, counts in document["better"].items():
+        shares = ", ".join(f"{FIGURES[figure].short} {counts[figure]}" for figure in main)
+        show(f"better than {baseline} in so many of {len(document['frames'])} frames: {shares}")
+
+
+def _print_patches(document: dict[str, Any]) -> None:
+    """Blotches in plain patches, by their kind and the level of their frames."""
+    named = ["level", "kind", "patches", *(f"{owner}\nmottle" for owner in document["pipelines"])]
+    rows = [
+        [f"{e['from']:.3f}–{e['to']:.3f}", e["kind"], str(e["patches"])]
+        + [figure_text("mottle", e[owner]["mottle"]) for owner in document["pipelines"]]
+        for e in document["by_patch"]
+    ]
+    if rows:
+        show_table(["", "mottle of plain patches"], named, rows)
+
+
+def _print_bands(document: dict[str, Any]) -> None:
+    """Outputs that are not XYZ, one by one."""
+    if not document["by_band"]:
+        return
+    owners = document["pipelines"]
+    shown = [("ours", figure) for figure in BAND_FIGURES] + [(owner, "psnr") for owner in owners[1:]]
+    named = [FIGURES[figure].short if owner == "ours" else f"{owner}\n{FIGURES[figure].short}" for owner, figure in shown]
+    rows = [[e["band"], *(figure_text(figure, e[owner][figure]) for owner, figure in shown)] for e in document["by_band"]]
+    show_table(["", "by band"], ["band", *named], rows)
+
+
+def _print_classes(document: dict[str, Any], figure: str) -> None:
+    from l3cli.classes.names import further_headings, heading
+
+    owners = document["pipelines"]
+    named = ["class", "pixels", *(f"{owner}\n{FIGURES[figure].short}" for owner in owners)]
+
+    def row(name: str, entry: dict[str, Any]) -> list[str]:
+        return [name, str(entry["pixels"]), *(figure_text(figure, entry[owner][figure]) for owner in owners)]
+
+    for axis, entries in document["by_class"].items():
+        if len(entries) > 1:
+            show_table(["", f"by class: {axis}"], named, [row(heading(axis, entry), entry) for entry in entries])
+    worst = []
+    for entry in document["worst_classes"]:
+        kind = f"case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
+        parts = [heading("level", entry), f"contrast {entry['contrast']}", *further_headings(entry), kind]
+        worst.append(row(" · ".join(parts), entry))
+    show_table(["", "worst classes"], named, worst)
+
+
+def print_sequence(figures: "SequenceFigures") -> None:
+    """Frames of a sequence one by one, and figures of the whole."""
+    named = ["frame", "mean L*", "jump", "step σ", "warped\nerror", "PSNR dB", "ΔE00 mean"]
+    rows = [
+        [
+            str(each.frame),
+            *(_known(value) for value in (each.mean_lightness, each.jump, each.step_sigma)),
+            *(_known(value) for value in (each.warped_error, each.psnr, each.mean_delta_e)),
+        ]
+        for each in figures.frames
+    ]
+    whole = [
+        ["temporal σ of L*, still patches", _known(figures.temporal_sigma)],
+        ["… of the patches' means", _known(figures.patch_sigma)],
+        ["share of still patches", f"{figures.still_share:.1%}"],
+        [f"largest jump of mean L* (frame {figures.largest_jump_frame})", _known(figures.largest_jump)],
+        [f"warped error of L* ({figures.motion or 'no'} motion)", _known(figures.warped_error)],
+        ["PSNR dB", _known(figures.psnr)],
+        ["ΔE00 mean", _known(figures.mean_delta_e)],
+    ]
+    show_table([], named, rows)
+    show_table([""], ["whole sequence", ""], whole)
+
+
+def _known(value: float | None) -> str:
+    return "–" if value is None else number(value, ".3f")

@@ -9,8 +9,8 @@ from l3cli.cli import terminal
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import show
 from l3cli.errors import RecipeError
+from l3cli.options.commands import ExportOptions
 from l3cli.options.option import declarations
-from l3cli.options.tools import ExportOptions
 
 
 @click.command()

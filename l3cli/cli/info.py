@@ -9,7 +9,7 @@ from l3cli.cli import options as declared
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import folded, show
 from l3cli.errors import InputFileError
-from l3cli.options.tools import InfoOptions
+from l3cli.options.commands import InfoOptions
 from l3cli.system.text import figure, printable
 
 if TYPE_CHECKING:

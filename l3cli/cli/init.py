@@ -9,7 +9,7 @@ from l3cli.cli import terminal
 from l3cli.cli.results import Result
 from l3cli.cli.terminal import show
 from l3cli.errors import suggestion
-from l3cli.options.tools import InitOptions
+from l3cli.options.commands import InitOptions
 
 
 def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:

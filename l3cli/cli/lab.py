@@ -6,7 +6,7 @@ import click
 
 from l3cli.cli import options as declared
 from l3cli.cli.results import Result
-from l3cli.options.tools import LabOptions
+from l3cli.options.commands import LabOptions
 
 
 @click.command()

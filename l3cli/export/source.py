@@ -34,7 +34,7 @@ from l3cli.physics.display import XYZ
 from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers
 from l3cli.rendering.reference import SPECTRA_DARKEST
-from l3cli.rendering.white.balance import WhiteBalance
+from l3cli.rendering.white.scene_white import WhiteBalance
 from l3cli.rendering.white.source import usual_balance
 from l3cli.system.text import printable
 

@@ -15,7 +15,7 @@ from l3cli.classes.decide import label_patches
 from l3cli.classes.windows import Integers, TapOrder, neighbourhoods, tap_order, window_channels
 from l3cli.frames.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import white_percentile
-from l3cli.rendering.white.balance import WhiteBalance, balanced_patches, followed_share
+from l3cli.rendering.white.scene_white import WhiteBalance, balanced_patches, followed_share
 
 GRID = (32, 48)  # rows and columns of pixels that are measured, at most
 

@@ -18,8 +18,7 @@ from l3cli.rendering.display import Display, adapted_display, linear_matrix, req
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
 from l3cli.rendering.renderer import Renderer
 from l3cli.rendering.temporal.chunks import Chunks
-from l3cli.rendering.white.balance import SteadyWhite, WhiteBalance, balanced
-from l3cli.rendering.white.scene_white import SceneWhite
+from l3cli.rendering.white.scene_white import SceneWhite, SteadyWhite, WhiteBalance, balanced
 from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance, white_source
 from l3cli.system.locks import ThreadLock
 

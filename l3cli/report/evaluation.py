@@ -7,8 +7,22 @@ import numpy as np
 from l3cli.classes.names import further_headings, heading
 from l3cli.physics.figures import FIGURES, figure_text
 from l3cli.report.drawing import Plot, spanning
-from l3cli.report.parts import Block, Comparison, Figure, Figures, Front, Key, Picture, Section, Subsection, Table, Text
-from l3cli.report.pictures import Jpeg, Pixels, fitted
+from l3cli.report.parts import (
+    Block,
+    Comparison,
+    Figure,
+    Figures,
+    Front,
+    Jpeg,
+    Key,
+    Picture,
+    Pixels,
+    Section,
+    Subsection,
+    Table,
+    Text,
+    fitted,
+)
 from l3cli.system.text import counted, tidy
 from l3cli.system.text import figure as number
 

@@ -22,8 +22,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import MosaicLayer, PlaneLayer, TransformTable
 from l3cli.classes.names import class_words, plane_class_words
 from l3cli.report.colours import channel_light, hex_colour
-from l3cli.report.parts import Picture, PixelPicker
-from l3cli.report.pictures import Jpeg, Pixels
+from l3cli.report.parts import Jpeg, Picture, PixelPicker, Pixels
 
 Array = NDArray[np.floating]
 SIZES = ((192, 256), (144, 192), (96, 128), (72, 96), (48, 64), (24, 32))  # rows and columns of crops, tried in this order

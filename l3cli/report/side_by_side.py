@@ -12,8 +12,21 @@ from l3cli.physics.figures import FIGURES, figure_text, known_mean
 from l3cli.report.camera import array_figure, responsivity_figures
 from l3cli.report.drawing import Plot, spanning
 from l3cli.report.evaluation import OURS, level_middles, main_of
-from l3cli.report.parts import Block, Comparison, Figure, Figures, Gallery, Picture, Section, Subsection, Table, Text
-from l3cli.report.pictures import Jpeg, Pixels, fitted
+from l3cli.report.parts import (
+    Block,
+    Comparison,
+    Figure,
+    Figures,
+    Gallery,
+    Jpeg,
+    Picture,
+    Pixels,
+    Section,
+    Subsection,
+    Table,
+    Text,
+    fitted,
+)
 from l3cli.system.text import counted
 
 CAVEAT = "Scenes and lights are the same; each camera exposes them as its own training set says."

@@ -11,8 +11,22 @@ from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSe
 from l3cli.physics.display import XYZ
 from l3cli.report import colours
 from l3cli.report.drawing import Axis, Plot, spanning
-from l3cli.report.parts import Block, Data, Figure, Figures, Gallery, Key, Picture, Section, Subsection, Table, Text
-from l3cli.report.pictures import Jpeg, fitted, thumbnail
+from l3cli.report.parts import (
+    Block,
+    Data,
+    Figure,
+    Figures,
+    Gallery,
+    Jpeg,
+    Key,
+    Picture,
+    Section,
+    Subsection,
+    Table,
+    Text,
+    fitted,
+    thumbnail,
+)
 from l3cli.system.text import counted, tidy
 
 Array = NDArray[np.floating]

@@ -25,9 +25,17 @@ from l3cli.export.profiles import ALWAYS, file_names
 from l3cli.frames.measurement import CaptureFolder, FinishedCurves, SweepTable
 from l3cli.io.frames import list_captures, read_capture, read_spectra
 from l3cli.io.measurement_recipe import MeasurementRecipe
-from l3cli.io.measurements import inputs_of, inputs_of_photos, load_measurements, measurements_of, photo_measurements
-from l3cli.io.photos import array_of, export_offsets, offset_paths
-from l3cli.options.pipeline import CalibrateOptions, DraftOptions
+from l3cli.io.measurements import (
+    array_of,
+    export_offsets,
+    inputs_of,
+    inputs_of_photos,
+    load_measurements,
+    measurements_of,
+    offset_paths,
+    photo_measurements,
+)
+from l3cli.options.commands import CalibrateOptions, DraftOptions
 from l3cli.parallel import ordered_map
 from l3cli.recipes.toml import parse_recipe
 from l3cli.stages.export import write

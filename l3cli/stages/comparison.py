@@ -7,7 +7,7 @@ from typing import Any
 
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.comparison import Comparison, curve_of, named_by_files, require_comparable, same_scenes
-from l3cli.options.tools import CompareOptions
+from l3cli.options.commands import CompareOptions
 from l3cli.system.files import write_whole
 from l3cli.system.limits import read_bounded
 from l3cli.system.output_guard import OutputGuard
@@ -58,7 +58,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _write_page(comparison: Comparison, page: Path) -> None:
     from l3cli.report.evaluation import luminance_section  # only where a page is wanted: drawing takes long to load
-    from l3cli.report.page import render_page
+    from l3cli.report.parts import render_page
 
     names = " and ".join(curve.name for curve in comparison.cameras)
     values = {

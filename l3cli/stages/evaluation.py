@@ -20,10 +20,10 @@ from l3cli.evaluation.likeness import unlike
 from l3cli.evaluation.pictures import frame_pictures, planes_of
 from l3cli.evaluation.sequence import CELL, SequenceEvaluation, SequenceFigures
 from l3cli.frames.frame import RawFrame
-from l3cli.io.picture_sequences import PictureSequence, find_pictures, picture_files, read_motion
 from l3cli.io.pictures.registry import write_picture
 from l3cli.io.scenes import rgb
-from l3cli.options.pipeline import EvaluateOptions, SequenceOptions
+from l3cli.io.sequences import PictureSequence, find_pictures, picture_files, read_motion
+from l3cli.options.commands import EvaluateOptions, SequenceOptions
 from l3cli.physics import spectra
 from l3cli.rendering.conditions import Mix, described, mix_for, mixed
 from l3cli.rendering.display import require_xyz

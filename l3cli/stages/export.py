@@ -13,7 +13,7 @@ from l3cli.export import profiles
 from l3cli.export.folder import folder_files
 from l3cli.export.profiles import ALWAYS, file_names
 from l3cli.export.source import PREFIX, c_files
-from l3cli.options.tools import ExportOptions
+from l3cli.options.commands import ExportOptions
 from l3cli.physics.display import XYZ
 from l3cli.rendering.conditions import mix_for, mixed, noise_limits
 from l3cli.rendering.white.scene_white import far_from_training

@@ -15,7 +15,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.verify import Intact, Link, chain, verify
 from l3cli.errors import DeviceError, L3Error
 from l3cli.io.decoder_process import LANDLOCK, SECCOMP, measures
-from l3cli.options.tools import BenchOptions
+from l3cli.options.commands import BenchOptions
 from l3cli.rendering import benchmark
 from l3cli.rendering.opencl.devices import cache_warning, survey
 from l3cli.system.files import sha256

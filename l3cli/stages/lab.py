@@ -12,7 +12,7 @@ from l3cli.artifacts.camera_recipe import camera_files, columns_left_out, load_c
 from l3cli.io import measurement_recipe as files
 from l3cli.io.curves import write_curves
 from l3cli.io.pictures.openimageio import write_mosaic
-from l3cli.options.tools import LabOptions
+from l3cli.options.commands import LabOptions
 from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.lab import FOLDERS, LabCapture, LabRecipe, chart_corners, plan, take

@@ -19,22 +19,20 @@ from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures, holds_chart, patch_colours
 from l3cli.evaluation.sequence import read_sequence_figures
 from l3cli.io.pictures.openimageio import jpeg
-from l3cli.options.tools import CheckOptions, ReportOptions
+from l3cli.options.commands import CheckOptions, ReportOptions
 from l3cli.physics.display import XYZ
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
 from l3cli.report.evaluation import evaluation_section, front_section, shown_frames
 from l3cli.report.given import Entry, Given, Pair, cameras_within, lead_without_evaluation, role_of
-from l3cli.report.page import LIMIT, history_section, render_page
-from l3cli.report.parts import Figures, Section, Subsection
-from l3cli.report.patches import patches_figure, patches_table
-from l3cli.report.pictures import Pixels
+from l3cli.report.parts import LIMIT, Figures, Pixels, Section, Subsection, history_section, render_page
 from l3cli.report.pixels import crop_of, picker
 from l3cli.report.sequence import sequence_section
 from l3cli.report.side_by_side import Side, shared_frame, side_by_side_section
 from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
+from l3cli.report.validation import patches_figure, patches_table
 from l3cli.simulation.procedural import chart_places
 from l3cli.stages.check import CAMERA, Judgement
 from l3cli.stages.evaluation import FrameRenderers, evaluate_frame, raw_of, warn_if_unlike

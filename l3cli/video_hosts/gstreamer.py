@@ -96,7 +96,7 @@ class L3Render(GstBase.BaseTransform):
 
     def _opened(self) -> Any:
         try:
-            from l3cli.video_hosts.mosaics import Asked, Mosaics, pair
+            from l3cli.api.frames import HostOptions, Mosaics, pair
         except ImportError as error:
             version = f"{sys.version_info.major}.{sys.version_info.minor}"
             raise L3Error(
@@ -104,7 +104,7 @@ class L3Render(GstBase.BaseTransform):
             ) from error
         if not self.table:
             raise RecipeError("table names no file; give the one written by l3 train")
-        asked = Asked(
+        asked = HostOptions(
             None if self.black_level < 0 else self.black_level,
             None if self.white_level < 0 else self.white_level,
             pair(self.phase, ",", "phase"),

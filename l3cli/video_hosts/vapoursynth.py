@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from l3cli.api.frames import HostOptions, Mosaics, pair
 from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
 from l3cli.video_hosts import format_error
-from l3cli.video_hosts.mosaics import Asked, Mosaics, pair
 
 INSTALL = 'VapourSynth is missing; install it, with Python ≥ 3.12, by: pip install "l3cli[vapoursynth]"'
 
@@ -48,7 +48,7 @@ def render(
         _require_mosaics(clip)
         phase = pair(phase, ",", "phase") if isinstance(phase, str) else phase
         size = pair(size, "x", "size") if isinstance(size, str) else size
-        asked = Asked(
+        asked = HostOptions(
             black_level, white_level, phase, size or (clip.height, clip.width),
             None if camera is None else os.fspath(camera), backend, device,
         )  # fmt: skip

@@ -20,7 +20,7 @@ from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.evaluation.quality import quality
 from l3cli.io.images import read_image
-from l3cli.options.pipeline import EvaluateOptions, TrainOptions
+from l3cli.options.commands import EvaluateOptions, TrainOptions
 from l3cli.options.render import Exposure, RenderOptions
 from l3cli.physics.display import codes, daylight, displayed, srgb_curve, white_luminance
 from l3cli.rendering.temporal import chunks

@@ -10,8 +10,8 @@ import pytest
 
 from l3cli.artifacts import store
 from l3cli.artifacts.camera import CameraModel
-from l3cli.io.picture_sequences import find_pictures
 from l3cli.io.pictures.registry import write_picture
+from l3cli.io.sequences import find_pictures
 from l3cli.io.video import VideoChoice, new_video, new_y4m
 from l3cli.physics.display import srgb_curve
 from l3cli.report.sequence import sequence_section

@@ -19,7 +19,7 @@ from l3cli.io.sequences import find_frames
 from l3cli.physics.display import exposure_scale
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.rendering.white.balance import TIME_CONSTANT
+from l3cli.rendering.white.scene_white import TIME_CONSTANT
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_stack

@@ -14,13 +14,13 @@ import l3cli
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import Condition, SceneLight, TransformTable
-from l3cli.frames import chart
 from l3cli.frames.chart import Located
 from l3cli.io.images import read_image
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
 from l3cli.physics import spectra
 from l3cli.physics.display import daylight, displayed_xyz, lab, srgb_decoded
 from l3cli.rendering.conditions import Mix, mixed
+from l3cli.rendering.white import source
 from l3cli.rendering.white.source import CAMERA
 from tests.helpers.calls import L3, Refused
 from tests.helpers.photos import FIRST, PITCH, chart_mosaic
@@ -371,13 +371,13 @@ def test_a_find_that_is_not_certain_is_none(
     refused: Refused, table: Path, bayer: CameraModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     np.save(tmp_path / "chart.npy", chart_mosaic(bayer, "A"))
-    found = chart.locate
+    found = source.locate
 
     def doubtful(*of: Any) -> Located:
         located = found(*of)
         assert located is not None
         return dataclasses.replace(located, fit=0.94)
 
-    monkeypatch.setattr(chart, "locate", doubtful)
+    monkeypatch.setattr(source, "locate", doubtful)
     error = refused(3, "render", table, tmp_path / "chart.npy", "--white", "chart", "-o", tmp_path / "a.png")
     assert "no ColorChecker of 4×6 patches is found in it" in error

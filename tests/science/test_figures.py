@@ -13,7 +13,7 @@ import pytest
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import terminal
-from l3cli.cli.quality_tables import print_tables
+from l3cli.cli.evaluate import print_tables
 from l3cli.physics import spectra
 from l3cli.system.text import figure
 from tests.helpers.calls import L3, Refused

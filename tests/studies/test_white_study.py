@@ -28,10 +28,8 @@ from l3cli.physics.display import SRGB_FROM_XYZ, displayed, displayed_delta_e, w
 from l3cli.recipes.builtin import known_recipes
 from l3cli.rendering.conditions import mix_for, mixed, nearest_for
 from l3cli.rendering.renderer import Renderer, make_renderer
-from l3cli.rendering.white.auto import AutoWhite
-from l3cli.rendering.white.balance import WhiteBalance, balanced, plain_balance
-from l3cli.rendering.white.scene_white import SceneWhite, Whites
-from l3cli.rendering.white.source import usual_balance
+from l3cli.rendering.white.scene_white import SceneWhite, WhiteBalance, Whites, balanced, plain_balance
+from l3cli.rendering.white.source import AutoWhite, usual_balance
 from tests.helpers.calls import L3
 
 LIGHTS = ("2500K", "3200K", "4000K", "D5000K", "9000K", "F2", "F11", "LED-B3")

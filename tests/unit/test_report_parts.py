@@ -14,9 +14,8 @@ from l3cli.frames.measurement import PATCH_NAMES
 from l3cli.physics import spectra
 from l3cli.report.drawing import Places
 from l3cli.report.evaluation import verdict
-from l3cli.report.page import csv_uri, file_stem
-from l3cli.report.parts import Data, Figures, Table
-from l3cli.report.patches import calibration_figures
+from l3cli.report.parts import Data, Figures, Table, csv_uri, file_stem
+from l3cli.report.validation import calibration_figures
 from l3cli.simulation.procedural import BOARD, chart_places, colorchecker_patches
 from l3cli.stages.report import chart_subsection
 from tests.helpers.pages import csv_rows

@@ -29,7 +29,7 @@ from l3cli.artifacts.training_set import (
 )
 from l3cli.classes.rule import ClassRecipe, make_rule
 from l3cli.errors import InputFileError
-from l3cli.options.pipeline import TrainOptions
+from l3cli.options.commands import TrainOptions
 from l3cli.parallel import workers
 from l3cli.physics import spectra
 from l3cli.stages.training.passes import Execution, first_pass

@@ -23,7 +23,7 @@ from l3cli.parallel.threads import BackgroundTask
 from l3cli.rendering.conditions import Mix, mixed
 from l3cli.rendering.display import Display
 from l3cli.rendering.rendition import Rendition, rendered, shown
-from l3cli.rendering.white.balance import WhiteBalance
+from l3cli.rendering.white.scene_white import WhiteBalance
 from l3cli.system.files import require_same
 from l3cli.system.plan import is_dry
 

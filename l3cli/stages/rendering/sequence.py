@@ -23,10 +23,8 @@ from l3cli.parallel.threads import WriteBehind, prefetched
 from l3cli.rendering.raw_checks import FrameWarnings
 from l3cli.rendering.rendition import FrameMeter, Rendition
 from l3cli.rendering.temporal.chunks import Chunks, needed
-from l3cli.rendering.white.balance import WhiteBalance
-from l3cli.rendering.white.chart import ChartSceneWhite
-from l3cli.rendering.white.scene_white import SceneWhite, implausible, unlike_stated
-from l3cli.rendering.white.source import WhiteSource
+from l3cli.rendering.white.scene_white import SceneWhite, WhiteBalance, implausible, unlike_stated
+from l3cli.rendering.white.source import ChartSceneWhite, WhiteSource
 from l3cli.stages.rendering.destination import Destination, FrameOrigins, PictureCheckpoint
 from l3cli.stages.rendering.executors import Exposed, Local, Remote, Unread
 from l3cli.system.console import Console

@@ -9,7 +9,7 @@ from pathlib import Path
 from l3cli.artifacts.camera_recipe import camera_files, columns_left_out, load_camera
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, frame_name, open_training_set, write_training_set
 from l3cli.io.file_names import IDEAL, MOTION, RAW
-from l3cli.options.pipeline import SimulateOptions
+from l3cli.options.commands import SimulateOptions
 from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.frame import SimulationRun

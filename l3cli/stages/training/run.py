@@ -12,7 +12,7 @@ import numpy as np
 from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.options.pipeline import TrainOptions
+from l3cli.options.commands import TrainOptions
 from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.toml import load_recipe, read_text
 from l3cli.system.files import require_same, sha256, stamp

@@ -21,7 +21,7 @@ from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import PlaneRule, TransformTable, rule_fields
 from l3cli.errors import InputFileError
-from l3cli.options.pipeline import ShardOptions
+from l3cli.options.commands import ShardOptions
 from l3cli.recipes.toml import parse_recipe
 from l3cli.stages.training.conditions import by_noise, passes_of, require_one_go, with_noises
 from l3cli.stages.training.passes import Execution, first_pass, pass_of, sum_unit, summed

@@ -8,7 +8,7 @@ from pathlib import Path
 from l3cli.artifacts.store import save
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
-from l3cli.options.pipeline import TrainOptions
+from l3cli.options.commands import TrainOptions
 from l3cli.parallel import workers
 from l3cli.stages.training.conditions import learn_conditions, runs_by_light
 from l3cli.stages.training.passes import Execution, first_pass, learn_first
