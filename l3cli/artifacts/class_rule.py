@@ -297,7 +297,7 @@ class ClassRule:
         return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # labels may be unsigned
 
     def lost(self, kind: Any) -> Any:
-        """Return the saturation cases of kinds, less those that are spared: 0 where no filter is lost."""
+        """Return the saturation cases of kinds, less those of `spared_cases`: 0 where no filter is lost."""
         return np.maximum(self.case(kind) - self.spared_cases, 0)
 
     def kinds_of(self, case: int) -> slice | int:

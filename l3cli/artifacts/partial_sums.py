@@ -188,7 +188,7 @@ class PartialSumsReader:
         self.conditions = len(self._sums) - 1
 
     def site(self, index: int, condition: int = 0) -> Any:
-        """Return ClassSums, or LayerSums if the pass is one of a later layer; 0: at the camera's noise."""
+        """Return ClassSums, or LayerSums if the pass is one of a refinement layer; 0: at the camera's noise."""
         where = hard_group(self._sums[condition], f"{index:05d}", self._path)
         sums: Any = read_fields(where, SUMS[type(self.head)], self._path)
         if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
@@ -198,8 +198,8 @@ class PartialSumsReader:
 
 @contextlib.contextmanager
 def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
-    """Yield a reader of the partial sums at `path`, of a first or a later layer; InputFileError if it holds something else
-    or is damaged."""
+    """Yield a reader of the partial sums at `path`, of a first or a refinement layer; InputFileError if it holds something
+    else or is damaged."""
     with open_artifact(path, *SUMS) as root:
         yield PartialSumsReader(root, path)
 

@@ -127,7 +127,7 @@ class NoiseEdges:
 
     contrast_edges: NDArray[np.uint32] = data("uint32", "contrast_edge", "level", doc="as in first/rule/")
     constants: NDArray[np.int32] = data("int32", "constant", doc="as in first/rule/features/; none without features")
-    gradients: tuple[GradientScale, ...] = group(default=())  # of each later layer
+    gradients: tuple[GradientScale, ...] = group(default=())  # of each refinement layer
 
     @classmethod
     def of(cls, rule: ClassRule, gradients: Sequence[GradientScale]) -> "NoiseEdges":
@@ -152,7 +152,7 @@ class MosaicTransforms:
 
 @dataclass(frozen=True)
 class PlaneTransforms:
-    """Transforms of a later layer."""
+    """Transforms of a refinement layer."""
 
     weights: NDArray[np.float32] = data("float32", "plane_class", "output", "plane_tap", doc="as in later/")
     intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
@@ -188,7 +188,7 @@ class Condition:
         )
 
     def check_fits(self, place: str, later: Sequence[PlaneLayer], levels: int) -> None:
-        """Raise ValueError, which names `place`, unless it is for a table of so many levels with these later layers."""
+        """Raise ValueError, which names `place`, unless it is for a table of so many levels with these refinement layers."""
         if len(self.later) != len(later) or (self.edges and len(self.edges.gradients) != len(later)):
             raise ValueError(f"{place} holds {1 + len(self.later)} layers, the table {1 + len(later)}")
         for number, (ours, layer) in enumerate(zip(self.later, later, strict=True)):
@@ -260,7 +260,7 @@ class SpectralSmoothing:
 
 @dataclass(frozen=True)
 class TransformTable(Artifact):
-    """Local linear transforms for every class: of the mosaic and, in later layers, of what the layer before has made."""
+    """Local linear transforms for every class: of the mosaic and, in refinement layers, of the layer before."""
 
     kind: ClassVar[str] = "transform table"
     version: ClassVar[int] = 5
@@ -327,7 +327,7 @@ class TransformTable(Artifact):
             raise ValueError(f"turns holds {len(rule.turns)} sites, the CFA {self.cfa.size}")
         if (len(rule.gradient_factor), rule.cases) != (below.levels, below.lost_cases):
             raise ValueError(
-                f"a later layer is for {len(rule.gradient_factor)} levels and {rule.cases} saturation cases, "
+                f"a refinement layer is for {len(rule.gradient_factor)} levels and {rule.cases} saturation cases, "
                 f"the first has {below.levels} and {below.lost_cases}"
             )
         taps = layer.side**2 * len(self.outputs)

@@ -27,11 +27,11 @@ def label_planes(
     classes of the sets follow one another, as if each had sites of its own."""
     place = first_rule.split(first)
     scale = place.level + first_rule.levels * (place.site // len(rule.turns)) if others else place.level
-    kind = rule.kind(_structure(planes, scale, place.site, _together(rule, others)), first_rule.lost(place.kind))
+    kind = rule.kind(_structure(planes, scale, place.site, _of_all_sets(rule, others)), first_rule.lost(place.kind))
     return rule.join(rule.level_of(place.level), kind, place.site)
 
 
-def _together(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
+def _of_all_sets(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
     """Return the rule with the sites of all sets, and the scales of gradients at the levels of all."""
     names = ("turns", "gradient_factor", "gradient_shift") if others else ()
     arrays: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in (rule, *others)]) for name in names}
@@ -76,7 +76,7 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
     gradients, from bit 8 on their shift, from bit 14 on the orientation of its site; its upper half the first class of
     its site and level, with the highest bit set where saturation decides and it is the class (opencl/common/gradient.cl).
     `others`: as in label_planes."""
-    every = _together(rule, others)
+    every = _of_all_sets(rule, others)
     place = first.split(np.arange(len(every.turns) * first.classes_per_site))
     scale = place.level + first.levels * (place.site // len(rule.turns))
     factor, shift = (values[scale].astype(np.uint64) for values in (every.gradient_factor, every.gradient_shift))

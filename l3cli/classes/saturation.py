@@ -112,7 +112,7 @@ def name(table: TransformTable, case: int) -> str:
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     if not codes.size:
         return "no pattern"
-    code = int(codes[::-1][np.argmin(_apart(codes, len(table.channels))[::-1])])
+    code = int(codes[::-1][np.argmin(_distances(codes, len(table.channels))[::-1])])
     return "saturated " + "+".join(_channels(table, code))
 
 
@@ -120,7 +120,7 @@ def _channels(table: TransformTable, code: int) -> list[str]:
     return [name for bit, name in enumerate(table.channels) if code >> bit & 1]
 
 
-def _apart(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
+def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
     """Return the distance of each pattern from every other, as choose_cases measures it: channels that differ, and half
     for each of the others that is not within it. There may be 2¹⁶ patterns: too many to compare them in pairs."""
     holds = codes[:, None] >> np.arange(channels) & 1

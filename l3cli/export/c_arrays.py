@@ -1,4 +1,4 @@
-"""The constant arrays of a table's C source, and the structs that name those of later layers."""
+"""The constant arrays of a table's C source, and the structs that name those of refinement layers."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -128,11 +128,11 @@ def _last_floats(table: TransformTable) -> list[Array]:
     return [
         Array("l3_last_weights", _fill(weights.taps[..., :windows]), "(class, output, tap)", packed=True),
         Array("l3_last_intercept", weights.intercept, "(class, output)", packed=True),
-        *_behind(weights.taps[..., windows:]),
+        *_ratio_weights(weights.taps[..., windows:]),
     ]
 
 
-def _behind(taps: NDArray) -> list[Array]:
+def _ratio_weights(taps: NDArray) -> list[Array]:
     """Return the weights of the taps behind windows, if there are any."""
     return [Array("l3_ratio_weights", taps, "(class, output, tap)", packed=True)] if taps.size else []
 
@@ -153,7 +153,7 @@ def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
             packed=True,
         ),
         Array("l3_last_tap", np.abs(rest).argmax(axis=-1).astype(np.uint16), "which (class, output)", packed=True),
-        *_behind(words.whole[..., windows:].astype(np.int16)),
+        *_ratio_weights(words.whole[..., windows:].astype(np.int16)),
     ]
 
 

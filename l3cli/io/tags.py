@@ -34,7 +34,7 @@ def flip_of(path: Path, orientation: object) -> int:
     if not (isinstance(orientation, int | np.integer) and 0 <= orientation < len(LIBRAW_FLIP)):
         raise InputFileError(
             f"{path}: its orientation is {orientation}, TIFF knows 1…{len(LIBRAW_FLIP) - 1}; "
-            "mend the tag Orientation, 1 if it is upright"
+            "correct the tag Orientation, 1 if it is upright"
         )
     return LIBRAW_FLIP[orientation]
 

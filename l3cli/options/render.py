@@ -156,7 +156,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     camera: OnePath = option(
         None, "Camera model, or table of one, whose defects and flat field are corrected.", metavar="CAMERA.h5"
     )
-    hot: Literal["auto", "off"] = option("off", "Hot pixels that no camera model lists: find and mend them in each frame.")
+    hot: Literal["auto", "off"] = option("off", "Hot pixels that no camera model lists: correct them in each frame.")
     phase: Given[PAIR | str | None, PAIR | None] = option(
         None, "CFA site of the inputs' first pixel, from 0.", Pair("ROW,COL", ",", ROWS_OR_COLS), metavar="ROW,COL"
     )

@@ -143,7 +143,7 @@ class NoiseSets:
 
     @functools.cached_property
     def later(self) -> tuple[PlaneLayer, ...]:
-        """Each later layer of all sets in the same way."""
+        """Each refinement layer of all sets in the same way."""
         layers = zip(*(table.later for table in self.tables), strict=True)
         return tuple(self._joined(("weights", "intercept", "samples"), parts) for parts in layers)
 
@@ -153,7 +153,7 @@ class NoiseSets:
         return self._joined(("weights", "intercept", "fraction"), [fixed_point(table) for table in self.tables])
 
     def refinement_rules(self, number: int) -> tuple[PlaneRule, ...]:
-        """Return the rule of later layer `number`, from 0, in each set."""
+        """Return the rule of refinement layer `number`, from 0, in each set."""
         return tuple(table.later[number].rule for table in self.tables)
 
     @staticmethod
@@ -165,7 +165,7 @@ class NoiseSets:
 
 def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     """Return the table for frames with this share of the camera's noise variance: class edges that follow noise, but not
-    trees, are scaled, so that detail that noise would hide is told from flat areas again; transforms stay as learned."""
+    trees, are scaled, so that detail that noise would hide differs from flat areas again; transforms stay as learned."""
     rule = table.first.rule
     axes = tuple(feature.with_less_noise(axis, share) for feature, axis in further_features(rule))
     features = FurtherFeatures.of(axes) if axes else None

@@ -110,7 +110,7 @@ class FrameWarnings:
             "brighter": f"are brighter than anything the table was trained on ({brightest:.2g} of full scale); raise "
             "learning.brightest or simulate longer exposures, and train again",
             "untrained": "fall into classes that are filled from their neighbours; train on more scenes or patches",
-            "saturated": "are clipped or touch clipped ones, where colour is a guess; expose shorter, or mend ‹white_level›",
+            "saturated": "are clipped or touch clipped ones, where colour is a guess; expose shorter, or give ‹white_level›",
         }
         for text, (name, count) in self._others.items():
             yield f"{name}{f' and {count - 1} more' if count > 1 else ''}: {text}"

@@ -91,7 +91,7 @@ class ReferenceRenderer:
         return planes, labels
 
     def _refined_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
-        """Class (row, col) in later layer `place`, from 0, of every pixel."""
+        """Class (row, col) in refinement layer `place`, from 0, of every pixel."""
         rule, *others = self._sets.refinement_rules(place)
         return label_planes(planes, first_labels, rule, self.table.first.rule, *others)
 

@@ -151,8 +151,8 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any]) -> tuple[Block, 
     blocks: list[Block] = []
     if camera.fit is not None and camera.fit.noise is not None:
         blocks.append(Figures((_transfer_figure(camera, camera.fit.noise),)))
-    sheet_says = f"; {_declared_from(camera)}: {', '.join(camera.declared)}" if camera.declared else ""
-    blocks.append(Table(f"The camera in EMVA 1288 terms{sheet_says}", ("quantity", "value"), rows))
+    sheet = f"; {_declared_from(camera)}: {', '.join(camera.declared)}" if camera.declared else ""
+    blocks.append(Table(f"The camera in EMVA 1288 terms{sheet}", ("quantity", "value"), rows))
     rows_of_channels = figures["channels"].items()
     others = {name: {title: value for title, value in row.items() if title not in BANDS} for name, row in rows_of_channels}
     if any(others.values()):

@@ -29,7 +29,7 @@ SIZES = ((192, 256), (144, 192), (96, 128), (72, 96), (48, 64), (24, 32))  # row
 QUALITY = 95  # of the crop's pictures
 PLACES = 8  # of crops along each side of a frame
 STEPS = 127  # of the square root of a weight's share of the largest
-PLANES = ("X − aY", "Y", "Z − bY")  # that later layers read
+PLANES = ("X − aY", "Y", "Z − bY")  # that refinement layers read
 
 
 @dataclass(frozen=True)

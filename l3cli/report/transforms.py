@@ -40,7 +40,7 @@ def transform_section(
         Subsection("Noise and flat areas", (_noise_figures(table), *_gain_tables(table, insight))),
     )
     if insight["later"]:
-        parts += (Subsection("Later layers", (_refinement_table(insight),)),)
+        parts += (Subsection("Refinement layers", (_refinement_table(insight),)),)
     return Section(f"Table: {name}", lead, parts)
 
 
@@ -63,7 +63,7 @@ def _refinement_table(insight: dict[str, Any]) -> Table:
 
 
 def _structures(layer: dict[str, Any]) -> str:
-    """Return the features by which a later layer distinguishes pixels where nothing is saturated."""
+    """Return the features by which a refinement layer distinguishes pixels where nothing is saturated."""
     if "leaves" in layer:
         return f"leaves of a tree, depth {layer['depth']}: {layer['leaves']}"
     return f"flat, {layer['strengths']} strengths × (none + {layer['directions']} directions): {layer['structures']}"

@@ -13,7 +13,7 @@ from l3cli.simulation.light import make_light, white_rates
 from l3cli.system.text import columns, figure, size_text
 
 LIGHTS = ("D65", "A")
-LUMINANCE = 100.0  # cd/m² of the white whose exposure is told: a room
+LUMINANCE = 100.0  # cd/m² of the white whose exposure is reported: a room
 
 
 def camera_figures(camera: CameraModel) -> dict[str, Any]:

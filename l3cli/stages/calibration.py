@@ -58,20 +58,20 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
         raise RecipeError("give either a measurement file or raw photos of a chart, as ‹photo›")
     if light is not None and measurements is not None:
         raise RecipeError("a measurement file names the light of its photos itself, as light; leave ‹light› out")
-    with OutputGuard(console) as claims:
-        claims.protect(*photos, *filter(None, [measurements, truth]))
+    with OutputGuard(console) as guard:
+        guard.protect(*photos, *filter(None, [measurements, truth]))
         exports = [export / name for name in ALWAYS] if export else []
         for path in (output, *exports):
-            claims.claim_file(path, force)
+            guard.guard_file(path, force)
         inputs = inputs_of_photos(photos) if measurements is None else inputs_of(measurements)
-        claims.protect(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
+        guard.protect(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
         true = load_camera(truth) if truth else None
         measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
         if export:
             exports = [export / name for name in file_names(measured.body.channels, measured.body.cfa)]
             exports += offset_paths(export, measured.photos)
             for path in exports[len(ALWAYS) :]:
-                claims.claim_file(path, force)
+                guard.guard_file(path, force)
         before_work(
             inputs.files | {"camera to compare with": camera_files(truth) if truth else []},
             Made(output, f"camera model of {len(measured.body.channels)} channels"),
@@ -127,9 +127,9 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> str:
     if output.suffix != ".toml":
         raise RecipeError(f"{output}: a measurement file ends in .toml; name it MEASUREMENTS.toml")
     camera, console = options.camera, options.console
-    with OutputGuard(console) as claims:
-        claims.protect(*(camera_files(camera) if camera else ()))
-        claims.claim_file(output, options.force, recipe=True)
+    with OutputGuard(console) as guard:
+        guard.protect(*(camera_files(camera) if camera else ()))
+        guard.guard_file(output, options.force, recipe=True)
         known = load_camera(camera) if camera else None
         listing = list_captures(folder)
         if is_dry() or is_noting():

@@ -26,10 +26,10 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
     if page is not None and page.suffix != ".html":
         raise RecipeError(f"{page}: curves are drawn on a page; name a file that ends in .html")
     figures, console = options.figures, options.console
-    with OutputGuard(console) as claims:
+    with OutputGuard(console) as guard:
         if page is not None:
-            claims.protect(*evaluations)
-            claims.claim_file(page, options.force)
+            guard.protect(*evaluations)
+            guard.guard_file(page, options.force)
         documents = [_read(path) for path in evaluations]
         given = list(zip(evaluations, documents, strict=True))
         curves = {

@@ -51,11 +51,11 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
     others = {_name_of(path): (path, picture_files(path)) for path in rivals}
     if len(others) < len(rivals):
         raise RecipeError("two rivals have one name, that of their folder; rename one")
-    with OutputGuard(console) as claims:
+    with OutputGuard(console) as guard:
         if pictures is not None:
             require_xyz(transforms.outputs)
-            claims.protect(table, frames, *itertools.chain(*(files for _, files in others.values())))
-            claims.hold_folder(pictures, "*.png")
+            guard.protect(table, frames, *itertools.chain(*(files for _, files in others.values())))
+            guard.hold_folder(pictures, "*.png")
         with open_training_set(frames) as reader, contextlib.ExitStack() as unfinished:
             evaluation = Evaluation(transforms, reader.head, options.viewing, options.border, tuple(others))
             for path, files in others.values():

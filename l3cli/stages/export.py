@@ -48,14 +48,14 @@ def export(camera: Path, output: Path, options: ExportOptions) -> dict[str, dict
     """Write a camera (model or recipe) into a folder, as `l3 calibrate --export` does; return the errors of its matrices,
     for each light. RecipeError or InputFileError if it is no camera, L3Error if a file cannot be written."""
     console = options.console
-    with OutputGuard(console) as claims:
-        claims.protect(camera, *camera_files(camera))
+    with OutputGuard(console) as guard:
+        guard.protect(camera, *camera_files(camera))
         for name in ALWAYS:
-            claims.claim_file(output / name, options.force)
+            guard.guard_file(output / name, options.force)
         model = load_camera(camera)
         names = file_names(model.channels, model.cfa)
         for name in names[len(ALWAYS) :]:
-            claims.claim_file(output / name, options.force)
+            guard.guard_file(output / name, options.force)
         before_work({"camera": camera_files(camera)}, *(Made(output / name, "export") for name in names))
         errors = write(model, output, console)
         console.info(f"{output}: {', '.join(names if errors else ALWAYS)} written")
@@ -82,9 +82,9 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
         raise RecipeError(f"‹{'words' if words else 'prefix'}› is for C source; leave it out")
     if which and form == "folder":
         raise RecipeError("a folder of arrays holds both sets; leave ‹set› out")
-    with OutputGuard(console) as claims:
-        claims.protect(table)
-        claims.hold_folder(output)
+    with OutputGuard(console) as guard:
+        guard.protect(table)
+        guard.hold_folder(output)
         transforms = load(TransformTable, table)
         if white is not None and not transforms.lights and (form != "c" or transforms.outputs != XYZ):
             raise RecipeError(f"{table} has transforms of no single lights to be mixed for a ‹white›; leave it out")
@@ -111,7 +111,7 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
         if readme:
             files["README.md"] += readme.encode()
         for name in files:
-            claims.claim_file(output / name, options.force)
+            guard.guard_file(output / name, options.force)
         before_work({"table": [table]}, *(Made(output / name, "export", len(content)) for name, content in files.items()))
         for name, content in files.items():
             write_whole(output / name, content)

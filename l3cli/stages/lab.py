@@ -35,14 +35,14 @@ def measure(camera: Path, output: Path, options: LabOptions) -> Path:
     """
     recipe, seed, console = options.recipe, options.seed, options.console
     file = output / "MEASUREMENTS.toml"
-    with OutputGuard(console) as claims:
-        claims.protect(camera, *filter(None, [recipe]))
+    with OutputGuard(console) as guard:
+        guard.protect(camera, *filter(None, [recipe]))
         refuse_protected(file)
         refuse_unwritable(file)
         refuse_existing(file, options.force)
-        claims.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
+        guard.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
         refuse_existing(file, options.force)  # now that no other run writes it
-        claims.protect(*camera_files(camera))
+        guard.protect(*camera_files(camera))
         model = load_camera(camera)
         chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
         captures = plan(model, chosen, seed)

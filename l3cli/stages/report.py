@@ -56,9 +56,9 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
     if output.suffix != ".html":
         raise RecipeError(f"{output}: a report is a page; name a file that ends in .html")
     console = options.console
-    with OutputGuard(console) as claims:
-        claims.protect(*artifacts)
-        claims.claim_file(output, options.force)
+    with OutputGuard(console) as guard:
+        guard.protect(*artifacts)
+        guard.guard_file(output, options.force)
         given = _read(artifacts)
         before_work({"artifacts": artifacts}, Made(output, "page"))
         title, lead, sections = _compose(given, options.backend, console)
@@ -296,10 +296,10 @@ def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> No
         raise RecipeError(f"{output}: a plot is a page; name a file that ends in .html")
     if not paths:
         raise RecipeError(f"{output}: there is no camera recipe without faults to draw; give one beside ‹plot›")
-    with OutputGuard(options.console) as claims:
-        claims.protect(*(file for each in judged for file in (each.path, *each.files)))
-        claims.protect(*(file for path in paths for file in camera_files(path)))
-        claims.claim_file(output, options.force)
+    with OutputGuard(options.console) as guard:
+        guard.protect(*(file for each in judged for file in (each.path, *each.files)))
+        guard.protect(*(file for path in paths for file in camera_files(path)))
+        guard.guard_file(output, options.force)
         note_places([output])
         cameras = [(path, load_camera(path)) for path in paths]
         sections = [camera_section(camera, figures_of_camera(camera), path.name) for path, camera in cameras]

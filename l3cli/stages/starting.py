@@ -35,9 +35,9 @@ def start(starter: Path, folder: Path, options: InitOptions) -> None:
     """Write the recipe folder of a camera recipe or a benchmark, each file whole or not at all. L3Error if there is
     something in the folder (unless forced), or if it cannot be written."""
     origins = folder_files(starter)
-    with OutputGuard(options.console) as claims:
-        claims.protect(*origins.values())
-        claims.claim_folder(folder, options.force, *origins)
+    with OutputGuard(options.console) as guard:
+        guard.protect(*origins.values())
+        guard.guard_folder(folder, options.force, *origins)
         curves = curves_of(starter)
         contents = {name: origin.read_bytes() for name, origin in origins.items()}
         contents |= known_camera(contents) if curves else {}
@@ -67,10 +67,10 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
     """
     names = (*COMMON, "camera.toml", CURVES)
     console = options.console
-    with OutputGuard(console) as claims:
+    with OutputGuard(console) as guard:
         files = [file for photo in photos for file in _raw_files(photo)]
-        claims.protect(*files)
-        claims.claim_folder(folder, options.force, *names, *(f"*/{name}" for name in names))
+        guard.protect(*files)
+        guard.guard_folder(folder, options.force, *names, *(f"*/{name}" for name in names))
         listed = {file for photo in photos if photo.is_dir() for file in _raw_files(photo)}
         cameras = _sorted_by_camera(files, listed, console)
         places = _places(folder, list(cameras))

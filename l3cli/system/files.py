@@ -150,7 +150,7 @@ def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[No
     except OSError as error:
         if numbers is not None and error.errno not in numbers:
             raise
-        cure = "free some space and run again" if error.errno in FULL else "name another output or mend its folder"
+        cure = "free some space and run again" if error.errno in FULL else "name another output or make its folder writable"
         raise L3Error(f"{path} cannot be written: {error.strerror}; {cure}") from error
 
 

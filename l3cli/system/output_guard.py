@@ -1,4 +1,4 @@
-"""The claims of a stage on files: what it reads is not replaced, what it writes is refused before any work if it cannot be
+"""The guard of a stage's files: what it reads is not replaced, what it writes is refused before any work if it cannot be
 written, and kept from other runs until the stage ends."""
 
 import contextlib
@@ -14,21 +14,21 @@ from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder
 
 
 class OutputGuard(contextlib.ExitStack):
-    """Inputs that are spared and outputs that are held until the block ends."""
+    """Inputs that are protected and outputs that are locked until the block ends."""
 
     def __init__(self, console: Console) -> None:
         super().__init__()
         self._console = console
-        self._claimed: list[tuple[Path, tuple[str, ...]]] = []  # outputs, and folders with globs of what is written there
+        self._guarded: list[tuple[Path, tuple[str, ...]]] = []  # outputs, and folders with globs of what is written there
 
     def protect(self, *inputs: Path) -> None:
         """Name the files that are read, as soon as they are known: until the end nothing takes the place of one of them,
-        by whatever name, even if outputs may be replaced. RecipeError if an output that is claimed already would."""
+        by whatever name, even if outputs may be replaced. RecipeError if an output that is guarded already would."""
         self.enter_context(protecting(inputs))
-        for path, globs in self._claimed:
+        for path, globs in self._guarded:
             _refuse_protected(path, globs)
 
-    def claim_file(self, path: Path, force: bool, recipe: bool = False) -> None:
+    def guard_file(self, path: Path, force: bool, recipe: bool = False) -> None:
         """`hold_file`, and refuse an output that is there already."""
         self.hold_file(path, recipe)  # first: the run that holds it may be about to end
         refuse_existing(path, force)
@@ -38,12 +38,12 @@ class OutputGuard(contextlib.ExitStack):
         written; keep other runs off it until the end."""
         if path.suffix == ".toml" and not recipe:
             raise RecipeError(f"{path}: .toml is for recipes; name an output that ends otherwise")
-        self._claim(path)
+        self._remember(path)
         refuse_existing(path, force=True)  # a folder or device
         refuse_unwritable(path)
         self.hold(sole_writer_of_file(path), path)
 
-    def claim_folder(self, path: Path, force: bool, *globs: str) -> None:
+    def guard_folder(self, path: Path, force: bool, *globs: str) -> None:
         """`hold_folder`, and refuse a folder that holds something."""
         self.hold_folder(path, *globs)
         refuse_filled_folder(path, force)
@@ -53,7 +53,7 @@ class OutputGuard(contextlib.ExitStack):
         files that will be written, which the globs match; keep other runs off it until the end."""
         refuse_filled_folder(path, force=True)  # a file
         refuse_unwritable(path)
-        self._claim(path, *globs)
+        self._remember(path, *globs)
         self.hold(sole_writer_of_folder(path), path)
 
     def hold(self, lock: AbstractContextManager[bool], output: Path) -> None:
@@ -61,10 +61,10 @@ class OutputGuard(contextlib.ExitStack):
         if not self.enter_context(lock):
             self._console.report(f"warning: {output} lies on storage without file locks: see that no other run writes it")
 
-    def _claim(self, path: Path, *globs: str) -> None:
+    def _remember(self, path: Path, *globs: str) -> None:
         """Refuse outputs in place of what is read, as far as that is known, and remember them for what will be."""
         _refuse_protected(path, globs)
-        self._claimed.append((path, globs))
+        self._guarded.append((path, globs))
 
 
 def _refuse_protected(path: Path, globs: tuple[str, ...]) -> None:

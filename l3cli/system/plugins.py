@@ -41,4 +41,4 @@ def blamed(entry: EntryPoint) -> Iterator[None]:
         yield
     except Exception as error:
         what = " ".join(str(error).split())
-        raise L3Error(f"{described(entry)} fails with {type(error).__name__}: {what}; mend or uninstall it") from error
+        raise L3Error(f"{described(entry)} fails with {type(error).__name__}: {what}; correct or uninstall it") from error

@@ -224,10 +224,10 @@ def _near_white(rule: ClassRule, goal: Goal) -> Array:
 def equal_responses(
     solutions: list[Solution], copies: list[int], rule: ClassRule, recipe: LearningRecipe, goal: Goal
 ) -> list[Transforms]:
-    """Transforms of the canonical sites, each of which stands for `copies` sites, bent so that sites answer a flat patch
-    alike, textures as far as that pays, and white with white (docs/method.md#equal-response). Classes that some site has no
-    solution for are filled from the nearest, at all sites from the same one. L3Error if there is no class that all sites
-    have a solution for.
+    """Transforms of the canonical sites, each of which stands for `copies` sites, constrained so that sites answer a flat
+    patch alike, textures as far as that pays, and white with white (docs/method.md#equal-response). Classes that some site
+    has no solution for are filled from the nearest, at all sites from the same one. L3Error if there is no class that all
+    sites have a solution for.
     """
     solved = np.all([solution.solved for solution in solutions], axis=0)
     if not solved.any():

@@ -140,7 +140,7 @@ def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict
     }
 
 
-OUTPUTS = 3  # of pictures, and planes that later layers read
+OUTPUTS = 3  # of pictures, and planes that refinement layers read
 WEIGHT, OTHERS = 4, 12  # bytes of a weight or intercept; of the number of samples and the condition of a class
 
 
@@ -192,7 +192,7 @@ def _refine(number: int, layer: dict[str, Any]) -> list[str]:
 
 
 def _kinds(layer: dict[str, Any]) -> str:
-    """Return the features by which a later layer distinguishes pixels where nothing is saturated."""
+    """Return the features by which a refinement layer distinguishes pixels where nothing is saturated."""
     if "leaves" in layer:
         tests = ", ".join(f"{name} {count}" for name, count in layer["tests"].items())
         by_test = f"; nodes by test: {tests}" if tests else ""
@@ -233,7 +233,7 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
 
 
 def _refinement_classes(layer: LayerRecipe, levels: int, cases: int) -> int:
-    """Return the classes a site of a later layer: leaves of a tree, or structures at every level."""
+    """Return the classes a site of a refinement layer: leaves of a tree, or structures at every level."""
     if layer.leaves:
         return layer.leaves + cases - 1
     structures = 1 + len(layer.strengths) * (1 + DIRECTIONS)

@@ -22,15 +22,15 @@ RUN = """
 import json, sys
 from l3cli.video_hosts.gstreamer import Gst, register
 register()
-told = []
+messages = []
 for line in json.loads(sys.argv[1]):
     film = Gst.parse_launch(line)
     film.set_state(Gst.State.PLAYING)
     ended = film.get_bus().timed_pop_filtered(20 * Gst.SECOND, Gst.MessageType.EOS | Gst.MessageType.ERROR)
     failed = ended is None or ended.type == Gst.MessageType.ERROR
-    told.append([ended.src.get_name(), ended.parse_error().gerror.message] if failed else None)
+    messages.append([ended.src.get_name(), ended.parse_error().gerror.message] if failed else None)
     film.set_state(Gst.State.NULL)
-print(json.dumps(told))
+print(json.dumps(messages))
 """
 SOURCE = "filesrc location=clip.raw ! rawvideoparse format=gray16-le width=28 height=20 framerate=30/1"
 

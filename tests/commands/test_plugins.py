@@ -75,7 +75,7 @@ def test_the_noise_model_of_the_page_is_simulated(installed: Path, pipeline: Pat
         (
             "size = 2",
             "raise RuntimeError('no array')\n    size = 2",
-            "fails with RuntimeError: no array; mend or uninstall it",
+            "fails with RuntimeError: no array; correct or uninstall it",
         ),
         ("import numpy as np", "import nump_y", "fails with ModuleNotFoundError: No module named 'nump_y'"),
         ("signal + 30.0", "signal[1:]", "ValueError: "),

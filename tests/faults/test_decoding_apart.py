@@ -54,7 +54,7 @@ def limited(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def test_values_come_back_as_they_went_and_one_child_decodes_all(limited: None) -> None:
     first, second = echo(Path("f"), "é\udcff", None), echo(Path("f"), "", 2**70)
     assert first["process"] == second["process"] != os.getpid()
-    assert (first["told"], second["told"]) == (("é\udcff", None, [1.5, True]), ("", 2**70, [1.5, True]))
+    assert (first["received"], second["received"]) == (("é\udcff", None, [1.5, True]), ("", 2**70, [1.5, True]))
     arrays = first["arrays"]
     assert (arrays["empty"].shape, arrays["empty"].dtype, arrays["one"]) == ((0, 3), np.float32, 2.5)
     assert arrays["F"].tolist() == [[0, 1, 2], [3, 4, 5]]
@@ -77,7 +77,7 @@ def test_a_file_at_worst_ends_its_decoder(limited: None, decoder: Callable[[Path
     with pytest.raises(InputFileError, match=r"^bad.dng") as caught:
         decoder(Path("bad.dng"))
     assert message in str(caught.value)
-    assert echo(Path("f"), "still here", 0)["told"][0] == "still here"
+    assert echo(Path("f"), "still here", 0)["received"][0] == "still here"
 
 
 def test_limits_are_not_lifted_again(limited: None) -> None:

@@ -71,7 +71,7 @@ def echo(path: Path, text: str, number: int | None) -> dict[str, Any]:
     ordered = np.asfortranarray(np.arange(6, dtype=">u2").reshape(2, 3))
     return {
         "process": os.getpid(),
-        "told": (text, number, [1.5, True]),
+        "received": (text, number, [1.5, True]),
         "arrays": {"empty": np.zeros((0, 3), np.float32), "one": np.float64(2.5), "F": ordered, "C": np.arange(4) > 1},
     }
 

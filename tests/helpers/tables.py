@@ -43,7 +43,7 @@ def with_first(table: TransformTable, **fields: Any) -> TransformTable:
 
 
 def with_refinement(table: TransformTable, *sides: int, seed: int = 1, ratios: bool = False) -> TransformTable:
-    """The table with later layers of random weights, whose windows have these sides; the last one may have colour ratios."""
+    """The table with refinement layers of random weights, of these sides; the last one may have colour ratios."""
     rng = np.random.default_rng(seed)
     sites, outputs, below = table.cfa.size, len(table.outputs), table.first.rule
     layers = []

@@ -282,7 +282,7 @@ def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
     known = RawOverrides(correction=correction_of(load(CameraModel, file.path)))
     shading = known.correction.shading if known.correction else None
     path, rendition = flawed / "frames/1.npy", Rendition(usual_balance(table), 1.0, 8)
-    frame, pending = read_raw(path, table, known), FrameReference(1, "1", lambda: None)
+    frame, reference = read_raw(path, table, known), FrameReference(1, "1", lambda: None)
 
     def pool(function: Any, jobs: Iterable[Any]) -> Iterator[Any]:
         for job in jobs:
@@ -294,9 +294,9 @@ def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
     setup = RenderSetup(
         flawed / "table.h5", sha256(flawed / "table.h5"), "reference", {}, RawOverrides(), rendition, None, file
     )
-    ((_, place),) = Local(ReferenceRenderer(table), setup).render(iter([Exposed(pending, frame, 1.0, None)]))
+    ((_, place),) = Local(ReferenceRenderer(table), setup).render(iter([Exposed(reference, frame, 1.0, None)]))
     for given in (frame, Unread(path, sha256(path))):
-        exposed = Exposed(pending, given, 1.0, None)
+        exposed = Exposed(reference, given, 1.0, None)
         ((_, made),) = Remote(pool, setup, True, shading).render(iter([exposed]))  # type: ignore[arg-type]
         np.testing.assert_array_equal(made.pixels, place.pixels)
     assert STEP % 16 == 0  # of the kernels' vectors none lies over a node

@@ -45,7 +45,7 @@ def a_table(cfa: ArrayLike, bits: int, black_level: float, **keys: Any) -> Trans
 
 
 def with_strengths(table: TransformTable, *edges: int) -> TransformTable:
-    """The table with other edges of strength in its later layers, as many as they had."""
+    """The table with other edges of strength in its refinement layers, as many as they had."""
     later = []
     for layer in table.later:
         assert isinstance(layer.rule, StructureRule)

@@ -127,7 +127,7 @@ def test_a_tree_of_one_leaf_is_a_layer_like_others(bayer: CameraModel, trained: 
 
 @pytest.mark.parametrize("rule", ["leaves = 8", "strengths = [3]"])
 def test_frames_without_inner_pixels_are_one_line(rule: str, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
-    """A later layer learns only from pixels whose neighbourhoods lie within their mosaic."""
+    """A refinement layer learns only from pixels whose neighbourhoods lie within their mosaic."""
     training = a_set(tmp_path / "small.h5", bayer, 1, smooth=False, size=(8, 8))
     (tmp_path / "classes.toml").write_text(CLASSES + LAYER.replace("leaves = 8", rule))
     words = refused(1, "train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "no.h5", "--quiet")

@@ -105,7 +105,7 @@ def _above(axis, sums):
     return sums[..., 0] * int(axis.constants[0]) - sums[..., 1] * 9
 
 
-def quieter(axis, share):
+def less_noisy(axis, share):
     return axis
 
 

@@ -73,7 +73,7 @@ class PhotoCamera:
         pitch, full = self.stated.pitch_um, (frame.white_level - frame.black_level) / self.noise.gain
         return f"""\
 # {printable(f"{self.name}, as its raw file shows it ({self.photo.name})")}. What the file does not say is assumed,
-# and marked so: mend it if you know better.
+# and marked so: correct it if you know better.
 name = {toml_value(self.name)}
 
 [sensor] # size, bits and levels are the file's

@@ -56,7 +56,7 @@ def read(path: Path, number: int | None = None) -> RawContent:
     if values.min() < 0:
         raise InputFileError(f"{path} holds {values.min()} DN; give unsigned values, as BZERO = 32768 codes them")
     if order not in ("", *ROW_ORDERS):
-        raise InputFileError(f'{path}: its ROWORDER is "{order}"; mend the header to {" or ".join(ROW_ORDERS)}')
+        raise InputFileError(f'{path}: its ROWORDER is "{order}"; correct the header to {" or ".join(ROW_ORDERS)}')
     if order == BOTTOM_UP:
         values = values[::-1]
     exposure = float(seconds) if isinstance(seconds, int | float) else None

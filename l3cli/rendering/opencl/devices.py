@@ -47,7 +47,7 @@ def prepare_cache() -> str:
         folder.mkdir(mode=stat.S_IRWXU, parents=True, exist_ok=True)
         state = folder.stat()
         if state.st_uid != os.geteuid() or state.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-            raise PermissionError(errno.EPERM, "other users may write to it, which chmod go-w mends")
+            raise PermissionError(errno.EPERM, "other users may write to it, which chmod go-w ends")
         _require_room(folder)
         _remove_empty(folder)
     except OSError as error:
@@ -141,7 +141,7 @@ def devices() -> list[Any]:
 
 def survey() -> list[str]:
     """One line for each device, with its number; and one for each platform without any, and for none at all, with what is
-    missing and how to mend it."""
+    missing and how to install it."""
     lines, number = [], 0
     platforms = _platforms()
     for name, shown, why in platforms:

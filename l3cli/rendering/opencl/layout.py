@@ -250,8 +250,8 @@ class PlaneStep:
 def table_buffers(
     sets: NoiseSets, variant: str, lanes: int, constant: Callable[..., Any]
 ) -> tuple[list[Any], Any, list[PlaneStep]]:
-    """Return the buffers of the first layer's class rule, the last layer's transforms, and the step to each later layer.
-    `constant` makes buffers of arrays."""
+    """Return the buffers of the first layer's class rule, the last layer's transforms, and the step to each refinement
+    layer. `constant` makes buffers of arrays."""
     table, later, steps = sets.tables[0], sets.later, []
     for number in range(len(later)):
         if number:

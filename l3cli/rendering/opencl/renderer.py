@@ -294,7 +294,7 @@ class OpenCLRenderer:
         return work
 
     def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
-        """Upload of a band, with the rows beside it that a later layer reads."""
+        """Upload of a band, with the rows beside it that a refinement layer reads."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         if self._in_place and not self._shading.corrects(frame):
@@ -329,7 +329,7 @@ class OpenCLRenderer:
         return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
 
     def _classify_refinement(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
-        """Queue the planes that later layer `number` reads of a band, and the classes that they give."""
+        """Queue the planes that refinement layer `number` reads of a band, and the classes that they give."""
         step, (rows, columns), made = self._layers[number], band.shape(number), band.shape(number + 1)
         track.planes[number] = self._scratch(track.planes[number], 4 * layout.PLANES * rows * columns)
         kernel = self._programs.planes(number, self._joined and not number)

@@ -47,7 +47,7 @@ class Track:
     """A queue and the buffers of one band; buffers grow to what is asked of them."""
 
     def __init__(self, context: Any, layers: int) -> None:
-        """For a table of so many later layers."""
+        """For a table of so many refinement layers."""
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
         self.raw: Any = None  # what is read …
@@ -55,7 +55,7 @@ class Track:
         self.labels: Any = None
         self.sets: Any = None  # number of the set of transforms that renders each pixel …
         self.chosen: tuple[Any, ...] = ()  # … or the host's array of them; nothing where there is one set
-        self.planes: list[Any] = [None] * layers  # that each later layer reads
+        self.planes: list[Any] = [None] * layers  # that each refinement layer reads
         self.refined_labels: list[Any] = [None] * layers
         self.made: Any = None  # outputs whose spectra are still to be smoothed
         self.result: Any = None
@@ -166,7 +166,7 @@ class PlaneSource:
 class Band:
     """Rows of a frame, and what every layer reads for them."""
 
-    # rows of planes that each later layer reads, of outputs whose spectra are smoothed, if so, and at the end the band's own
+    # rows of planes that each refinement layer reads, of outputs if their spectra are smoothed, and the band's own
     reads: tuple[slice, ...]
     raw_rows: slice  # that the patches of the first of them touch
     columns: int

@@ -130,5 +130,5 @@ def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]
             return means, f"is too dark: channel {letter} has {means[index]:.3g} DN; give a brighter grey"
         reached += bool((values[channel == index] == top).mean() > FLAT)
     if reached > 1:
-        return means, f"is clipped at {top} DN, below the white level of {frame.white_level:g}; mend ‹white_level›"
+        return means, f"is clipped at {top} DN, below the white level of {frame.white_level:g}; correct ‹white_level›"
     return means, ""

@@ -112,7 +112,7 @@ COOLEST, WARMEST = 24_000.0, 1_700.0  # K: what a search ends with lies beyond t
 
 @dataclass(frozen=True)
 class SceneWhite:
-    """A white, how frames are balanced for it, and the light that has it, as far as can be told."""
+    """A white, how frames are balanced for it, and the light that has it, as far as it is known."""
 
     balance: WhiteBalance
     light: CorrelatedLight

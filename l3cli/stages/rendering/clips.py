@@ -304,17 +304,17 @@ class ClipJob:
         L3Error, unless resuming, if an output is there; DeviceError if nothing can be rendered, L3Error on a full disk."""
         sources, resume = list(dict.fromkeys(sources)), self._options.resume
         refuse_one_name(sources)
-        with OutputGuard(self.console) as claims:
+        with OutputGuard(self.console) as guard:
             refuse_unwritable(self.folder / STATE)
-            claims.protect(self._path)
+            guard.protect(self._path)
             if not is_dry():
-                claims.hold(sole_writer_of_folder(self.folder), self.folder)
+                guard.hold(sole_writer_of_folder(self.folder), self.folder)
             self._take_over()
             later = (L3Error, OSError) if resume and not is_dry() else (InputFileError, OSError)  # said when it is its turn
             standings: list[Standing] = []
             for source in sources:
                 with contextlib.suppress(*later):
-                    claims.protect(*frame_files(source))
+                    guard.protect(*frame_files(source))
                     standings.append(self._standing(source))
             if is_dry():
                 self._plan(standings)

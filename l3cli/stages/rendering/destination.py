@@ -142,16 +142,16 @@ def paged(destination: Destination, sequence: FrameSequence) -> Destination:
     return destination
 
 
-def claim(destination: Destination, force: bool, claims: OutputGuard) -> None:
+def guard_outputs(destination: Destination, force: bool, guard: OutputGuard) -> None:
     """L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single picture
     is there already; RecipeError if that is read."""
     if destination.kind in ("video", "file"):
-        claims.claim_file(destination.path, force)
+        guard.guard_file(destination.path, force)
     elif destination.kind == "stream":
         refuse_protected(1)
     else:
         refuse_unwritable(destination.file(0, "frame"))
-        claims.hold(sole_writer_of_folder(*destination.lock), destination.path)
+        guard.hold(sole_writer_of_folder(*destination.lock), destination.path)
 
 
 def refuse_outputs(
@@ -170,8 +170,8 @@ def refuse_outputs(
     if sequence.is_stream:
         files = _existing(destination, sequence)
     else:
-        pictures = (pending for place, pending in enumerate(sequence.frames) if sequence.renders(place))
-        files = [destination.file(pending.number, pending.stem) for pending in pictures]
+        pictures = (reference for place, reference in enumerate(sequence.frames) if sequence.renders(place))
+        files = [destination.file(reference.number, reference.stem) for reference in pictures]
     if len(set(files)) < len(files):
         raise RecipeError("two inputs have the same name and would write the same file; render them one by one")
     for file in files:
@@ -188,7 +188,7 @@ def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
         return [file for number, file in numbered_files(destination.path).items() if number in wanted]
     numbers = {last_number(file) for file in _pictures(destination)}
     frames = [sequence.frames.reference(number) for number in numbers if number is not None and number in wanted]
-    return [destination.file(pending.number, pending.stem) for pending in frames]
+    return [destination.file(reference.number, reference.stem) for reference in frames]
 
 
 def _pictures(destination: Destination) -> list[Path]:
@@ -226,7 +226,7 @@ def plan(
     if not (is_dry() or is_noting()):
         return  # there may be many frames
     frames = [] if sequence.is_stream else [frame for place, frame in enumerate(sequence.frames) if sequence.renders(place)]
-    files = [pending.source for pending in frames if pending.source is not None]
+    files = [reference.source for reference in frames if reference.source is not None]
     if is_dry():
         refuse_outputs(destination, sequence, options.force or options.resume)
         for file in files if not options.skip_bad else ():
@@ -264,15 +264,15 @@ class PictureCheckpoint(Checkpoint):
         """Return whether a file exists that the run has made."""
         return file.name in self.items and self._is_there(file.name, self.items[file.name])
 
-    def keeps(self, file: Path, pending: FrameReference) -> bool:
+    def has(self, file: Path, reference: FrameReference) -> bool:
         """Return whether the picture of a frame exists already; RecipeError if it was made of something else. Without an
         origin nothing can be said yet."""
         self._unasked.discard(file.name)
-        if pending.origin is None or not self.is_ours(file):
+        if reference.origin is None or not self.is_ours(file):
             return False
         _, origin, inode, identity = self.items[file.name]
-        same = inode == list(pending.inode or ()) or (pending.source and identity == file_identity(sha256(pending.source)))
-        if origin != pending.origin or not same:
+        source, same_file = reference.source, inode == list(reference.inode or ())
+        if origin != reference.origin or not (same_file or (source and identity == file_identity(sha256(source)))):
             raise RecipeError(f"{file} was made of another input than is given now; leave ‹resume› out")
         return True
 
@@ -283,9 +283,9 @@ class PictureCheckpoint(Checkpoint):
                 f"{self.path.with_name(min(self._unasked))} was made of a frame that is not given now; leave ‹resume› out"
             )
 
-    def made(self, file: Path, temporary: Path, pending: FrameReference) -> None:
+    def made(self, file: Path, temporary: Path, reference: FrameReference) -> None:
         """List a picture of a frame that is about to get its name."""
-        self.add(file.name, [file_state(temporary), pending.origin, list(pending.inode or ()), pending.identity])
+        self.add(file.name, [file_state(temporary), reference.origin, list(reference.inode or ()), reference.identity])
 
 
 def listed_pictures(path: Path) -> list[Path]:
@@ -296,7 +296,7 @@ def listed_pictures(path: Path) -> list[Path]:
     return [picture for picture, state in named.items() if file_state(picture) == state]
 
 
-class FrameOrigins:
+class FrameDigests:
     """Records what pictures are made of, frame by frame: by file, number, size and time; by content where there is no file
     to go by. `all_before`: the exposure of a frame depends on every one before it, and so does its picture."""
 
@@ -304,34 +304,34 @@ class FrameOrigins:
         self._whole, self._all_before = whole, all_before  # `whole`: the file of frames that are no files
         self._before = ""
 
-    def of(self, pending: FrameReference) -> FrameReference:
+    def of(self, reference: FrameReference) -> FrameReference:
         """The frame with its origin, if that is known before it is read; ask before, lest it change in between."""
-        source = pending.source or self._whole
+        source = reference.source or self._whole
         if not source.is_file():
-            return pending
+            return reference
         size, changed, *inode = fingerprint(source)
-        known = self._with_origin(pending, [os.path.realpath(source), pending.number, size, changed])
+        known = self._with_origin(reference, [os.path.realpath(source), reference.number, size, changed])
         return replace(known, inode=tuple(inode))
 
-    def of_read(self, pending: FrameReference, frame: RawFrame) -> FrameReference:
+    def of_read(self, reference: FrameReference, frame: RawFrame) -> FrameReference:
         """The frame with its origin."""
-        if pending.origin is not None:
-            return pending
-        return self._with_origin(pending, [pending.number, hashlib.sha256(frame.values.tobytes()).hexdigest()])
+        if reference.origin is not None:
+            return reference
+        return self._with_origin(reference, [reference.number, hashlib.sha256(frame.values.tobytes()).hexdigest()])
 
-    def _with_origin(self, pending: FrameReference, identity: list) -> FrameReference:
+    def _with_origin(self, reference: FrameReference, identity: list) -> FrameReference:
         origin = hashlib.sha256(json.dumps([self._before, *identity]).encode()).hexdigest()
         if self._all_before:
             self._before = origin
-        return replace(pending, origin=origin)
+        return replace(reference, origin=origin)
 
 
 @contextlib.contextmanager
 def checkpointed(
-    destination: Destination, key: str, options: RenderOptions, sequence: FrameSequence, origins: Callable[[], FrameOrigins]
+    destination: Destination, key: str, options: RenderOptions, sequence: FrameSequence, digests: Callable[[], FrameDigests]
 ) -> Iterator[PictureCheckpoint | None]:
     """Refuse what cannot be written, then keep the checkpoint of the run `key`, for a sequence of pictures, until all is
-    done. `origins`: of its frames."""
+    done. `digests`: of its frames."""
     if destination.kind not in ("pattern", "folder"):
         if options.resume:
             raise RecipeError(f"‹resume› goes on with a sequence of pictures; {destination.path} is written in one go")
@@ -342,7 +342,7 @@ def checkpointed(
     if options.resume and checkpoint.path.is_file():
         checkpoint.go_on(destination.path)
         if sequence.count is not None:
-            _refuse_changed(destination, sequence, checkpoint, origins())
+            _refuse_changed(destination, sequence, checkpoint, digests())
     refuse_outputs(destination, sequence, checkpoint.force, checkpoint.is_ours)
     checkpoint.begin()
     try:
@@ -355,11 +355,11 @@ def checkpointed(
 
 
 def _refuse_changed(
-    destination: Destination, sequence: FrameSequence, checkpoint: PictureCheckpoint, origins: FrameOrigins
+    destination: Destination, sequence: FrameSequence, checkpoint: PictureCheckpoint, digests: FrameDigests
 ) -> None:
     """RecipeError, before anything is read, if pictures are there that are known to be of other frames."""
-    for place, pending in enumerate(sequence.frames):
-        pending = origins.of(pending)  # which may tell of every frame before
+    for place, reference in enumerate(sequence.frames):
+        reference = digests.of(reference)  # which may tell of every frame before
         if sequence.renders(place):
-            checkpoint.keeps(destination.file(pending.number, pending.stem), pending)
+            checkpoint.has(destination.file(reference.number, reference.stem), reference)
     checkpoint.refuse_others()

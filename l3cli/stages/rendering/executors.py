@@ -46,7 +46,7 @@ class Unread:
 class Exposed:
     """A frame to be rendered, and how it is shown."""
 
-    pending: FrameReference
+    reference: FrameReference
     frame: RawFrame | Unread
     scale: float  # of its exposure, 0: automatic
     balance: WhiteBalance | None  # its own; None: the rendition's
@@ -72,19 +72,19 @@ class Local:
         if usual is None or rendition.is_linear:
             for each in exposed:
                 made = rendered(self._renderer, frame := _read(each), rendition, each.scale, each.balance)
-                yield each.pending, picture_of(made, frame, each.pending.identity, setup, outputs)
+                yield each.reference, picture_of(made, frame, each.reference.identity, setup, outputs)
             return
 
         def displayed() -> Iterator[tuple[RawFrame, Display]]:
             for each in exposed:
                 frame = _read(each)
-                at_work.append((each.pending, frame))
+                at_work.append((each.reference, frame))
                 yield shown(self._renderer, frame, rendition, each.balance or usual, each.scale)
 
         for picture in self._renderer.pictures(displayed()):
-            pending, frame = at_work.popleft()
+            reference, frame = at_work.popleft()
             made = upright(picture, frame.orientation), 0.0
-            yield pending, picture_of(made, frame, pending.identity, setup, outputs)
+            yield reference, picture_of(made, frame, reference.identity, setup, outputs)
 
 
 def _read(exposed: Exposed) -> RawFrame:
@@ -123,7 +123,7 @@ class Remote:
 
     def __init__(self, pool: WorkerPool, setup: RenderSetup, by_path: bool, shading: "Shading | None" = None) -> None:
         """`by_path`: workers read the files themselves; `shading`: that of the setup's camera, which they know."""
-        self._crew, self._setup, self.by_path, self._shading = pool, setup, by_path, shading
+        self._pool, self._setup, self.by_path, self._shading = pool, setup, by_path, shading
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[FrameReference, Any]]:
         """Each frame rendered, the content of its picture's file, or what is wrong with it, in order."""
@@ -132,12 +132,12 @@ class Remote:
         def jobs() -> Iterator[RenderJob]:
             for each in exposed:
                 frame = each.frame
-                away.append(each.pending)
+                away.append(each.reference)
                 if isinstance(frame, RawFrame) and frame.shading is self._shading:
                     frame = replace(frame, shading=None)  # larger than the frame, and the same for all
-                yield RenderJob(self._setup, frame, each.scale, each.balance, each.pending.identity)
+                yield RenderJob(self._setup, frame, each.scale, each.balance, each.reference.identity)
 
-        for made in self._crew(_rendered, jobs()):
+        for made in self._pool(_rendered, jobs()):
             yield away.popleft(), made
 
 
@@ -166,7 +166,7 @@ def _rendered(job: RenderJob) -> Any:
         except (L3Error, OSError) as error:
             return error if isinstance(error, L3Error) else InputFileError(str(error))
     elif correction is not None and frame.shading is None:
-        frame = replace(frame, shading=correction.shading)  # its defects are mended already
+        frame = replace(frame, shading=correction.shading)  # its defects are corrected already
     made = rendered(renderer, frame, setup.rendition, job.scale, job.balance)
     picture = picture_of(made, frame, job.identity, setup, table.outputs)
     return picture if setup.suffix is None else picture_file(Path(f"frame{setup.suffix}"), picture)

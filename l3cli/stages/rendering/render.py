@@ -32,10 +32,10 @@ from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance, white_source
 from l3cli.stages.rendering.destination import (
     Destination,
-    FrameOrigins,
+    FrameDigests,
     checkpointed,
-    claim,
     destination_of,
+    guard_outputs,
     overrides,
     paged,
     part_of,
@@ -61,9 +61,9 @@ def render(
     console, dark, white, scheduler = options.console, options.dark, options.white, options.cluster()
     destination, known = destination_of(output, options), overrides(options)
     engine = {name: value for name, value in {"device": options.device, "variant": options.variant}.items() if value}
-    with OutputGuard(console) as claims:
-        claims.protect(table, *inputs, *itertools.chain(*options.inputs().values()))
-        claim(destination, options.force, claims)
+    with OutputGuard(console) as guard:
+        guard.protect(table, *inputs, *itertools.chain(*options.inputs().values()))
+        guard_outputs(destination, options.force, guard)
         _refuse_misplaced(destination, options)
         if engine and options.backend != "opencl":
             raise RecipeError(
@@ -74,7 +74,7 @@ def render(
         if not destination.linear or options.space is not None:
             transforms = transforms.pictured()
         if dark:
-            known = replace(known, dark=read_dark(_protected(find_frames(dark, transforms, known), claims)))
+            known = replace(known, dark=read_dark(_protected(find_frames(dark, transforms, known), guard)))
         model = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if options.hot == "auto" else None)
@@ -88,7 +88,7 @@ def render(
                 raise InputFileError(f"{inputs[0]} does not exist; give a folder, a pattern or a stack")
             sequence = replace(sequence, part=part_of(sequence, options.shard, options.temporal))
         destination = paged(destination, sequence)
-        _protected(sequence, claims)
+        _protected(sequence, guard)
         if sequence.missing and not options.skip_bad:
             raise sequence.absent(sequence.missing[0])
         plan(table, inputs, sequence, destination, options)
@@ -107,12 +107,12 @@ def render(
         chunks = _chunks(options.backend, engine, transforms, scheduler, sequence, console) if options.temporal else None
         key = options.run_key(digest, os.environ.get("L3_DEVICE"), choice, mix and astuple(mix))
         job = SequenceJob(sequence, destination, transforms, rendition, source, choice, pacing, chunks, options)
-        origins = functools.partial(FrameOrigins, inputs[0], job.follows)
+        digests = functools.partial(FrameDigests, inputs[0], job.follows)
         with (
-            checkpointed(destination, key, options, sequence, origins) as checkpoint,
+            checkpointed(destination, key, options, sequence, digests) as checkpoint,
             executor_of(setup, transforms, scheduler, renderers or Renderers()) as executor,
         ):
-            tally = render_frames(job, executor, checkpoint, origins())
+            tally = render_frames(job, executor, checkpoint, digests())
         for text in filter(None, (odd_exposure_time(known.exposure, transforms), cache_warning())):
             console.warn(text)
         return tally
@@ -133,10 +133,10 @@ def _chunks(
         return Chunks(filters("reference", table))  # the devices are the workers'; all backends give the same
 
 
-def _protected(sequence: FrameSequence, claims: OutputGuard) -> FrameSequence:
+def _protected(sequence: FrameSequence, guard: OutputGuard) -> FrameSequence:
     """Frames whose files no output may replace; those of a stream, which may be endless, lie in one file."""
     if not sequence.is_stream:
-        claims.protect(*(pending.source for pending in sequence.frames if pending.source))
+        guard.protect(*(reference.source for reference in sequence.frames if reference.source))
     return sequence
 
 

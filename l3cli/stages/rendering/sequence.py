@@ -25,7 +25,7 @@ from l3cli.rendering.rendition import FrameMeter, Rendition
 from l3cli.rendering.temporal.chunks import Chunks, needed
 from l3cli.rendering.white.scene_white import SceneWhite, WhiteBalance, implausible, unlike_stated
 from l3cli.rendering.white.source import ChartSceneWhite, WhiteSource
-from l3cli.stages.rendering.destination import Destination, FrameOrigins, PictureCheckpoint
+from l3cli.stages.rendering.destination import Destination, FrameDigests, PictureCheckpoint
 from l3cli.stages.rendering.executors import Exposed, Local, Remote, Unread
 from l3cli.system.console import Console
 from l3cli.system.files import atomic_output, sha256
@@ -69,7 +69,7 @@ class SequenceJob:
 class _Read:
     """A frame that was read or is to be, or why not."""
 
-    pending: FrameReference
+    reference: FrameReference
     frame: RawFrame | Unread | None
     scale: float = 0.0  # of its exposure, 0: automatic
     white: SceneWhite | None = None  # measured on it
@@ -138,7 +138,7 @@ class WhiteReport:
 
 
 def render_frames(
-    job: SequenceJob, executor: Local | Remote, checkpoint: PictureCheckpoint | None, origins: FrameOrigins
+    job: SequenceJob, executor: Local | Remote, checkpoint: PictureCheckpoint | None, digests: FrameDigests
 ) -> Tally:
     """Render every frame into the destination. What is broken is raised, or, where bad frames are skipped, said and left
     out."""
@@ -149,17 +149,17 @@ def render_frames(
     for numbers in sequence.missing:
         tally.leave_out(sequence.absent(numbers), options, len(numbers))
     with _sink(job, checkpoint) as (write, threads), WriteBehind(write, DEPTH, threads) as writing:
-        reading = prefetched(_Reading(job, meter, checkpoint, origins, executor.by_path).frames(), DEPTH)
+        reading = prefetched(_Reading(job, meter, checkpoint, digests, executor.by_path).frames(), DEPTH)
         if job.temporal:
             reading = prefetched(_filtered(reading, job.temporal), DEPTH)
         total = sequence.part.stop if sequence.part else sequence.count and sequence.count - sequence.lost
         exposed = _exposed(console.progress(reading, total, "frames"), job, tally, white_report)
-        for pending, made in executor.render(warnings.watched(exposed, sequence.stills)):
+        for reference, made in executor.render(warnings.watched(exposed, sequence.stills)):
             if isinstance(made, L3Error):
                 tally.done -= 1
                 tally.leave_out(made, options)
             else:
-                writing.put((pending, made))
+                writing.put((reference, made))
         if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
     if warnings.assumption:
@@ -211,7 +211,7 @@ class _Reading:
     job: SequenceJob
     meter: FrameMeter
     checkpoint: PictureCheckpoint | None
-    origins: FrameOrigins
+    digests: FrameDigests
     by_path: bool
     _size: tuple[int, ...] | None = None  # of all frames that become one file
     _is_first: bool = True
@@ -219,13 +219,13 @@ class _Reading:
     def _asked(self) -> Iterator[tuple[int, FrameReference, bool]]:
         """Each frame with its place, and whether its picture is known to be there already, before it is read."""
         sequence, destination = self.job.sequence, self.job.destination
-        for place, pending in enumerate(itertools.islice(sequence.frames, sequence.part.stop if sequence.part else None)):
+        for place, reference in enumerate(itertools.islice(sequence.frames, sequence.part.stop if sequence.part else None)):
             is_finished = not sequence.renders(place)
             if self.checkpoint:
-                pending = self.origins.of(pending)
-                file = destination.file(pending.number, pending.stem)
-                is_finished = is_finished or (pending.origin is not None and self.checkpoint.keeps(file, pending))
-            yield place, pending, is_finished
+                reference = self.digests.of(reference)
+                file = destination.file(reference.number, reference.stem)
+                is_finished = is_finished or (reference.origin is not None and self.checkpoint.has(file, reference))
+            yield place, reference, is_finished
 
     def frames(self) -> Iterator[_Read]:
         sequence = self.job.sequence
@@ -235,43 +235,43 @@ class _Reading:
         needs = needed(
             (place, not is_finished) for place, _, is_finished in ahead
         )  # whether a picture depends on a frame in the filter
-        for place, pending, is_finished in asked:
+        for place, reference, is_finished in asked:
             need = next(needs) if looks_ahead else not is_finished
-            read = self._read(pending, is_finished, need)
+            read = self._read(reference, is_finished, need)
             if read is None:
-                if rest := sequence.rest(pending.number):
-                    yield _Read(pending, None, error=sequence.absent(rest), lost=len(rest))
+                if rest := sequence.rest(reference.number):
+                    yield _Read(reference, None, error=sequence.absent(rest), lost=len(rest))
                 break
             to_filter = self.job.temporal and isinstance(read.frame, RawFrame) and (need or not looks_ahead)
             yield replace(read, counted=sequence.renders(place), place=place if to_filter else None)
         if self.checkpoint:
             self.checkpoint.refuse_others()
 
-    def _read(self, pending: FrameReference, is_finished: bool, need: bool) -> _Read | None:
+    def _read(self, reference: FrameReference, is_finished: bool, need: bool) -> _Read | None:
         """Read a frame; None at the end of a stream."""
         job, destination = self.job, self.job.destination
         if not need and not (self.meter and job.in_order) and not job.sequence.is_stream:
-            return _Read(pending, None, is_finished=True)
+            return _Read(reference, None, is_finished=True)
         leaves = self.by_path and destination.one_by_one and not (self.meter or job.temporal)
         try:
-            if leaves and pending.source and not self._is_first:
-                unread = Unread(pending.source.absolute(), sha256(pending.source))
-                pending = replace(pending, identity=file_identity(unread.digest))
-                return _Read(pending, unread, job.rendition.exposure or 0.0, is_finished=is_finished)
-            frame, self._is_first = pending.read(), False
+            if leaves and reference.source and not self._is_first:
+                unread = Unread(reference.source.absolute(), sha256(reference.source))
+                reference = replace(reference, identity=file_identity(unread.digest))
+                return _Read(reference, unread, job.rendition.exposure or 0.0, is_finished=is_finished)
+            frame, self._is_first = reference.read(), False
             if frame is None:
                 return None
             if not destination.one_by_one:
                 self._require_size(frame)
             scale, balance, white = self.meter.measured(frame)
         except (L3Error, OSError) as error:
-            return _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
-        if self.checkpoint and pending.origin is None:
-            pending = self.origins.of_read(pending, frame)
-            is_finished = is_finished or self.checkpoint.keeps(destination.file(pending.number, pending.stem), pending)
+            return _Read(reference, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
+        if self.checkpoint and reference.origin is None:
+            reference = self.digests.of_read(reference, frame)
+            is_finished = is_finished or self.checkpoint.has(destination.file(reference.number, reference.stem), reference)
         if destination.pictures and not is_finished:
-            pending = replace(pending, identity=_identity(pending, frame))
-        return _Read(pending, frame, scale, white, balance, is_finished=is_finished)
+            reference = replace(reference, identity=_identity(reference, frame))
+        return _Read(reference, frame, scale, white, balance, is_finished=is_finished)
 
     def _require_size(self, frame: RawFrame) -> None:
         """InputFileError unless a frame has the size of the first."""
@@ -293,10 +293,10 @@ def _filtered(reading: Iterator[_Read], temporal: Chunks) -> Iterator[_Read]:
         yield each
 
 
-def _identity(pending: FrameReference, frame: RawFrame) -> str:
+def _identity(reference: FrameReference, frame: RawFrame) -> str:
     """Return the identity of the frame that a picture was made from, as the picture states it."""
-    if pending.source is not None:
-        return file_identity(sha256(pending.source))
+    if reference.source is not None:
+        return file_identity(sha256(reference.source))
     return values_identity(hashlib.sha256(frame.values.astype("<u2", copy=False).tobytes()).hexdigest())
 
 
@@ -312,7 +312,7 @@ def _exposed(reading: Iterable[_Read], job: SequenceJob, tally: Tally, white_rep
             if isinstance(each.frame, RawFrame) and each.counted:
                 white_report.report_white(each.frame, each.white)
             if not each.is_finished:
-                yield Exposed(each.pending, each.frame, each.scale, each.balance)
+                yield Exposed(each.reference, each.frame, each.scale, each.balance)
 
 
 @contextlib.contextmanager
@@ -328,13 +328,13 @@ def _sink(
     if destination.one_by_one:
 
         def write(item: tuple[FrameReference, Any]) -> None:
-            pending, made = item
-            file = destination.file(pending.number, pending.stem)
+            reference, made = item
+            file = destination.file(reference.number, reference.stem)
             content = made if isinstance(made, bytes) else picture_file(file, made)
             with atomic_output(file) as temporary:
                 temporary.write_bytes(content)
                 if checkpoint:
-                    checkpoint.made(file, temporary, pending)
+                    checkpoint.made(file, temporary, reference)
 
         yield write, PICTURE_WRITERS
     elif destination.kind == "pages":

@@ -182,7 +182,7 @@ def fitting(
         count = sum(map(len, files))
         total = f"{len(bad)} of {count} scenes cannot be taken: " if len(bad) > 1 else ""
         why = [str(error).partition("; ")[0] for error in bad]
-        cure = "give scale, crop or (rgb) shrink, mend the files, or leave them out with ‹skip_bad›"
+        cure = "give scale, crop or (rgb) shrink, correct the files, or leave them out with ‹skip_bad›"
         raise InputFileError(f"{total}{listed(why)}; {cure}")
     readable = [[path for path in paths if path not in errors] for paths, errors in zip(files, refused, strict=True)]
     synthetic = any(not isinstance(source, FileSource) for source in run.recipe.scene)

@@ -42,14 +42,14 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
     console, resume, force, scheduler = options.console, options.resume, options.force, options.cluster()
     folders = list(dict.fromkeys(filter(None, (options.pictures, options.dng))))
-    with OutputGuard(console) as claims:
-        claims.protect(scenes, *camera_files(camera), *itertools.chain(*options.inputs().values()))
-        claims.hold_file(output)
+    with OutputGuard(console) as guard:
+        guard.protect(scenes, *camera_files(camera), *itertools.chain(*options.inputs().values()))
+        guard.hold_file(output)
         if not is_dry():
             remove_finished(output)
         refuse_existing(output, force or resume)
         for folder in folders:
-            claims.hold_folder(folder, *WRITTEN)
+            guard.hold_folder(folder, *WRITTEN)
         if scheduler:
             scenes = scenes.absolute()  # its files are searched for by workers elsewhere
         model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
@@ -57,7 +57,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         run, files = prepare(recipe, scenes, model, options.seed)
         files, bad = fitting(run, files, scenes, options.skip_bad, console)
         inputs = {"camera": camera_files(camera), **input_files(run, files)}
-        claims.protect(*itertools.chain(*inputs.values()))
+        guard.protect(*itertools.chain(*inputs.values()))
         head = head_of(run, model, (scenes, camera), inputs, options.chosen())
         key = key_of(head.history[-1])
         stored = StoredFrames(folder_of(output), key)

@@ -69,7 +69,7 @@ def by_noise(table: TransformTable) -> list[TransformTable]:
 
 def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
     """Each light of a run whose recipe wants transforms for it, the warmest first, with the run over its frames alone, as
-    many patches and mosaics as over all; none if it does not. InputFileError if the frames cannot be told apart by light."""
+    many patches and mosaics as over all; none if it does not. InputFileError if frames state no light."""
     if not run.recipe.learning.per_light:
         return []
     named = ", ".join(str(source.path) for source in run.training)

@@ -60,7 +60,7 @@ def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
 
 
 def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
-    """Training mosaics (frame) of later layer `number`, the first of them being 0."""
+    """Training mosaics (frame) of refinement layer `number`, the first of them being 0."""
     return spread_patches(run.recipe.layer[number].mosaics, [source.frames for source in run.training], run.shares)
 
 

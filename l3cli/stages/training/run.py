@@ -20,7 +20,7 @@ from l3cli.training.recipe import TrainingRecipe, draft_of, for_camera
 from l3cli.training.training_pass import FIRST, SUM_BYTES, spread_patches
 
 
-class HeldFrames:
+class FrameCache:
     """Frames by the digest of their set and their index in it, as many as fit into the bytes that sums may take. The first
     stay: a pass begins again with them."""
 
@@ -29,28 +29,28 @@ class HeldFrames:
         self._frames: dict[tuple[str, int], TrainingPair] = {}
 
     def get(self, digest: str, index: int) -> TrainingPair | None:
-        """The frame, if it is held."""
+        """Return the frame, if it is cached."""
         return self._frames.get((digest, index))
 
     def add(self, digest: str, index: int, frame: TrainingPair) -> None:
-        """Hold a frame, if there is room for it."""
+        """Cache a frame, if there is room for it."""
         size = sum(value.nbytes for value in vars(frame).values() if isinstance(value, np.ndarray))
         if self.bytes + size <= self.most:
             self._frames[digest, index] = frame
             self.bytes += size
 
     def clear(self) -> None:
-        """Hold nothing."""
+        """Drop all frames."""
         self._frames.clear()
         self.bytes = 0
 
 
-FRAMES = HeldFrames()  # of this process
+FRAMES = FrameCache()  # of this process
 
 
 @contextlib.contextmanager
-def held_for_a_run() -> Iterator[None]:
-    """Frames that this process reads within are held until the end."""
+def cached_for_a_run() -> Iterator[None]:
+    """Cache the frames that this process reads within, until the end."""
     try:
         yield
     finally:

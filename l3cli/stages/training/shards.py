@@ -122,9 +122,9 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Tr
 def merge_shards(shards: tuple[Path, ...], output: Path, options: ShardOptions) -> TransformTable:
     """Make the table of all shards of a pass and write it; InputFileError if some are missing, doubled or of another run."""
     console = options.console
-    with OutputGuard(console) as claims:
-        claims.protect(*shards)
-        claims.claim_file(output, options.force)
+    with OutputGuard(console) as guard:
+        guard.protect(*shards)
+        guard.guard_file(output, options.force)
         table = _merged(shards, output)
         save(table, output)
         report_table(table, output, console)

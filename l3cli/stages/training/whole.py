@@ -13,7 +13,7 @@ from l3cli.parallel import workers
 from l3cli.stages.training.conditions import learn_conditions, runs_by_light
 from l3cli.stages.training.passes import Execution, first_pass, learn_first
 from l3cli.stages.training.refinement_layers import learn_refinement_layers
-from l3cli.stages.training.run import TrainingRun, held_for_a_run, open_run
+from l3cli.stages.training.run import TrainingRun, cached_for_a_run, open_run
 from l3cli.system.console import Console
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
@@ -36,9 +36,9 @@ def execution_of(
     """Yield the run of these training sets, and who does its work, while the output is claimed for `what` is made; errors
     in the recipe name its file."""
     classes, scheduler = options.classes, options.cluster()
-    with OutputGuard(options.console) as claims:
-        claims.protect(*training, *itertools.chain(*options.inputs().values()))
-        claims.claim_file(output, options.force)
+    with OutputGuard(options.console) as guard:
+        guard.protect(*training, *itertools.chain(*options.inputs().values()))
+        guard.guard_file(output, options.force)
         if scheduler:
             training = tuple(path.absolute() for path in training)  # for workers elsewhere
         run = open_run(training, options)
@@ -47,7 +47,7 @@ def execution_of(
         made = Made(output, f"{what} of {sum(run.patches)} patches in {frames} frames")
         before_work({"training sets": training, "class recipe": [classes] if classes else []}, made)
         try:
-            with workers(options.jobs, scheduler) as pool, held_for_a_run():  # workers start while the first reads
+            with workers(options.jobs, scheduler) as pool, cached_for_a_run():  # workers start while the first reads
                 yield run, Execution(pool, scheduler is not None, options.console)
         except RecipeError as error:
             raise RecipeError(f"{classes or 'the built-in class recipe'}: {error}") from error

@@ -65,8 +65,8 @@ class Exposed:
 
 def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaics]:
     """`count` mosaics of a frame, one by one. Simulated ones are turned and mirrored at random and shown at drawn levels,
-    the last of them without colour; real pairs, whose noise cannot be told from the scene, as they are. None of a frame with
-    nothing to learn from within the margin."""
+    the last of them without colour; real pairs, whose noise cannot be separated from the scene, as they are. None of a frame
+    with nothing to learn from within the margin."""
     camera, shape = exposed.camera, exposed.shape(frame.raw.shape)
     if min(shape) <= 2 * exposed.margin:
         return

@@ -32,9 +32,9 @@ class LayerGoal:
 def solve_layer(
     sums: list[LayerSums], copies: list[int], rule: PlaneRule, goal: LayerGoal, equal: bool = True
 ) -> list[Array]:
-    """Rows (class, tap + 1, output) of the canonical sites, each of which stands for `copies`, bent so that all answer flat
-    areas alike, and white with white: what the layer before makes of greys, also of those that clip, stays as grey as it is.
-    L3Error if no class can be solved.
+    """Rows (class, tap + 1, output) of the canonical sites, each of which stands for `copies`, constrained so that all
+    answer flat areas alike, and white with white: what the layer before makes of greys, also of those that clip, stays as
+    grey as it is. L3Error if no class can be solved.
     """
     taps = int((np.sqrt(8 * sums[0].noise.shape[1] + 1) - 1) / 2)
     outputs, planes = len(goal.noise), len(goal.white)
