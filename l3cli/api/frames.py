@@ -18,9 +18,9 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.correction import CameraFile, correction_in, correction_of
 from l3cli.frames.frame import RawFrame
-from l3cli.io.raw import files as raw_files
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.files import RawOverrides, frame_of
+from l3cli.io.raw.files import read_raw as read_raw_file
 from l3cli.rendering.conditions import Mix, mixed, nearest_for
 from l3cli.rendering.raw_checks import beyond_converter
 from l3cli.rendering.renderer import NoiseRenderer
@@ -40,13 +40,13 @@ def read_raw(
 ) -> RawFrame:  # fmt: skip
     """Return the raw frame in a file of any format that `l3 render` reads, `values` (row, col) in DN.
 
-    `black_level`, `white_level` (DN), `phase` (CFA row and column of the first pixel), `exposure` (s): known better than
-    the file says; `size` (rows, columns), `packing`, `stride` (bytes): of headerless files. `camera`: model whose defects
-    and flat field are corrected. InputFileError if it cannot be read, or has another CFA than the `sensor`.
+    `black_level`, `white_level` (DN), `phase` (CFA row and column of the first pixel), `exposure` (s): in place of
+    what the file states; `size` (rows, columns), `packing`, `stride` (bytes): of headerless files. `camera`: model whose
+    defects and flat field are corrected. InputFileError if it cannot be read, or has another CFA than the `sensor`.
     """
     correction = None if camera is None else correction_of(camera)
     known = RawOverrides(black_level, white_level, phase, size, packing, stride, exposure, correction=correction)
-    return raw_files.read_raw(Path(path), sensor, known)
+    return read_raw_file(Path(path), sensor, known)
 
 
 class Renderer:

@@ -54,11 +54,6 @@ def figures(camera: CameraModel) -> dict[str, Any]:
         columns |= {"R²": fit.validation.r_squared, "RMSE (%)": 100.0 * fit.validation.relative_rmse}
     if fit.photo is not None:
         columns |= _photo_columns(camera, fit.photo)
-    left_out = (
-        *(fit.photo.left_out if fit.photo else ()),
-        *(fit.sweep.left_out if fit.sweep else ()),
-        *(fit.series.left_out if fit.series else ()),
-    )
     return {
         "camera": {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()},
         "channels": _by_channel(camera, columns) if columns else {},
@@ -71,7 +66,7 @@ def figures(camera: CameraModel) -> dict[str, Any]:
         "smoothing": fit.sweep.chosen_smoothing if fit.sweep else None,
         "responsivity": "absolute" if camera.absolute else "relative",
         "declared": list(camera.declared),
-        "left out": list(left_out),
+        "left out": [capture for each in (fit.photo, fit.sweep, fit.series) if each for capture in each.left_out],
         "defects": fit.noise.defects.tolist() if fit.noise else [],
         "defect map": defect_counts(camera.defects, (camera.rows, camera.cols)) if camera.defects else None,
         "corner fall-off %": _corners(camera),

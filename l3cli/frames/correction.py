@@ -7,16 +7,19 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import CLIPPED, Shading, shading_of
 from l3cli.system.files import require_same
+
+if TYPE_CHECKING:
+    from l3cli.artifacts.table import TransformTable
 
 NEIGHBOURS = 4  # that a value is made of: the mean of the two in the middle
 FARTHEST = 16  # rows and columns to each side in which they are searched
@@ -331,7 +334,7 @@ class CameraFile:
     digest: str  # SHA-256
 
 
-def correction_in(file: CameraFile, table: TransformTable) -> Correction:
+def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
     """The correction that a camera model knows; InputFileError if it knows none, or its array is not the table's."""
     camera = _camera_of(file)
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
@@ -352,6 +355,7 @@ def correction_again(file: CameraFile) -> Correction:
 def _camera_of(file: CameraFile) -> CameraModel:
     """The camera model in a file, or that of a table."""
     from l3cli.artifacts.store import load, open_artifact
+    from l3cli.artifacts.table import TransformTable
 
     with open_artifact(file.path, CameraModel, TransformTable) as root:
         kind = str(root.attrs["kind"])
@@ -363,7 +367,7 @@ def _camera_of(file: CameraFile) -> CameraModel:
     return camera
 
 
-def hot_test(table: TransformTable) -> HotTest:
+def hot_test(table: "TransformTable") -> HotTest:
     """By the noise of the table's camera; RecipeError if an older table does not have it."""
     if table.camera is None:
         raise RecipeError(

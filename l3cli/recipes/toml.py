@@ -40,7 +40,7 @@ class Recipe(msgspec.Struct, forbid_unknown_fields=True):
     title: ClassVar[str] = "a recipe"  # of a whole file, and what is asked for where another kind is given
 
 
-TELLING = {  # keys at the top of a file by which its kind is known: no other kind has them
+KIND_KEYS = {  # keys at the top of a file by which its kind is known: no other kind has them
     "a measurement file": ("common", "sweep", "curves", "band", "photo", "prior", "datasheet", "uncertainty"),
     "a camera recipe": ("responsivity", "noise"),
     "a lab recipe": ("defects", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
@@ -72,8 +72,8 @@ def load_recipe(path: Path, recipe: type[R]) -> R:
 def parse_recipe(text: str, recipe: type[R], name: str) -> R:
     """Return `text` as `recipe`; `name` stands in the error messages."""
     content = parse_toml(text, name)
-    given = {kind for kind, keys in TELLING.items() if any(key in content for key in keys)}
-    if given and recipe.title in TELLING and recipe.title not in given:
+    given = {kind for kind, keys in KIND_KEYS.items() if any(key in content for key in keys)}
+    if given and recipe.title in KIND_KEYS and recipe.title not in given:
         raise RecipeError(f"{name} is {' and '.join(sorted(given))}; give {recipe.title}")
     for key, message in refusals(content):
         raise RecipeError(f"{name}:{line_of(key, key_lines(text))}: {message}")

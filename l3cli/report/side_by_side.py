@@ -150,9 +150,9 @@ def _frame_block(sides: list[Side], pictures: list[dict[str, Pixels]], limit: in
     ]
     shown.append(("ideal", pictures[0]["ideal"], "the target"))
     made = []
-    for name, pixels, says in shown:
+    for name, pixels, caption in shown:
         uri, size = fitted(pixels, limit // len(shown), jpeg)
-        made.append(Picture(uri, *size, f"{name}: {says}", f"{frames[0]['scene']}, {name}: {says}"))
+        made.append(Picture(uri, *size, f"{name}: {caption}", f"{frames[0]['scene']}, {name}: {caption}"))
     sizes = {pixels.shape[:2] for _, pixels, _ in shown}
     if len(sizes) > 1:
         return Gallery(tuple(made), wide=True)

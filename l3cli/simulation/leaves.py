@@ -98,8 +98,8 @@ def _drawn(
 def _radii(rng: np.random.Generator, count: int, smallest: float, largest: float) -> NDArray[np.float64]:
     """Return `count` radii of density ∝ r^-3 between `smallest` and `largest`."""
     share = rng.random(count)
-    near, far = smallest**-EXPONENT, largest**-EXPONENT
-    return (near + share * (far - near)) ** (-1.0 / EXPONENT)
+    most, least = smallest**-EXPONENT, largest**-EXPONENT
+    return (most + share * (least - most)) ** (-1.0 / EXPONENT)
 
 
 def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.bool_]:

@@ -105,8 +105,8 @@ def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float
         through = rng.uniform(0, 1, 2) * shape
         distance = (across - through[1]) * np.cos(angle) + (down - through[0]) * np.sin(angle)
         ragged = distance + rng.uniform(0, 30) * fields.pink(rng, shape, 1.2)
-        softness = OVERSAMPLING * np.exp(rng.uniform(np.log(0.5), np.log(20.0)))
-        logarithm -= (rng.uniform(0.3, 1.6) / (1 + np.exp(-np.clip(ragged / softness, -30, 30)))).astype(np.float32)
+        width = OVERSAMPLING * np.exp(rng.uniform(np.log(0.5), np.log(20.0)))
+        logarithm -= (rng.uniform(0.3, 1.6) / (1 + np.exp(-np.clip(ragged / width, -30, 30)))).astype(np.float32)
     return np.exp(logarithm)
 
 

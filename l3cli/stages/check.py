@@ -19,7 +19,7 @@ from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
 from l3cli.recipes.builtin import known_benchmarks, known_recipes
 from l3cli.recipes.faults import LISTED, Fault, about_others, typed
 from l3cli.recipes.schema import output_schema, schema_of
-from l3cli.recipes.toml import TELLING, KeyPath, Recipe, key_lines, line_of, parse_toml, read_text
+from l3cli.recipes.toml import KIND_KEYS, KeyPath, Recipe, key_lines, line_of, parse_toml, read_text
 from l3cli.simulation.lab import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.simulation.summary import camera_lines, lab_lines, scene_lines
@@ -87,9 +87,9 @@ def kind_of(content: Mapping[str, Any]) -> Kind | None:
 
 def _likeness(content: Mapping[str, Any], kind: Kind) -> tuple[int, int]:
     based = BASED.get(kind.title, ()) if "base" in content or kind.name == CAMERA else ()
-    telling = sum(key in content for key in (*TELLING[kind.title], *based))
+    matching = sum(key in content for key in (*KIND_KEYS[kind.title], *based))
     fields = {field.encode_name: field for field in msgspec.structs.fields(kind.structure(content))}
-    return telling, sum(_fits(fields[key], value) for key, value in content.items() if key in fields)
+    return matching, sum(_fits(fields[key], value) for key, value in content.items() if key in fields)
 
 
 def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:

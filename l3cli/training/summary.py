@@ -88,12 +88,12 @@ def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, A
         "planes": len(outputs),
         "levels": rule.levels,
         "structures": rule.structures,
-        **_apart(rule),
+        **_features(rule),
         "noise_gain": _spread(gain[trained], outputs),
     }
 
 
-def _apart(rule: PlaneRule) -> dict[str, Any]:
+def _features(rule: PlaneRule) -> dict[str, Any]:
     """Return the features by which a rule distinguishes structures."""
     if isinstance(rule, StructureRule):
         return {"strengths": rule.strengths, "directions": DIRECTIONS}

@@ -74,7 +74,7 @@ def take_pilot(
             shares.append(channel_shares(pilot.signal, neighbours, site))
             observed.append(observe_patches(values, rule, neighbours, site))
     about = np.array(whites), np.array(lights), np.array(exposures)
-    return Pilot(occurrences, np.concatenate(shares), *about, _together(observed))
+    return Pilot(occurrences, np.concatenate(shares), *about, _joined(observed))
 
 
 def pilot_patches(patches: Sequence[int]) -> list[int]:
@@ -104,7 +104,7 @@ def survey(
     exposures = np.concatenate([pilot.exposures for pilot in every])
     counts = np.where(exposures > 0, patches, 0)
     exposure = float(exposures @ counts / max(counts.sum(), 1))
-    observed = _together([pilot.observed for pilot in every])
+    observed = _joined([pilot.observed for pilot in every])
     dark, protected = head.camera.dark_signal(exposure), spared_cases(case_of_code, filters)
     rule = make_rule(recipe.classes, head.camera, case_of_code, centres, dark, observed, protected)
     return rule, np.average(whites, axis=0, weights=patches), exposure, light
@@ -118,7 +118,7 @@ def _mean_light(lights: NDArray[np.float64], patches: Sequence[int], camera: Cam
     return LightSpectrum(spectra.light_grid(camera.wavelength).astype(np.float64), mean.astype(np.float32), float(spread))
 
 
-def _together(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
+def _joined(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
     return {name: np.concatenate([part[name] for part in observed]) for name in observed[0]}
 
 

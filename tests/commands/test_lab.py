@@ -14,27 +14,11 @@ from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.lab import LabRecipe, MonoRecipe, plan, take
 from l3cli.simulation.sensor import DefectRecipe, defects_of
 from l3cli.spectra.file import read_table
+from tests.helpers import stages
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 
-QUICK = """
-lamp_drift = 0.0
-monitor_error = 0.0
-wavelength_error_nm = 0.0
-falloff = 0.0
-[mono]
-step_nm = 60
-bandwidth_nm = 20
-overexposed = 1
-[chart]
-illuminants = ["A"]
-[white]
-levels = [0.2, 1.5]
-trials = 2
-[dark]
-exposures_s = [0.01, 0.02]
-trials = 2
-"""
+QUICK = f"lamp_drift = 0.0\nmonitor_error = 0.0\nwavelength_error_nm = 0.0\nfalloff = 0.0\n{stages.QUICK}"
 
 
 @pytest.fixture(scope="module")

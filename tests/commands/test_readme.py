@@ -14,7 +14,7 @@ from l3cli.artifacts.store import load
 from l3cli.cli import COMMANDS, l3
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.recipes import builtin
-from l3cli.recipes.toml import TELLING, Recipe
+from l3cli.recipes.toml import KIND_KEYS, Recipe
 from l3cli.simulation.lab import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.training.recipe import TrainingRecipe
@@ -121,7 +121,7 @@ def test_the_worked_example_prints_what_is_shown(small: Path, l3: L3, monkeypatc
 
 def test_keys_that_identify_a_kind_of_recipe_belong_to_it_alone() -> None:
     kinds: tuple[type[Recipe], ...] = (*RECIPES.values(), MeasurementRecipe)
-    assert {kind.title for kind in kinds} == set(TELLING)
-    for title, keys in TELLING.items():
+    assert {kind.title for kind in kinds} == set(KIND_KEYS)
+    for title, keys in KIND_KEYS.items():
         for key in keys:
             assert [kind.title for kind in kinds if key in kind.__struct_fields__] == [title], key

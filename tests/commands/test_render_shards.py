@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.frames.frame import RawFrame
 from l3cli.rendering.temporal import chunks
 from l3cli.stages.rendering import destination
 from tests.helpers.calls import L3, Refused
-from tests.helpers.sequences import FAST
+from tests.helpers.sequences import FAST, filtered_places
 from tests.helpers.still_scene import COUNT, mosaics
 
 
@@ -26,14 +25,7 @@ def test_shards_are_the_pictures_of_one_run(
     monkeypatch.setattr(chunks, "LEAD", 1)
     call = ("render", still_table, still_frames, "--temporal", "--exposure", exposure, *FAST)
     assert l3(*call, "-o", tmp_path / "whole")[0] == 0
-    taken: list[int] = []
-    filtered = chunks.Chunks.filtered
-
-    def counted(self: chunks.Chunks, place: int, given: RawFrame) -> RawFrame:
-        taken.append(place)
-        return filtered(self, place, given)
-
-    monkeypatch.setattr(chunks.Chunks, "filtered", counted)
+    taken = filtered_places(monkeypatch)
     for number, expected in ((2, [*range(6)]), (3, [*range(3, COUNT)]), (1, [*range(3)])):
         taken.clear()
         assert l3(*call, "-o", tmp_path / "out", "--shard", f"{number}/3") == (0, "", "")

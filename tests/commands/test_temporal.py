@@ -15,7 +15,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.temporal import chunks
 from l3cli.rendering.temporal.reference import ReferenceFilter
 from tests.helpers.calls import L3, Refused
-from tests.helpers.sequences import FAST, pictures
+from tests.helpers.sequences import FAST, filtered_places, pictures
 from tests.helpers.still_scene import BLACK, CAMERA, COLS, COUNT, ROWS, TABLE, mosaics
 from tests.helpers.tables import with_low_noise
 
@@ -83,14 +83,7 @@ def test_resuming_reads_what_it_needs_and_gives_the_same_bytes(
     assert (
         "leave --resume out" in l3(*(word for word in call if word != "--temporal"), "-o", tmp_path / "out", "--resume")[2]
     )
-    taken: list[int] = []
-    filtered = chunks.Chunks.filtered
-
-    def counted(self: chunks.Chunks, place: int, given: RawFrame) -> RawFrame:
-        taken.append(place)
-        return filtered(self, place, given)
-
-    monkeypatch.setattr(chunks.Chunks, "filtered", counted)
+    taken = filtered_places(monkeypatch)
     assert l3(*call, "-o", tmp_path / "out", "--resume") == (0, "", "")
     assert taken == [*range(max(0, broken // 4 * 4 - 1), COUNT)]  # its chunk, and what leads in
     ours, theirs = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("out", "whole"))

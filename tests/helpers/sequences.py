@@ -8,9 +8,12 @@ from pathlib import Path
 import av
 import h5py
 import numpy as np
+import pytest
 
+from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.io.pictures.openimageio import write_mosaic
+from l3cli.rendering.temporal.chunks import Chunks
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table
 
@@ -71,3 +74,16 @@ def write_raw_video(
             video.mux(stream.encode(frame))
         video.mux(stream.encode())
     return path
+
+
+def filtered_places(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The places of the frames that are filtered in time from now on."""
+    taken: list[int] = []
+    filtered = Chunks.filtered
+
+    def counted(chunks: Chunks, place: int, frame: RawFrame) -> RawFrame:
+        taken.append(place)
+        return filtered(chunks, place, frame)
+
+    monkeypatch.setattr(Chunks, "filtered", counted)
+    return taken

@@ -48,7 +48,7 @@ DOORS = {
     "gi": ("video_hosts/gstreamer.py", "video_hosts/plugins/"),
 }
 BUDGET = {  # at most; a change that lowers a number lowers it here, towards the goal behind it
-    "lines of l3cli": 48_126,  # 41 000
+    "lines of l3cli": 48_125,  # 41 000
     "lines of l3cli/stages": 5_382,  # 5 500
     "lines of l3cli/cli": 1_578,  # 1 700
     "lines of tests": 36_477,  # 32 000
@@ -187,3 +187,18 @@ def test_docstrings_are_sentences() -> None:
         for node in nodes(path):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and (text := ast.get_docstring(node)):
                 assert not re.match(r"(What|Whether|How|Of|Where|That)\b", text), f"{path}: {text.splitlines()[0]}"
+
+
+def test_words_are_the_fields() -> None:
+    """Neither names nor prose go back to words of our own; what files store keeps its name, old options are answered."""
+    name = re.compile(
+        r"kept|kept_table|tint|apart|handover|KnownBetter|Footage|[Pp]ending|quiet(_set|er)|learn_later|Mark|Origins|JobState|HELD|"
+        r"spare[sd]?|sparing|[Cc]laims?|[Cc]rew|[Hh]ands|Meanwhile|brought|told|tells|says?|alert|mistaken|slack|softness|misled|"
+        r"beside|together|near|here|.*([Mm]end(ed|ing)|[Ee]vened|finished_together|made_up|best_phases).*"
+    )
+    prose = re.compile(r"\b(mend(s|ed|ing)?|told|evened|made up|misled|bent|later layers?|kept table|known better)\b", re.I)
+    for path in (*PACKAGE.rglob("*.py"), *(ROOT / "docs").glob("*.md")):
+        assert not (own := prose.search(path.read_text())), f"{path}: {own}"
+        for node in nodes(path) if path.suffix == ".py" else ():
+            for named in (getattr(node, "name", None), getattr(node, "arg", None), getattr(node, "id", None)):
+                assert not (named and name.fullmatch(named.strip("_"))), f"{path}: {named}"

@@ -375,7 +375,7 @@ class OpenCLRenderer:
     def _fetch(self, track: Track, parts: list[NDArray], target: Any, offset: int, work: Work) -> None:
         """Start to bring a buffer, from byte `offset` on, into arrays one after the other."""
         if work.is_in_place(target):
-            work.hand_back(track.queue, target, parts[0])
+            work.map_to_host(track.queue, target, parts[0])
             return
         for part in parts:
             work.add("download", track.download(target, part, offset))

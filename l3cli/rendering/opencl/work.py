@@ -110,7 +110,7 @@ class Work:
     def is_in_place(self, buffer: Any) -> bool:
         return any(each is buffer for each in self._in_place)
 
-    def hand_back(self, queue: Any, buffer: Any, array: NDArray) -> None:
+    def map_to_host(self, queue: Any, buffer: Any, array: NDArray) -> None:
         """Have the host see what is written into an array that is a buffer."""
         cl = pyopencl()
         mapped, event = cl.enqueue_map_buffer(

@@ -145,7 +145,7 @@ class OpenCLFilter:
             cl = pyopencl()
             cl.enqueue_copy(device.queue, buffers.host_left, buffers.left[1], is_blocking=False)
             if device.in_place:
-                work.hand_back(device.queue, target, made)
+                work.map_to_host(device.queue, target, made)
             else:
                 work.add("download", cl.enqueue_copy(device.queue, made, target, is_blocking=False))
             work.end()

@@ -206,9 +206,9 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
             noise = seen.noisy[LUMINANCE] - seen.clean[LUMINANCE]
             across, down = noise[1:-1, 2:] - noise[1:-1, :-2], noise[2:, 1:-1] - noise[:-2, 1:-1]
             place = layer.rule.split(seen.label)
-            tells = ((layer.rule.lost(place.kind) == 0) & (seen.brightness < brightest))[1:-1, 1:-1]
-            level = place.level[1:-1, 1:-1][tells]
-            total[0] += np.bincount(level, ((across**2 + down**2) / 2)[tells], layer.rule.levels)
+            measurable = ((layer.rule.lost(place.kind) == 0) & (seen.brightness < brightest))[1:-1, 1:-1]
+            level = place.level[1:-1, 1:-1][measurable]
+            total[0] += np.bincount(level, ((across**2 + down**2) / 2)[measurable], layer.rule.levels)
             total[1] += np.bincount(level, minlength=layer.rule.levels)
         measured.append(total)
     return measured
