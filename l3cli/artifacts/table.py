@@ -26,6 +26,7 @@ PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far 
 RATIO_TAPS = 2  # behind those of the windows, of a last layer that has them: chroma as shading would make it
 PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 bits stay within 32 bits
 WINDOWS = (3, 5, 7, 9)  # sides that can be
+COMPARED = (5, 3, 3)  # in coarse chroma: four steps and a pixel; planes; powers of luminance
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,31 @@ class MosaicLayer:
 
 
 @dataclass(frozen=True)
+class CoarseChroma:
+    """Noise of what a last layer compares where it takes chroma from far around (docs/method.md#coarse-chroma)."""
+
+    variance: NDArray[np.float64] = data(
+        "float64",
+        "compared",
+        "plane",
+        "power",
+        doc="noise variance at luminance Y, Σ variance · Y^power, in squared output units: of the means each step reads, "
+        "then of a pixel's window and the means after the first step together",
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.variance.shape != COMPARED:
+            raise ValueError(f"variance has the shape {self.variance.shape}, not {COMPARED}")
+        if not (np.isfinite(self.variance).all() and self.variance.min() >= 0 and self.variance[..., 0].min() > 0):
+            raise ValueError("variance must not be negative, nor zero in darkness")
+
+    def with_noise(self, share: float) -> "CoarseChroma":
+        """Return the same for frames with this share of the noise variance."""
+        return CoarseChroma(self.variance * share)
+
+
+@dataclass(frozen=True)
 class PlaneLayer:
     """Transforms of square windows of the planes X − aY, Y, Z − bY (of a white: zero, its Y, zero) of the layer before."""
 
@@ -66,10 +92,13 @@ class PlaneLayer:
     samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
     structure: StructureRule | None = group(default=None)  # its classes, if by structure
     tree: TreeRule | None = group(default=None)  # its classes, if by a tree
+    coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma is that of the windows alone
 
     def __post_init__(self) -> None:
         check(self)
         one_rule(self.structure, self.tree)
+        if self.coarse_chroma and self.side < 3:
+            raise ValueError(f"a layer with coarse chroma has windows of side 3 or more, not {self.side}")
 
     @property
     def rule(self) -> PlaneRule:
@@ -88,6 +117,12 @@ class PlaneLayer:
     def ratio_taps(self) -> int:
         """RATIO_TAPS or none."""
         return self.weights.shape[2] - self.window_taps
+
+    @property
+    def plain_response(self) -> NDArray[np.float32]:
+        """Outputs of a plain window of one in each plane: (class, output, plane)."""
+        windows = self.weights[..., : self.window_taps]
+        return windows.reshape(*windows.shape[:2], -1, self.side**2).sum(axis=-1, dtype=np.float64).astype(np.float32)
 
     def scaled_as(self, scale: GradientScale) -> "PlaneLayer":
         """Return the layer with gradients scaled so."""
@@ -311,6 +346,8 @@ class TransformTable(Artifact):
             self._check_refinement(later)
         if any(later.ratio_taps for later in self.later[:-1]):
             raise ValueError("a layer that another follows has colour ratios; only the last one may")
+        if any(later.coarse_chroma for later in self.later[:-1]):
+            raise ValueError("a layer that another follows has coarse chroma; only the last one may")
         if self.spectra and (len(self.outputs) == 1 or self.outputs[:3] == ("X", "Y", "Z")):
             raise ValueError(f"spectra of {', '.join(self.outputs)} cannot be smoothed; they must be bands")
         for index, condition in enumerate(self.conditions):

@@ -10,6 +10,7 @@ from l3cli import __version__
 from l3cli.artifacts.plane_rules import GRADIENT
 from l3cli.artifacts.schema import Spec, declared
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, TransformTable, rule_fields
+from l3cli.classes.coarse_chroma import ALIKE, BIN, OWN
 from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, opponent_basis, refined_fixed_point
 from l3cli.classes.refinement import RATIO_DARKEST
 from l3cli.classes.structure import NOISE_TRACE
@@ -54,6 +55,11 @@ LAYERS = {
     "behind them those of the colour ratios if it has two taps more",
     "colour ratios": "mean * clamp((Y - mean Y) / max(mean Y, ratio_darkest), -1, 1) of the first and of the third plane; "
     "means over the window",
+    "coarse chroma": "of a layer that has it, output += sum over the taps of the first and third plane of weights * d; "
+    "d = (sum of W * (last mean - own)) / (own_weight + sum of W) over the four nearest means; own: chroma over the window, "
+    "Y over 1 2 1; W: bilinear * L(mean after the first step - own; last variance, 2); means of mean_side^2 pixels "
+    "pass steps over 3 x 3 of them, 1, 2, 4, 8 apart, within the frame, weights 1 2 1 * L(difference; variance of the step, "
+    "4); L(d; v, n) = max(0, 1 - sum of d^2 / (8 n alike^2 v(Y)))^8, v(Y) = sum of variance * max(Y, 0)^power, Y own",
     "later class": "(site * levels + level // level_step) * kinds + kind; level and case of the first layer; kind: "
     "structure or leaf where case - spared_cases is at most 0, else structures - 1 + that; of a tree levels = 1",
 }
@@ -158,6 +164,8 @@ def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
     entry["sizes"] = {name: getattr(rule, name) for name in names} | {"classes": len(layer.weights)}
     if not number and rule.features:
         entry["features"] = arrays.add_fields(f"{prefix}features/", rule.features)
+    if number and layer.coarse_chroma:
+        entry["coarse_chroma"] = arrays.add_fields(f"{prefix}coarse_chroma/", layer.coarse_chroma)
     if kind == "tree":
         arrays.add(f"{prefix}leaf", rule.leaf.astype(np.int32), ("node",), "1", "number of the leaf")
     return entry
@@ -212,7 +220,7 @@ def _constants(table: TransformTable) -> dict[str, Any]:
     values: dict[str, Any] = {"level_fraction_bits": 8, "variance_fraction_bits": 9, "chroma_fraction_bits": 4}
     if table.later:
         values |= {"plane_step": PLANE_STEP, "plane_top": PLANE_TOP, "coarse": COARSE, "coarse_top": COARSE_TOP,
-                   "ratio_darkest": RATIO_DARKEST,
+                   "ratio_darkest": RATIO_DARKEST, "mean_side": BIN, "alike": ALIKE, "own_weight": OWN,
                    "gradient_top": GRADIENT, "tree_gradient_top": TOP, "tree_chroma_gradient_top": CHROMA_TOP,
                    "tree_noise_trace": NOISE_TRACE, "tree_dark": DARK, "tree_tests": [test.name for test in EVERY],
                    "tree_denominators": [test.denominator for test in EVERY]}  # fmt: skip

@@ -74,6 +74,8 @@ def c_files(
             raise InputFileError(f'C source has no class feature "{axis.name}"; export the table as a folder')
     if table.spectra and words == "int16":
         raise InputFileError("the table smooths spectra, in floats; leave out ‹words› or export it as a folder")
+    if table.later and table.later[-1].coarse_chroma:
+        raise InputFileError("C source has no coarse chroma; train without coarse_chroma, or export the table as a folder")
     short = short_words(table) if words == "int16" else None
     arrays, layers = table_arrays(table, short)
     vector, shows = make_vector(table), table.outputs == XYZ

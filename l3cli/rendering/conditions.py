@@ -129,6 +129,10 @@ class NoiseSets:
     def __len__(self) -> int:
         return len(self.tables)
 
+    def share(self, frame: RawFrame) -> float:
+        """Return the share of the noise that a frame has of what its table is for."""
+        return frame.noise_share if self._limits else 1.0
+
     def chosen(self, frame: RawFrame) -> NDArray[np.uint8]:
         """Return the number of the set that renders each pixel (row, col) of a frame."""
         if frame.noise_left is None:
@@ -172,6 +176,8 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     first = replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=features)
 
     def scaled(layer: PlaneLayer) -> PlaneLayer:
+        if layer.coarse_chroma:
+            layer = replace(layer, coarse_chroma=layer.coarse_chroma.with_noise(share))
         if layer.structure is None:
             return layer
         edges = _scaled(layer.structure.strength_edges, share)

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, SpectralSmoothing, TransformTable
+from l3cli.classes.coarse_chroma import coarse_change, scales_of
 from l3cli.classes.decide import label_mosaic
-from l3cli.classes.planes import FixedPoint, coarse, opponent_basis, refined_fixed_point
+from l3cli.classes.planes import LUMINANCE, FixedPoint, coarse, opponent_basis, refined_fixed_point
 from l3cli.classes.refinement import label_planes, mirrored, shaded_chroma
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import RawFrame, pad_mosaic
@@ -52,7 +53,7 @@ class ReferenceRenderer:
         gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
         if self.table.later:
             planes, refined_labels = self._refine(levelled, labels, len(self.table.later))
-            made = gain * refinement_outputs(planes, refined_labels, self._sets.later[-1])
+            made = gain * refinement_outputs(planes, refined_labels, self._sets.later[-1], self._sets.share(frame))
         else:
             made = gain * output_planes(levelled, labels, self.table, self._sets.first)
         return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
@@ -120,10 +121,17 @@ def refinement_planes(
     return _fixed_point_planes(_windows(coarse(planes).astype(np.int64), layer), labels, fixed)
 
 
-def refinement_outputs(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer) -> NDArray[np.float64]:
-    """Outputs (output, row, col) of a plane layer from what it reads and its classes (row, col)."""
+def refinement_outputs(
+    planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, share: float = 1.0
+) -> NDArray[np.float64]:
+    """Outputs (output, row, col) of a plane layer from what it reads and its classes (row, col); `share`: of the noise."""
     ratios = np.moveaxis(shaded_chroma(planes, layer.side), 0, -1)[..., : layer.ratio_taps] * PLANE_STEP
-    return _transformed(_windows(planes.astype(np.float64) * PLANE_STEP, layer), labels, layer, ratios)
+    made = _transformed(_windows(planes.astype(np.float64) * PLANE_STEP, layer), labels, layer, ratios)
+    if layer.coarse_chroma:
+        change = coarse_change(planes, layer.side, scales_of(layer.coarse_chroma, share)) * PLANE_STEP
+        response = np.delete(layer.plain_response.astype(np.float64), LUMINANCE, axis=2)
+        made += np.einsum("rcop,prc->orc", response[labels], change)
+    return made
 
 
 def _mosaic_windows(values: NDArray, table: TransformTable) -> NDArray:

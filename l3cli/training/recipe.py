@@ -104,6 +104,8 @@ class LayerRecipe(Recipe):
     colour_ratios: bool = (
         False  # further taps of the last layer: chroma as shading would make it (docs/method.md#colour-ratios)
     )
+    # chroma of the last layer comes from far around, where pixels are alike (docs/method.md#coarse-chroma)
+    coarse_chroma: bool = False
     level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weight of classes one, two… levels away
     parent_patches: CountOrNone = 200  # pseudo-rows of the parent, added to every class
     # uniform windows, a row of a class without structure, that keep their colour (docs/method.md#plain-windows)
@@ -202,6 +204,10 @@ def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
         name, key = f"layer[{number + 1}]", f"layer.{number}"
         if recipe.colour_ratios and number + 1 < len(layers):
             yield fault(f"{name}.colour_ratios is for the last layer alone", f"{key}.colour_ratios")
+        if recipe.coarse_chroma and number + 1 < len(layers):
+            yield fault(f"{name}.coarse_chroma is for the last layer alone", f"{key}.coarse_chroma")
+        if recipe.coarse_chroma and recipe.side < 3:
+            yield fault(f"{name}.coarse_chroma needs windows of side 3 or more, not {recipe.side}", f"{key}.side")
         if recipe.plain_windows and recipe.leaves:
             yield fault(f"{name}.plain_windows are of classes by structure; leaves do not know them", f"{key}.plain_windows")
         if recipe.side % 2 == 0:

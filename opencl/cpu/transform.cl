@@ -77,7 +77,7 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
     __global const uint *restrict labels,        /* (row, col) */ \
     __global const tap *restrict weights,        /* (class, …) per unit of the source */ \
     __global const float *restrict matrix,       /* (3, 3) encoded values from X, Y, Z, before the curve */ \
-    __global CODE *restrict picture GAIN_PARAMETER, \
+    __global CODE *restrict picture GAIN_PARAMETER COARSE_PARAMETERS, \
     float black_level, int source_rows, int rows, int columns
 
 COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
@@ -90,7 +90,7 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
 #ifdef RATIO_TAPS
     Ratios ratios;
     for (int s = 0; s < SOURCES; s++)
-        for (int i = 0; i < SPAN; i++) ratios.sum[s][i] = ratios.luminance[i] = 0;
+        for (int i = 0; i < SPAN; i++) ratios.sum[s][i] = ratios.near[i] = ratios.luminance[i] = 0;
 #endif
     for (int i = 0; i < SPAN; i++) row[i] = 0;
     for (int i = 0; i < TILE; i++) label[i] = 0;
@@ -103,7 +103,7 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
         const size_t at = (size_t)y * columns + x0;
         for (int x = 0; x < width; x++) label[x] = labels[at + x];
 #ifdef RATIO_TAPS
-        shaded_chroma(&ratios, source, row_source + y, column_source, x0, width, columns, stride);
+        taps_behind(&ratios, source, row_source + y, column_source, x0, width, columns, stride COARSE_READ);
 #endif
         __global const SOURCE *next = source + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
         for (int x = 0; x < width; x += LANES) {
@@ -120,7 +120,7 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
 }
 
 KERNEL_OF_ONE transform(TRANSFORM_PARAMETERS) {
-    transform_tile(GROUP_COLUMN, GROUP_ROW, source, row_source, column_source, labels, weights, matrix, picture GAIN_READ, black_level,
+    transform_tile(GROUP_COLUMN, GROUP_ROW, source, row_source, column_source, labels, weights, matrix, picture GAIN_READ COARSE_READ, black_level,
                    source_rows, rows, columns);
 }
 #endif

@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.plane_rules import TESTS, GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.table import (
+    COMPARED,
     RATIO_TAPS,
+    CoarseChroma,
     Condition,
     MosaicLayer,
     PlaneLayer,
@@ -115,6 +117,13 @@ def with_lights(table: TransformTable, *lights: str, seed: int = 5) -> Transform
         first, later = changed(table.first), tuple(map(changed, table.later))
         sets.append(Condition.of(first, later, SceneLight(name, white, light), None))
     return dataclasses.replace(table, conditions=(*table.conditions, *sets))
+
+
+def with_coarse_chroma(table: TransformTable, variance: float = 0.05) -> TransformTable:
+    """The table with chroma from far around in its last layer, for this noise in darkness and some more in light."""
+    terms = variance * np.random.default_rng(8).uniform(0.3, 1, COMPARED) * (1.0, 0.2, 0.02)
+    last = dataclasses.replace(table.later[-1], coarse_chroma=CoarseChroma(terms))
+    return dataclasses.replace(table, later=(*table.later[:-1], last))
 
 
 def with_ratios(layer: PlaneLayer, rng: np.random.Generator) -> PlaneLayer:

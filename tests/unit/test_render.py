@@ -21,7 +21,15 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from tests.helpers.cameras import BAYER
 from tests.helpers.rendered import KINDS, OUTPUT_TOLERANCE, STRIPES, TABLES, assert_equal_to_reference
-from tests.helpers.tables import XYZ, frame_of_all_levels, random_table, with_first, with_refinement, with_tree
+from tests.helpers.tables import (
+    XYZ,
+    frame_of_all_levels,
+    random_table,
+    with_coarse_chroma,
+    with_first,
+    with_refinement,
+    with_tree,
+)
 
 TREES = [name for name in TABLES if name.startswith("tree")][:-1]  # of several leaves
 
@@ -33,6 +41,7 @@ RENDERED += [("8 directions", "8 lanes"), ("8 directions", "16 lanes")]
 RENDERED += [("directions", "graphics"), ("8 directions", "graphics")]
 RENDERED += [("two layers", "8 lanes"), ("two layers", "graphics"), ("two layers of 16 bits", "graphics")]
 RENDERED += [("two sets of three layers", "graphics")]
+RENDERED += [("coarse chroma", "8 lanes"), ("coarse chroma", "16 lanes"), ("coarse chroma", "graphics")]
 RENDERED += [("tree of five bands", "graphics"), ("tree of stripes", "graphics"), ("tree of one leaf", "graphics")]
 
 
@@ -130,18 +139,21 @@ def test_any_colour_filter_array(data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("kind", ["processor", "graphics"])
-@pytest.mark.parametrize("layers", ["one layer", "two layers", "tree", "four layers"])
+@pytest.mark.parametrize("layers", ["one layer", "two layers", "tree", "four layers", "coarse chroma"])
 def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, layers: str, kind: str) -> None:
     table = random_table(STRIPES, bits=12, black_level=100.0, patch=5)
     several = {
         "two layers": with_refinement(table, 5),
         "four layers": with_refinement(table, 3, 7, 5),
         "tree": with_tree(table, 5),
+        "coarse chroma": with_coarse_chroma(with_refinement(table, 5)),
     }
     table = several.get(layers, table)
     frame = RawFrame(
         "f", np.random.default_rng(0).integers(0, 4096, (61, 83)).astype(np.uint16), 100.0, table.white_level, (2, 1)
     )
+    if layers == "coarse chroma":  # farther than a band reads
+        frame = dataclasses.replace(frame, values=np.tile(frame.values, (4, 1)))
     display = make_display(table.white_point, 1.0, 8)
     whole = OpenCLRenderer(table, **KINDS[kind])
     labels = [whole.labels(frame, layer) for layer in range(len(table.layers))]

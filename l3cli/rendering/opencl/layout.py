@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, PlaneRule, TransformTable
+from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, TransformTable
+from l3cli.classes.coarse_chroma import APART, BIN, OWN
 from l3cli.classes.plane_kernel import (
     joined,
     kernel_arrays,
@@ -103,10 +104,11 @@ def first_source(variant: str, rule: ClassRule) -> str:
     return "\n".join([*features, joined_files(*VARIANTS[variant].sources)])
 
 
-def refinement_source(variant: str, rule: PlaneRule) -> str:
+def refinement_source(variant: str, layer: PlaneLayer) -> str:
     """The .cl files of a variant for a layer that reads planes, with the formula of its rule."""
-    formula, kernels = rule_snippets(rule)
-    shared = ("common/vectors.cl", "common/encoding.cl", "common/gradient.cl", formula)
+    formula, kernels = rule_snippets(layer.rule)
+    chroma = ("common/coarse_chroma.cl",) if layer.coarse_chroma else ()
+    shared = ("common/vectors.cl", "common/encoding.cl", "common/gradient.cl", formula, *chroma)
     return joined_files(*shared, *VARIANTS[variant].refinement_sources, kernels[variant])
 
 
@@ -142,6 +144,10 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
     }
 
 
+COARSE_TAPS = 2  # of coarse chroma, behind the others
+COARSE_MARGIN = max(APART)  # means about those of a band that are FAR from all
+FAR = 1e12  # steps of a plane
+COARSE_MACROS: Macros = {"BIN": BIN, "MARGIN": COARSE_MARGIN}
 # What a layer writes for the next to read.
 TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "COARSE": COARSE, "COARSE_TOP": COARSE_TOP, "CODE": "int"}
 
@@ -156,7 +162,9 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
         "OUTPUTS": len(table.outputs),
         "CFA_COLUMNS": table.cfa.shape[1],
         "MAX_RAW": 0,
-        **({"RATIO_TAPS": layer.ratio_taps, "DARKEST": RATIO_DARKEST} if layer.ratio_taps else {}),
+        **({"RATIO_TAPS": taps_behind(layer)} if taps_behind(layer) else {}),
+        **({"SHADED_CHROMA": 1, "DARKEST": RATIO_DARKEST} if layer.ratio_taps else {}),
+        **({"COARSE_CHROMA": f"{OWN}f", **COARSE_MACROS} if layer.coarse_chroma else {}),
         **rule_macros(layer.rule),
     }
 
@@ -235,7 +243,14 @@ def refinement_weights(layer: PlaneLayer) -> Weights:
     """Return the weights of the last layer, if it reads planes, per step of a plane."""
     windows = by_column(layer.weights[..., : layer.window_taps], PLANES)
     taps = np.concatenate([windows, layer.weights[..., layer.window_taps :]], axis=-1)
-    return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, layer.ratio_taps)
+    if layer.coarse_chroma:
+        taps = np.concatenate([taps, np.delete(layer.plain_response, LUMINANCE, axis=2)], axis=-1)
+    return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, taps_behind(layer))
+
+
+def taps_behind(layer: PlaneLayer) -> int:
+    """Return how many taps of a layer are of no window: those of colour ratios, then those of coarse chroma."""
+    return layer.ratio_taps + (COARSE_TAPS if layer.coarse_chroma else 0)
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,7 @@ class Programs:
             macros = layout.table_macros(self._table, self._sets)
         else:
             later = self._table.later[layer - 1]
-            source = layout.refinement_source(self._variant, later.rule)
+            source = layout.refinement_source(self._variant, later)
             macros = layout.refinement_macros(self._table, later)
         if any(other[0] == layer for other in self._programs) and not (self.joins and layer == 0):
             macros = {**macros, **TRANSFORM_ONLY}

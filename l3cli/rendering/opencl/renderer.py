@@ -19,10 +19,12 @@ from l3cli.frames.shading import FRACTION, STEP, Shading, clipped_from
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl import layout
+from l3cli.rendering.opencl.coarse_chroma import DeviceCoarseChroma
 from l3cli.rendering.opencl.devices import pyopencl, refusals
 from l3cli.rendering.opencl.layout import Macros, joined_files
 from l3cli.rendering.opencl.programs import Programs, chosen, compiler_of
 from l3cli.rendering.opencl.work import (
+    COARSE_CHROMA,
     SPECTRA,
     Band,
     Track,
@@ -165,6 +167,8 @@ class OpenCLRenderer:
             self._joined = self._programs.joins  # whether classes and transforms of the first layer are one kernel
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
             self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
+            chroma = table.later[-1].coarse_chroma if table.later else None
+            self._coarse = chroma and DeviceCoarseChroma(self._kernel, self._run, self._constant, chroma, self.variant)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
         """Class (row, col) of every pixel in a layer of the table."""
@@ -358,6 +362,10 @@ class OpenCLRenderer:
         number = len(self._layers)
         into = self._spectra.room(track, band) if self._spectra else result
         made = (into, *self._shading.gain(frame.shading, band.made))
+        if self._coarse:
+            event, means = self._coarse.means(track, band, self._sets.share(frame))
+            work.add(COARSE_CHROMA, event)
+            made += means
         reads, ends = self._reads(number, track, band, frame)
         arguments = (*reads, self._weights, encoding, *made, np.float32(frame.black_level), *ends)
         work.add("transforms", self._run(kernel, track, band.shape(number), *arguments))

@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes.coarse_chroma import BIN
+from l3cli.classes.coarse_chroma import REACH as COARSE_REACH
 from l3cli.classes.structure import REACH
 from l3cli.frames.frame import RawFrame, mirrored_indices
 from l3cli.rendering.opencl.devices import pyopencl
 
 STAGES = ("upload", "classes", "transforms", "encode", "download")
 REFINEMENT_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
+COARSE_CHROMA = "coarse chroma"  # between structures and transforms, where the last layer reads it
 SPECTRA = "spectra"  # between transforms and encoding, where spectra are smoothed
 BAND_PIXELS = 1 << 22  # of a band, margins aside
 
@@ -26,6 +29,8 @@ Source = Any  # a buffer of indices
 def stages_of(table: TransformTable) -> tuple[str, ...]:
     """Return the stages by which the time of a frame is counted."""
     stages = REFINEMENT_STAGES if table.later else STAGES
+    if table.later and table.later[-1].coarse_chroma:
+        stages = (*stages[:-3], COARSE_CHROMA, *stages[-3:])
     return (*stages[:-2], SPECTRA, *stages[-2:]) if table.spectra else stages
 
 
@@ -57,6 +62,7 @@ class Track:
         self.chosen: tuple[Any, ...] = ()  # … or the host's array of them; nothing where there is one set
         self.planes: list[Any] = [None] * layers  # that each refinement layer reads
         self.refined_labels: list[Any] = [None] * layers
+        self.means: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers, of coarse chroma
         self.made: Any = None  # outputs whose spectra are still to be smoothed
         self.result: Any = None
         self._typed: set[Any] = set()  # kernels
@@ -204,8 +210,13 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
     for first in range(0, rows, height):
         reads = [slice(first, min(first + height, rows))]
         margins = [max(REACH, layer.radius) for layer in table.later] + ([table.spectra.radius] if table.spectra else [])
+        if table.later and table.later[-1].coarse_chroma:
+            margins[-1] = COARSE_REACH
         for margin in reversed(margins):
-            reads.insert(0, slice(max(0, reads[0].start - margin), min(rows, reads[0].stop + margin)))
+            above = reads[0].start - margin
+            if margin == COARSE_REACH:
+                above -= above % BIN  # means are of the frame's rows, whatever the band
+            reads.insert(0, slice(max(0, above), min(rows, reads[0].stop + margin)))
         seen = row_source[reads[0].start : reads[0].stop + 2 * radius]
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)
         later = tuple(

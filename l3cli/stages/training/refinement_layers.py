@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CAMERA_NOISE
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import GradientScale
-from l3cli.artifacts.table import PlaneRule, TransformTable
+from l3cli.artifacts.table import PlaneLayer, PlaneRule, TransformTable
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.planes import fixed_point, opponent_basis
 from l3cli.physics.display import XYZ
 from l3cli.stages.training.passes import Execution
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.system.console import Console
+from l3cli.training.layers.coarse_chroma import measured_noise
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
 from l3cli.training.layers.rules import (
     PILOT_MOSAICS,
@@ -28,6 +29,7 @@ from l3cli.training.layers.rules import (
     structure_rule,
     tree_rule,
 )
+from l3cli.training.patches import white_signal
 from l3cli.training.recipe import TrainingRecipe
 from l3cli.training.training_pass import spread_patches
 
@@ -46,8 +48,14 @@ def learn_refinement_layers(
         layer = layer_pass(table, run.recipe, layer_mosaics(run, len(table.later)), run.seed)
         rule = layer_rule(run, layer, execution, like.later[len(table.later)].rule if like else None)
         sums = summed_layer(run, layer, rule, layer.blocks, execution)
-        table = replace(table, later=(*table.later, learn_layer(layer, rule, sums)), history=run.history())
+        table = replace(table, later=(*table.later, finished_layer(layer, rule, sums)), history=run.history())
     return table
+
+
+def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -> PlaneLayer:
+    """The layer from the sums of all canonical sites, with the noise of what its coarse chroma compares."""
+    learned = learn_layer(layer, rule, sums)
+    return replace(learned, coarse_chroma=measured_noise(layer)) if layer.recipe.coarse_chroma else learned
 
 
 def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
@@ -76,6 +84,7 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
         fixed=fixed_point(table),
         basis=opponent_basis(table.white_point),
         white_point=table.white_point,
+        grey=np.asarray(table.camera.sensitivity) if table.light is None else white_signal(table.light, table.camera),
         before=table.later,
         recipe=own,
         learning=learning,

@@ -26,6 +26,7 @@ from l3cli.recipes.toml import parse_recipe
 from l3cli.stages.training.conditions import by_noise, passes_of, require_one_go, with_noises
 from l3cli.stages.training.passes import Execution, first_pass, pass_of, sum_unit, summed
 from l3cli.stages.training.refinement_layers import (
+    finished_layer,
     layer_mosaics,
     layer_pass,
     layer_rule,
@@ -36,7 +37,7 @@ from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun
 from l3cli.stages.training.whole import execution_of, report_table
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
-from l3cli.training.layers.learn import add_sums, learn_layer, no_sums
+from l3cli.training.layers.learn import add_sums, no_sums
 from l3cli.training.recipe import TrainingRecipe, check_layers, draft_of
 from l3cli.training.sums import empty_sums
 from l3cli.training.table import add_up, assemble, learn_site
@@ -242,4 +243,4 @@ def _with_layer(
     for index, site in enumerate(sums):
         for reader in readers:
             add_sums({site: sums[site]}, {site: reader.site(index, condition)})
-    return replace(table, later=(*table.later, learn_layer(layer, rule, sums)), history=head.history)
+    return replace(table, later=(*table.later, finished_layer(layer, rule, sums)), history=head.history)

@@ -43,6 +43,7 @@ class LayerPass:
     before: tuple[PlaneLayer, ...]  # learned already, between the first and the one to be learned
     basis: NDArray[np.float64]  # (X Y Z, plane)
     white_point: NDArray[np.float64]  # (output) a perfect white under the training light, Y = 1
+    grey: NDArray[np.float64]  # (channel) its signals, shares of full scale
     recipe: LayerRecipe
     learning: LearningRecipe
     mosaics: tuple[int, ...]  # (frame)

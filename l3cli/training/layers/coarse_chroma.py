@@ -1,0 +1,64 @@
+"""Noise of what coarse chroma compares, measured on simulated greys (docs/method.md#coarse-chroma)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import COMPARED, PLANE_STEP, CoarseChroma
+from l3cli.classes.coarse_chroma import APART, binned, edge_avoiding, pixel_evidence, scales_of
+from l3cli.classes.planes import LUMINANCE
+from l3cli.training.layers.learn import LayerPass
+from l3cli.training.layers.mosaics import Mosaics
+from l3cli.training.patches import expose_patches
+
+LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # of greys, of a white that fills the brightest channel
+SIDE = 128  # pixels of a grey
+CUT = 3  # means, or pixels, at its edges that are not judged: there they have fewer neighbours
+
+Array = NDArray[np.float64]
+
+
+def measured_noise(layer: LayerPass) -> CoarseChroma:
+    """Return the noise of the planes that a layer reads: of their means, as each step reads them, and of pixels' windows."""
+    greys = _planes_of_greys(layer)
+    luminance = np.array([grey[LUMINANCE].mean() for grey in greys]) * PLANE_STEP
+    pixels = [pixel_evidence(grey, layer.recipe.side) for grey in greys]
+    means, found = [binned(grey) for grey in greys], np.empty(COMPARED)
+    for step, apart in enumerate(APART):
+        found[step] = _terms(luminance, _variances(means))
+        scale = scales_of(CoarseChroma(found[[step] * COMPARED[0]]))[step]
+        means = [edge_avoiding(mean, apart, scale) for mean in means]
+        if not step:
+            found[-1] = _terms(luminance, _variances(pixels) + _variances(means))
+    return CoarseChroma(found)
+
+
+def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
+    """The planes (plane, row, col) of greys of rising luminance."""
+    camera, period = layer.camera, layer.camera.cfa.shape
+    margin = layer.exposed.margin - layer.margin
+    rows, cols = (-(-(SIDE + 2 * margin) // each) * each for each in period)
+    channel = camera.channel_map((rows, cols))
+    see, rng, greys = layer.seer(), layer.rng(0, 4), []
+    for luminance in LUMINANCES:
+        signal = (layer.grey * luminance).astype(np.float32)[channel]
+        values = expose_patches(signal, camera, rng, None, layer.exposed.dark, channel).astype(np.uint16)
+        target = np.zeros((3, rows, cols), np.float32)
+        greys.append(see(Mosaics(1, values, values.astype(np.float32), target)).noisy)
+    return greys
+
+
+def _variances(planes: list[Array]) -> Array:
+    """Variances (grey, plane) of planes (plane, row, col)."""
+    return np.array([each[:, CUT:-CUT, CUT:-CUT].var(axis=(1, 2)) for each in planes])
+
+
+def _terms(luminance: Array, variances: Array) -> Array:
+    """Terms (plane, power) of variances (grey, plane), in steps, that rise with luminance: relative least squares,
+    none of them negative."""
+    from scipy.optimize import nnls
+
+    powers = np.stack([luminance**power for power in range(COMPARED[2])], axis=1)
+    known = np.maximum(variances.T, 1.0) * PLANE_STEP**2
+    terms = np.array([nnls(powers / plane[:, None], np.ones(plane.size))[0] for plane in known])
+    terms[:, 0] = np.maximum(terms[:, 0], PLANE_STEP**2)
+    return terms

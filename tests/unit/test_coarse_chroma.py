@@ -1,0 +1,138 @@
+"""Coarse chroma: what must hold of the formula (docs/method.md#coarse-chroma); test_render.py holds the kernels to it."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import COMPARED, PLANE_STEP, CoarseChroma, TransformTable
+from l3cli.classes.coarse_chroma import APART, BIN, REACH, coarse_change, edge_avoiding, pixel_evidence, scales_of
+from l3cli.classes.planes import LUMINANCE
+from l3cli.errors import RecipeError
+from l3cli.rendering.conditions import with_edges_for
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.training.recipe import LayerRecipe, check_layers
+from tests.helpers.cameras import BAYER
+from tests.helpers.tables import frame_of_all_levels, random_table, with_coarse_chroma, with_refinement
+
+SIDE, SIGMA = 5, 0.01
+
+
+def noise_of(sigma: float) -> CoarseChroma:
+    """Noise of white planes of `sigma` output units at every luminance, but for what steps leave, which is guessed."""
+    left = np.array([1 / 16, 1 / 40, 1 / 100, 1 / 250, 1 / 20])
+    return CoarseChroma(sigma**2 * left[:, None, None] * np.ones(COMPARED) * (1.0, 0.0, 0.0))
+
+
+def planes_of(
+    seed: int, shape: tuple[int, int], colour: tuple[float, float, float], sigma: float = SIGMA
+) -> NDArray[np.int32]:
+    noise = sigma * np.random.default_rng(seed).normal(size=(3, *shape))
+    return np.rint((np.array(colour)[:, None, None] + noise) / PLANE_STEP).astype(np.int32)
+
+
+SHAPES = st.tuples(st.integers(1, 40), st.integers(1, 40))
+
+
+@given(SHAPES, st.lists(st.integers(-(2**21), 2**21), min_size=3, max_size=3))
+def test_a_plain_picture_stays(shape: tuple[int, int], colour: list[int]) -> None:
+    planes = np.broadcast_to(np.array(colour, np.int32)[:, None, None], (3, *shape))
+    assert not coarse_change(planes, SIDE, scales_of(noise_of(SIGMA))).any()
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 3), st.booleans())
+def test_it_turns_with_the_planes(seed: int, turns: int, mirrored: bool) -> None:
+    """Of pictures of whole means, whose grid turns with them."""
+
+    def turned(values: NDArray) -> NDArray:
+        return np.rot90(values[..., ::-1] if mirrored else values, turns, (1, 2))
+
+    planes, scales = planes_of(seed, (8 * BIN, 6 * BIN), (0.02, 0.3, -0.05), 4 * SIGMA), scales_of(noise_of(SIGMA))
+    np.testing.assert_allclose(
+        coarse_change(turned(planes), SIDE, scales), turned(coarse_change(planes, SIDE, scales)), rtol=1e-9, atol=1e-6
+    )
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1), SHAPES, st.floats(0.1, 30))
+def test_chroma_stays_within_what_is_there(seed: int, shape: tuple[int, int], wilder: float) -> None:
+    """What a pixel ends with is a mean of pixels."""
+    planes = planes_of(seed, shape, (0.1, 0.2, 0.1), wilder * SIGMA)
+    chroma = np.delete(planes, LUMINANCE, axis=0)
+    mean = np.delete(pixel_evidence(planes, SIDE), LUMINANCE, axis=0)
+    made = mean + coarse_change(planes, SIDE, scales_of(noise_of(SIGMA)))
+    assert (made >= chroma.min(axis=(1, 2), keepdims=True) - 1e-6).all()
+    assert (made <= chroma.max(axis=(1, 2), keepdims=True) + 1e-6).all()
+
+
+def test_mottle_goes_and_colour_stays() -> None:
+    planes, shape = planes_of(0, (200, 200), (0.03, 0.1, -0.02)), (slice(None), slice(REACH, -REACH), slice(REACH, -REACH))
+    mean = np.delete(pixel_evidence(planes, SIDE), LUMINANCE, axis=0)
+    made = mean + coarse_change(planes, SIDE, scales_of(noise_of(SIGMA)))
+    before, after = (each[shape] * PLANE_STEP for each in (mean, made))
+    assert after.std() - after.mean(axis=(1, 2)).std() < before.std()
+    assert (after.std(axis=(1, 2)) < 0.25 * before.std(axis=(1, 2))).all()
+    np.testing.assert_allclose(after.mean(axis=(1, 2)), (0.03, -0.02), atol=0.03 * SIGMA)
+
+
+@pytest.mark.parametrize("plane", [0, 1, 2])
+def test_an_edge_of_any_plane_keeps_colours_apart(plane: int) -> None:
+    """Also one that luminance does not show: the other side stays out of what is within a mean of it."""
+    left, right = planes_of(1, (96, 48), (0.0, 0.2, 0.0)), planes_of(2, (96, 48), (0.0, 0.2, 0.0))
+    right[plane] += round(0.15 / PLANE_STEP)
+    right[2] += round(0.02 / PLANE_STEP)
+    planes = np.concatenate([left, right], axis=2)
+    made = np.delete(pixel_evidence(planes, SIDE), LUMINANCE, axis=0) + coarse_change(
+        planes, SIDE, scales_of(noise_of(SIGMA))
+    )
+    mean = made[1, 8:-8].mean(axis=0) * PLANE_STEP
+    blue = 0.02 + (0.15 if plane == 2 else 0.0)
+    np.testing.assert_allclose(mean[: 48 - 2 * BIN], 0, atol=0.1 * SIGMA)
+    np.testing.assert_allclose(mean[48 + 2 * BIN :], blue, atol=0.1 * SIGMA)
+
+
+def test_a_step_is_a_mean_of_nine_and_of_fewer_at_the_edges() -> None:
+    means = np.random.default_rng(0).normal(size=(3, 9, 9))
+    far = np.full((3, 3), 1e12) * (1.0, 0.0, 0.0)
+    weights = np.outer([1, 2, 1], [1, 2, 1]) / 16
+    for apart in APART[:2]:
+        there = means[:, 4 - apart : 5 + apart : apart, 4 - apart : 5 + apart : apart]
+        softened = edge_avoiding(means, apart, far)
+        np.testing.assert_allclose(softened[:, 4, 4], (there * weights).sum(axis=(1, 2)))
+        corner = means[:, : 1 + apart : apart, : 1 + apart : apart]
+        np.testing.assert_allclose(softened[:, 0, 0], (corner * weights[1:, 1:]).sum(axis=(1, 2)) / weights[1:, 1:].sum())
+
+
+def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
+    bare = with_refinement(random_table(BAYER, patch=5), 5)
+    table = with_coarse_chroma(bare)
+    save(table, tmp_path / "table.h5")
+    chroma = load(TransformTable, tmp_path / "table.h5").later[-1].coarse_chroma
+    assert chroma is not None
+    assert table.later[-1].coarse_chroma is not None
+    np.testing.assert_array_equal(chroma.variance, table.later[-1].coarse_chroma.variance)
+    frame = frame_of_all_levels(table, np.random.default_rng(3), (40, 60))
+    made, without = (ReferenceRenderer(each).exact_outputs(frame) for each in (table, bare))
+    assert np.abs(made - without).max() > 0.01
+    quiet = with_edges_for(table, 0.25).later[-1].coarse_chroma
+    assert quiet is not None
+    np.testing.assert_allclose(quiet.variance, chroma.variance / 4)
+    for variance in (np.ones((4, 3, 3)), -np.ones(COMPARED), np.zeros(COMPARED)):
+        with pytest.raises(ValueError, match="variance"):
+            CoarseChroma(variance)
+    with pytest.raises(ValueError, match="only the last one may"):
+        dataclasses.replace(table, later=(table.later[0], bare.later[0]))
+    with pytest.raises(ValueError, match="side 3 or more"):
+        dataclasses.replace(with_refinement(random_table(BAYER, patch=5), 1).later[0], coarse_chroma=chroma)
+    for layers, says in (
+        ((LayerRecipe(coarse_chroma=True), LayerRecipe()), "is for the last layer alone"),
+        ((LayerRecipe(side=1, coarse_chroma=True),), "needs windows of side 3"),
+    ):
+        with pytest.raises(RecipeError, match=says):
+            check_layers(layers)
