@@ -12,8 +12,8 @@ from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import mirrored, window_means
 
 BIN = 4  # pixels, side of what a mean is taken of
-APART = (1, 2, 4, 8)  # means, by step
-REACH = BIN * (sum(APART) + 2)  # pixels beyond which nothing counts
+SPACINGS = (1, 2, 4, 8)  # means, by step
+REACH = BIN * (sum(SPACINGS) + 2)  # pixels beyond which nothing counts
 ALIKE = 3.0  # standard deviations of noise that likeness falls off by
 POWER = 8  # of 1 − u / POWER, which is nearly exp(−u), but an end has
 OWN = 0.05  # weight of the pixel's own window
@@ -25,16 +25,16 @@ def scales_of(chroma: CoarseChroma, share: float = 1.0) -> Array:
     """Return the squares of differences, in squared steps of a plane, from which on nothing is alike, (compared, plane,
     power of luminance in steps); `share`: of the camera's noise variance."""
     steps = chroma.variance * (share / PLANE_STEP**2) * PLANE_STEP ** np.arange(chroma.variance.shape[-1])
-    return steps * (POWER * ALIKE**2 * np.array([4.0] * len(APART) + [2.0])[:, None, None])
+    return steps * (POWER * ALIKE**2 * np.array([4.0] * len(SPACINGS) + [2.0])[:, None, None])
 
 
 def coarse_change(planes: NDArray[np.int32], side: int, scales: Array) -> Array:
     """Return what coarse chroma adds to every pixel of windows of `side`: (chroma, row, col) of planes (plane, row, col), in
     their steps; `scales`: of `scales_of`."""
     pixel, means = pixel_evidence(planes, side), binned(planes)
-    first = means = edge_avoiding(means, APART[0], scales[0])
-    for apart, scale in zip(APART[1:], scales[1:], strict=False):
-        means = edge_avoiding(means, apart, scale)
+    first = means = edge_avoiding(means, SPACINGS[0], scales[0])
+    for spacing, scale in zip(SPACINGS[1:], scales[1:], strict=False):
+        means = edge_avoiding(means, spacing, scale)
     least = _at(scales[-1], pixel[LUMINANCE])
     total, weights = np.zeros_like(pixel), np.full(pixel.shape[1:], OWN)
     for rows, down in nearest_means(planes.shape[1], means.shape[1]):
@@ -49,9 +49,9 @@ def coarse_change(planes: NDArray[np.int32], side: int, scales: Array) -> Array:
 def pixel_evidence(planes: NDArray[np.int32], side: int) -> Array:
     """Return what a pixel is compared by (plane, row, col): chroma over its window, luminance over 1 2 1."""
     means = np.asarray(window_means(mirrored(planes.astype(np.float64), side // 2), side))
-    near = mirrored(planes[LUMINANCE].astype(np.float64), 1)
-    near = SPREAD[0] * near[:-2] + SPREAD[1] * near[1:-1] + SPREAD[2] * near[2:]
-    means[LUMINANCE] = SPREAD[0] * near[:, :-2] + SPREAD[1] * near[:, 1:-1] + SPREAD[2] * near[:, 2:]
+    smoothed = mirrored(planes[LUMINANCE].astype(np.float64), 1)
+    smoothed = SPREAD[0] * smoothed[:-2] + SPREAD[1] * smoothed[1:-1] + SPREAD[2] * smoothed[2:]
+    means[LUMINANCE] = SPREAD[0] * smoothed[:, :-2] + SPREAD[1] * smoothed[:, 1:-1] + SPREAD[2] * smoothed[:, 2:]
     return means
 
 
@@ -63,15 +63,15 @@ def binned(planes: NDArray[np.int32]) -> Array:
     return np.asarray(sums / (rows[:, None] * cols))
 
 
-def edge_avoiding(means: Array, apart: int, scale: Array) -> Array:
-    """Return the mean (plane, row, col) over 3 × 3 means `apart` from each other, of those alike."""
+def edge_avoiding(means: Array, spacing: int, scale: Array) -> Array:
+    """Return the mean (plane, row, col) over 3 × 3 means `spacing` from each other, of those alike."""
     _, rows, cols = means.shape
     least = _at(scale, means[LUMINANCE])
-    padded = np.pad(means, ((0, 0), (apart, apart), (apart, apart)))
-    inside = np.pad(np.ones((rows, cols)), apart)
+    padded = np.pad(means, ((0, 0), (spacing, spacing), (spacing, spacing)))
+    inside = np.pad(np.ones((rows, cols)), spacing)
     change, weights = np.zeros_like(means), np.zeros((rows, cols))
     for i, j in np.ndindex(3, 3):
-        there = slice(i * apart, i * apart + rows), slice(j * apart, j * apart + cols)
+        there = slice(i * spacing, i * spacing + rows), slice(j * spacing, j * spacing + cols)
         difference = padded[:, *there] - means
         weight = SPREAD[i] * SPREAD[j] * inside[there] * likeness(difference, least)
         change += weight * difference

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import COMPARED, PLANE_STEP, CoarseChroma, TransformTable
-from l3cli.classes.coarse_chroma import APART, BIN, REACH, coarse_change, edge_avoiding, pixel_evidence, scales_of
+from l3cli.classes.coarse_chroma import BIN, REACH, SPACINGS, coarse_change, edge_avoiding, pixel_evidence, scales_of
 from l3cli.classes.planes import LUMINANCE
 from l3cli.errors import RecipeError
 from l3cli.rendering.conditions import with_edges_for
@@ -101,7 +101,7 @@ def test_a_step_is_a_mean_of_nine_and_of_fewer_at_the_edges() -> None:
     means = np.random.default_rng(0).normal(size=(3, 9, 9))
     far = np.full((3, 3), 1e12) * (1.0, 0.0, 0.0)
     weights = np.outer([1, 2, 1], [1, 2, 1]) / 16
-    for apart in APART[:2]:
+    for apart in SPACINGS[:2]:
         there = means[:, 4 - apart : 5 + apart : apart, 4 - apart : 5 + apart : apart]
         softened = edge_avoiding(means, apart, far)
         np.testing.assert_allclose(softened[:, 4, 4], (there * weights).sum(axis=(1, 2)))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.table import CoarseChroma
-from l3cli.classes.coarse_chroma import APART, BIN, scales_of
+from l3cli.classes.coarse_chroma import BIN, SPACINGS, scales_of
 from l3cli.classes.planes import LUMINANCE
 from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, FAR, joined_files
@@ -45,8 +45,8 @@ class DeviceCoarseChroma:
         from_planes, first, other = self._room(track, shape)
         self._run(self._bin, track, shape, track.planes[-1], from_planes, *where)
         steps = ((from_planes, first), (first, from_planes), (from_planes, other), (other, from_planes))
-        for (before, after), scale, apart in zip(steps, scales, APART, strict=False):
-            event = self._run(self._soften, track, shape, before, after, scale, np.int32(apart), *where)
+        for (before, after), scale, spacing in zip(steps, scales, SPACINGS, strict=False):
+            event = self._run(self._soften, track, shape, before, after, scale, np.int32(spacing), *where)
         return event, (first, steps[-1][1], scales[-1])
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:

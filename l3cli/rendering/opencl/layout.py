@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, TransformTable
-from l3cli.classes.coarse_chroma import APART, BIN, OWN
+from l3cli.classes.coarse_chroma import BIN, OWN, SPACINGS
 from l3cli.classes.plane_kernel import (
     joined,
     kernel_arrays,
@@ -145,7 +145,7 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
 
 
 COARSE_TAPS = 2  # of coarse chroma, behind the others
-COARSE_MARGIN = max(APART)  # means about those of a band that are FAR from all
+COARSE_MARGIN = max(SPACINGS)  # means about those of a band that are FAR from all
 FAR = 1e12  # steps of a plane
 COARSE_MACROS: Macros = {"BIN": BIN, "MARGIN": COARSE_MARGIN}
 # What a layer writes for the next to read.

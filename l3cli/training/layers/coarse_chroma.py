@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import COMPARED, PLANE_STEP, CoarseChroma
-from l3cli.classes.coarse_chroma import APART, binned, edge_avoiding, pixel_evidence, scales_of
+from l3cli.classes.coarse_chroma import SPACINGS, binned, edge_avoiding, pixel_evidence, scales_of
 from l3cli.classes.planes import LUMINANCE
 from l3cli.training.layers.learn import LayerPass
 from l3cli.training.layers.mosaics import Mosaics
@@ -23,10 +23,10 @@ def measured_noise(layer: LayerPass) -> CoarseChroma:
     luminance = np.array([grey[LUMINANCE].mean() for grey in greys]) * PLANE_STEP
     pixels = [pixel_evidence(grey, layer.recipe.side) for grey in greys]
     means, found = [binned(grey) for grey in greys], np.empty(COMPARED)
-    for step, apart in enumerate(APART):
+    for step, spacing in enumerate(SPACINGS):
         found[step] = _terms(luminance, _variances(means))
         scale = scales_of(CoarseChroma(found[[step] * COMPARED[0]]))[step]
-        means = [edge_avoiding(mean, apart, scale) for mean in means]
+        means = [edge_avoiding(mean, spacing, scale) for mean in means]
         if not step:
             found[-1] = _terms(luminance, _variances(pixels) + _variances(means))
     return CoarseChroma(found)
