@@ -41,14 +41,14 @@ def shortened(text: str) -> str:
 
 
 def listed(lines: Iterable[str]) -> str:
-    """Several names, as many as can be read, and how many more there are."""
+    """Return several names, as many as can be read, and how many more there are."""
     lines = list(lines)
     shown = [line for line, length in zip(lines, accumulate(map(len, lines)), strict=True) if length < 2 * MOST] or lines[:1]
     return ", ".join(shown) + (f" and {len(lines) - len(shown)} more" if len(shown) < len(lines) else "")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """A question whether one of the `known` names near this one was meant; empty where none is near."""
+    """Return a question whether one of the `known` names near this one was meant; empty where none is near."""
     import difflib  # only where something went wrong
 
     spelled = {each.lower(): each for each in known}
@@ -57,7 +57,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """The cure for a name that is none of `known`: the ones it may have been meant for or, where none is near, all."""
+    """Return the cure for a name that is none of `known`: those that may have been meant or, where none is near, all."""
     known = list(known)
     if close := nearest(name, known):
         return close

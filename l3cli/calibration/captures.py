@@ -275,7 +275,7 @@ class Series:
 def fit_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, white_level: float
 ) -> tuple[Curves, SeriesFit]:
-    """Responses to each band, and how well signals follow exposure; a patch that saturates in a channel is left out there.
+    """Return responses to each band, and how well signals follow exposure; saturated patches are left out.
 
     InputFileError if a channel is saturated in all captures of a band, or if a band has a single exposure.
     """
@@ -363,9 +363,9 @@ def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array
 
 
 def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
-    """(light, channel) mean over patches of rates (light, patch, channel) over photons (light, patch), and its relative
-    spread over patches. What a patch gets more or less of all bands, each in its brightest channel, is uneven light, and
-    taken out."""
+    """Return (light, channel) mean over patches of rates (light, patch, channel) over photons (light, patch), and its
+    relative spread over patches. What a patch gets more or less of all bands, each in its brightest channel, is uneven
+    light, and taken out."""
     each = rates / photons[..., None]
     response = np.nanmean(each, axis=1)  # a patch may be saturated in every capture
     relative = each / response[:, None]
@@ -375,7 +375,7 @@ def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
 
 
 def linearity_errors(series: Series, span: float) -> Array:
-    """(channel) mean over bands and patches of the deviation from a line, where three captures or more lie in 5–95 %."""
+    """Return (channel) mean over bands and patches of the deviation from a line, of three captures or more in 5–95 %."""
     low, high = (share * span for share in noise.LINEAR)
     errors: list[list[float]] = [[] for _ in range(series.values.shape[2])]
     chosen = series.valid & (series.values >= low) & (series.values <= high)

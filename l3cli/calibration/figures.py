@@ -215,8 +215,8 @@ def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[
 
 
 def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
-    """`figures`, with `compare` under "truth" if there, as lines of plain text; tables wider than `width` characters are
-    divided."""
+    """Return `figures`, with `compare` under "truth" if there, as lines of plain text; tables wider than `width` characters
+    are divided."""
     truth = result.get("truth")
     lines = []
     for name, entry in result["camera"].items():

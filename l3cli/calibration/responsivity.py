@@ -42,7 +42,7 @@ class Sweep:
 
 
 def node_grid(lights: list[tuple[Array, Array]]) -> Array:
-    """Nodes (wavelength) nm every 5 nm over what the lights, (wavelength, radiance) each, reach."""
+    """Return nodes (wavelength) nm every 5 nm over what the lights, (wavelength, radiance) each, reach."""
     lit = [wavelength[radiance >= EDGE * radiance.max()] for wavelength, radiance in lights]
     first = np.floor(min(part[0] for part in lit) / NODE_STEP) * NODE_STEP
     last = np.ceil(max(part[-1] for part in lit) / NODE_STEP) * NODE_STEP
@@ -56,12 +56,12 @@ def light_centre(wavelength: Array, radiance: Array) -> float:
 
 
 def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
-    """(…, node): integral of radiance (…, wavelength) × each node's hat, photons/s/sr/m²."""
+    """Return (…, node): integral of radiance (…, wavelength) × each node's hat, photons/s/sr/m²."""
     return np.asarray(spectra.resample(radiance, wavelength, nodes) * spectra.bin_widths(nodes), dtype=np.float64)
 
 
 def roughness(nodes: int) -> Array:
-    """Second differences (nodes − 2, nodes)."""
+    """Return second differences (nodes − 2, nodes)."""
     return np.diff(np.eye(nodes), n=2, axis=0)
 
 
@@ -79,7 +79,7 @@ def solve(design: Array, values: Array, delta: float) -> Array:
 
 
 def solve_channels(sweep: Sweep, delta: float) -> Array:
-    """Responsivities (channel, wavelength) DN/photon, each from its unsaturated captures."""
+    """Return responsivities (channel, wavelength) DN/photon, each from its unsaturated captures."""
     columns = zip(sweep.values.T, sweep.valid.T, strict=True)
     return np.array([solve(sweep.design[valid], values[valid], delta) for values, valid in columns])
 
@@ -137,7 +137,7 @@ def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: flo
 
 
 def _smoother(design: Array, delta: float) -> Array:
-    """(node, capture): the matrix that turns values into the responsivity while no r is held at zero."""
+    """Return (node, capture): the matrix that turns values into the responsivity while no r is held at zero."""
     penalty = roughness(design.shape[1])
     return np.asarray(np.linalg.solve(design.T @ design + delta * penalty.T @ penalty, design.T), dtype=np.float64)
 

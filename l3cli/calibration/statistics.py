@@ -115,20 +115,20 @@ class Level:
 
 
 def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
-    """(channel, the pixels of one site of the super-pixel as a picture), site by site."""
+    """Yield (channel, the pixels of one site of the super-pixel as a picture), site by site."""
     rows, cols = cfa.shape
     for row, col in np.ndindex(rows, cols):
         yield int(cfa[row, col]), values[row::rows, col::cols]
 
 
 def pooled(per_site: Sequence[float], cfa: NDArray[np.uint8]) -> Array:
-    """(channel) mean over its sites of one figure a site, sites in the order of `by_site`."""
+    """Return (channel) mean over its sites of one figure a site, sites in the order of `by_site`."""
     count = np.bincount(cfa.ravel())
     return np.bincount(cfa.ravel(), weights=np.asarray(per_site, dtype=np.float64)) / count
 
 
 def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Counts:
-    """(channel, value) how many pixels of each channel have each value, defects left out."""
+    """Return (channel, value) how many pixels of each channel have each value, defects left out."""
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for channel, site in by_site(values, body.cfa):
         counts[channel] += np.bincount(site.ravel(), minlength=2**body.bits)
@@ -147,7 +147,7 @@ def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
 
 
 def mean_value(counts: Counts) -> Array:
-    """(channel) mean DN of a histogram (channel, value)."""
+    """Return (channel) mean DN of a histogram (channel, value)."""
     return counts @ np.arange(counts.shape[1]) / counts.sum(axis=1)
 
 
@@ -157,7 +157,7 @@ def share_from(counts: Counts, value: float) -> Array:
 
 
 def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
-    """Histogram and temporal variance of a capture of even light or none; InputFileError if it is a single frame.
+    """Return the histogram and temporal variance of a capture of even light or none; InputFileError if it is a single frame.
 
     The variance is half that of the difference of two frames, centred, so that neither fixed pattern nor a drift of the
     lamp or of the black level enters; frames 1 and 2 make a pair, 3 and 4 the next.
@@ -181,7 +181,7 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
 
 
 def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each: Each = map) -> Array:
-    """Pictures (sum, row, col): Σ over captures of weights (sum, capture, channel) × mean frame, read one by one."""
+    """Return pictures (sum, row, col): Σ over captures of weights (sum, capture, channel) × mean frame, read one by one."""
     total = np.zeros((len(weights), body.rows, body.cols))
     used = [index for index in range(len(captures)) if weights[:, index].any()]
     means = each(mean_frame, [captures[index] for index in used])

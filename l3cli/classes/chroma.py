@@ -66,7 +66,7 @@ def _means(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.flo
 
 
 def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Integer weights (chroma, channel) by which the lowest score is that of the nearest of `centres` (chroma, channel)."""
+    """Return integer weights (chroma, channel) whose lowest score is that of the nearest of `centres` (chroma, channel)."""
     weights = (centres**2).sum(axis=1, keepdims=True) - 2 * centres
     return np.rint(weights * CHROMA_SCALE).astype(np.int32)
 
@@ -121,7 +121,7 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """(chroma, 1 + pair of channels), as chroma.cl has them."""
+    """Return (chroma, 1 + pair of channels), as chroma.cl has them."""
     pairs = np.zeros((rule.chromas, (rule.channels + 1) // 2, 2), np.int16)  # which the weights fit
     pairs.reshape(rule.chromas, -1)[:, : rule.channels] = rule.chroma_weights
     start = 2**15 * rule.chroma_weights.sum(axis=1, keepdims=True, dtype=np.int32)

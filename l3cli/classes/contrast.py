@@ -60,7 +60,7 @@ def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float)
 
 
 def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integers:
-    """Contrast (…) at `level` (…)."""
+    """Return contrast (…) at `level` (…)."""
     if statistics.squares is None:
         return np.zeros(level.shape, np.int64)
     neighbours, site, sums = statistics.neighbours, statistics.site, statistics.sums
@@ -92,5 +92,5 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint32]:
-    """(contrast edge, level)"""
+    """Return (contrast edge, level)"""
     return rule.contrast_edges

@@ -11,7 +11,7 @@ from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, neighbourh
 
 
 def labels(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Class within its site (…) of every pixel."""
+    """Return class within its site (…) of every pixel."""
     levels = level.levels(rule, statistics)
     contrasts = contrast.contrasts(rule, statistics, levels)
     kinds = rule.kind(chroma.chromas(rule, statistics), saturation.cases(rule, statistics.code))

@@ -53,7 +53,7 @@ def fits(camera: CameraModel, patch: int) -> bool:
 
 
 def axis(keys: Options, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None) -> Axis:
-    """Windows, multipliers and strength edges by the camera's noise; RecipeError if the strengths cannot be."""
+    """Return windows, multipliers and strength edges by the camera's noise; RecipeError if the strengths cannot be."""
     if not keys.strengths or tuple(sorted(set(keys.strengths))) != keys.strengths or keys.strengths[0] <= 0:
         raise RecipeError("classes.direction.strengths must be there, be positive and increase")
     period = math.lcm(*camera.cfa.shape)
@@ -91,7 +91,7 @@ def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
 def _strength_edges(
     keys: Options, windows: tuple[Window, ...], multipliers: Integers, camera: CameraModel, rule: ClassRule, dark: float
 ) -> Integers:
-    """(strength edge, level) of G: multiples of its root mean square by the camera's noise alone."""
+    """Return (strength edge, level) of G: multiples of its root mean square by the camera's noise alone."""
     counts = np.zeros((4, rule.patch, rule.patch))
     for window in windows:
         down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
@@ -122,7 +122,7 @@ def observe(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> NDA
 
 
 def values(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
-    """Direction (…) by the four differences (…, axis) at `level` (…)."""
+    """Return direction (…) by the four differences (…, axis) at `level` (…)."""
     straight, diagonal, orientations, strengths, coherence = axis.constants[:HEAD].tolist()
     size = np.abs(sums) * np.array([straight, diagonal, straight, diagonal])
     steepest = size.argmax(axis=-1)
@@ -140,7 +140,7 @@ def values(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Inte
 
 
 def with_less_noise(axis: Axis, share: float) -> Axis:
-    """Strength edges that are as many times the noise that is left."""
+    """Return strength edges that are as many times the noise that is left."""
     constants = axis.constants.copy()
     constants[HEAD:] = np.rint(constants[HEAD:] * math.sqrt(share))
     return axis._replace(constants=constants)

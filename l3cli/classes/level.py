@@ -87,7 +87,7 @@ def level_of_mean(rule: ClassRule, total: float) -> int:
 
 
 def inner_bounds(rule: ClassRule, black_level: float, white_level: float) -> NDArray[np.float64]:
-    """Shares of full scale at which each level but the darkest begins; `black_level` and `white_level` in DN."""
+    """Return shares of full scale at which each level but the darkest begins; `black_level` and `white_level` in DN."""
     in_dn = rule.level_edges * 2.0**rule.shift / (2**LEVEL_FRACTION * rule.channels)
     return (in_dn - black_level) / (white_level - black_level)
 
@@ -123,5 +123,5 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """(level edge) the highest level sum below each, as kernels compare; no sum reaches 2³¹."""
+    """Return (level edge) the highest level sum below each, as kernels compare; no sum reaches 2³¹."""
     return np.minimum(rule.level_edges.astype(np.int64) - 1, 2**31 - 1).astype(np.int32)

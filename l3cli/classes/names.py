@@ -87,6 +87,6 @@ def further_names(table: TransformTable, further_class: int) -> list[str]:
 
 
 def kind_name(table: TransformTable, kind: int) -> str:
-    """ "chroma K", or "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
+    """Return "chroma K", or "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
     case = int(table.first.rule.case(kind))
     return saturation.name(table, case) if case else chroma.name(table, kind)

@@ -96,7 +96,7 @@ def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
 
 
 def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
-    """(node, word) as trees_by_item.cl has them."""
+    """Return (node, word) as trees_by_item.cl has them."""
     leaf = rule.branch == 0
     threshold = np.where(leaf, NEVER, rule.threshold).astype(np.float32)
     node = np.where(leaf, np.arange(len(leaf)), rule.branch).astype(np.uint32)
@@ -104,13 +104,13 @@ def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
-    """Numerator (node) of each test and, from bit `place` on, its denominator."""
+    """Return numerator (node) of each test and, from bit `place` on, its denominator."""
     denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)
     return np.asarray(rule.test | denominator[rule.test] << np.uint32(place), np.uint32)
 
 
 def snippets(rule: ClassRule) -> tuple[str, ...]:
-    """Files of opencl/ with the formulas of a rule's features; `joined` follows them, then rule.cl."""
+    """Return files of opencl/ with the formulas of a rule's features; `joined` follows them, then rule.cl."""
     return tuple(feature.SNIPPET for feature in (*BASIC, *(feature for feature, _ in further_features(rule))))
 
 

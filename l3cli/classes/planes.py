@@ -117,7 +117,7 @@ def _fixed_point(
     weights: NDArray[np.float32], intercept: NDArray[np.float32], basis: NDArray[np.float64], read: _Read,
     layouts: Iterable[tuple[slice, Integers]],
 ) -> FixedPoint:  # fmt: skip
-    """Transforms (class, output, tap), (class, output) as integers; `layouts`: classes and the channels of their taps."""
+    """Return transforms (class, output, tap), (class, output) as integers; `layouts`: classes, channels of taps."""
     offset = _to_planes(intercept.T, basis) / PLANE_STEP
     made = FixedPoint(
         np.empty(weights.shape, np.int16), np.empty(offset.T.shape, np.int64), np.empty(len(weights), np.int32)
@@ -150,7 +150,7 @@ def _room(weights: NDArray[np.float64], offset: NDArray[np.float64], read: _Read
 
 
 def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
-    """F (class) of transforms that could be `room` (class) times larger."""
+    """Return F (class) of transforms that could be `room` (class) times larger."""
     fraction = np.minimum(MOST_FRACTION, np.floor(np.log2(room)))
     if fraction.min() < 0:
         raise InputFileError("transforms of a layer are too large for the next; train the table again")
@@ -178,6 +178,6 @@ def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float6
 
 
 def _to_planes(values: NDArray[np.float32], basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(X Y Z, …) → (plane, …), one product after the other, so that every machine rounds alike."""
+    """Return (X Y Z, …) → (plane, …), one product after the other, so that every machine rounds alike."""
     x, y, z = values.astype(np.float64)
     return np.stack([x + basis[1, 0] * y, y, z + basis[1, 2] * y])

@@ -28,7 +28,7 @@ class Options(Recipe):
 
 
 def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[int] | None = None) -> NDArray[np.uint16]:
-    """Case of every saturation code (code) from how often each occurred (code); `filters` (channel), None: each its own.
+    """Return the case of every saturation code from how often each occurred (code); `filters` (channel), None: each its own.
 
     Code 0 is case 0. The most frequent others get cases, `most` in all. Every other code joins the nearest of these: first
     one that has lost a filter if it has, then the one that differs in the fewest channels, among equals one that clips all
@@ -71,7 +71,7 @@ def stored_threshold(recipe: Options, camera: CameraModel) -> int:
 def saturation_codes(
     patches: NDArray[np.unsignedinteger], rule: ClassRule, neighbours: Neighbourhoods, site: int
 ) -> Integers:
-    """Pattern of saturated channels near the centre of each patch (patch, tap)."""
+    """Return the pattern of saturated channels near the centre of each patch (patch, tap)."""
     order = tap_order(rule, neighbours, site)
     return codes(patches.T[order.taps], rule, order)
 
@@ -86,7 +86,7 @@ def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder)
 
 
 def code_of(saturated: NDArray[np.bool_]) -> Integers:
-    """Codes (…) of patterns of saturated channels (…, channel)."""
+    """Return codes (…) of patterns of saturated channels (…, channel)."""
     return (saturated.astype(np.int64) << np.arange(saturated.shape[-1])).sum(axis=-1)
 
 
@@ -108,7 +108,7 @@ def heading(entry: dict[str, Any]) -> str:
 
 
 def name(table: TransformTable, case: int) -> str:
-    """ "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
+    """Return "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     if not codes.size:
         return "no pattern"
@@ -139,5 +139,5 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint16]:
-    """(code)"""
+    """Return (code)"""
     return rule.case_of_code

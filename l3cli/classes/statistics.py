@@ -26,7 +26,7 @@ class Statistics:
 
     @cached_property
     def scaled(self) -> Integers:
-        """Channel means (…, channel) times 65536: S · round(65536 / n), below 2³²."""
+        """Return channel means (…, channel) times 65536: S · round(65536 / n), below 2³²."""
         return self.sums * self.neighbours.mean_reciprocal[self.site]
 
 
@@ -75,7 +75,7 @@ def _no_windows(patches: int) -> NDArray[np.float32]:
 def mosaic_statistics(
     values: NDArray[np.uint16], rule: ClassRule, neighbours: Neighbourhoods, cfa: NDArray[np.uint8], phase: tuple[int, int]
 ) -> Statistics:
-    """Statistics of every pixel of a mosaic (row, col) of DN whose first pixel has CFA site `phase`."""
+    """Return statistics of every pixel of a mosaic (row, col) of DN whose first pixel has CFA site `phase`."""
     rows, cols = values.shape
     padded = pad_mosaic(values, rule.radius, cfa.shape).astype(np.int64)
     channel = _padded_channels(shifted_cfa(cfa, phase), rule.radius, rows, cols)
@@ -96,7 +96,7 @@ def mosaic_statistics(
 
 
 def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> Integers:
-    """Window sums (row, col, sum) of a padded mosaic of v."""
+    """Return window sums (row, col, sum) of a padded mosaic of v."""
     total = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     sums = np.zeros((sum(axis.sums for axis in rule.axes), rows, cols), np.int64)
     first = 0

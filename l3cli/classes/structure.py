@@ -28,8 +28,8 @@ REACH = 3  # pixels beyond a plane that the structure of its edge reads
 
 
 def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:
-    """Structure (row, col) from luminance (row + 2 REACH, col + 2 REACH) and levels of the first layer (row + 4, col + 4),
-    both with a margin of mirrored pixels, and CFA sites (row, col)."""
+    """Return structure (row, col) from luminance (row + 2 REACH, col + 2 REACH) and levels of the first layer (row + 4, col
+    + 4), both with a margin of mirrored pixels, and CFA sites (row, col)."""
     xx, yy, xy = tensor(luminance, rule.gradient_factor.astype(np.int64)[level], rule.gradient_shift.astype(np.int64)[level])
     trace = xx + yy
     strength = np.searchsorted(rule.strength_edges.astype(np.int64), trace, side="left")
@@ -40,7 +40,7 @@ def structures(luminance: Integers, level: Integers, site: Integers, rule: Struc
 
 
 def tensor(luminance: Integers, factor: Integers, shift: Integers) -> tuple[Integers, Integers, Integers]:
-    """Weighted sums (row, col) of the products of gradients, each scaled by `factor` and `shift` (row + 4, col + 4)."""
+    """Return weighted sums (row, col) of products of gradients, each scaled by `factor` and `shift` (row + 4, col + 4)."""
     across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * factor >> shift, -GRADIENT, GRADIENT)
     down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * factor >> shift, -GRADIENT, GRADIENT)
     return _windowed(across * across), _windowed(down * down), _windowed(across * down)

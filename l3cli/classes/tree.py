@@ -106,7 +106,7 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
 
 
 def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
-    """Leaf (…) of pixels of CFA `site` (…)."""
+    """Return leaf (…) of pixels of CFA `site` (…)."""
     test, sign = (np.array(each) for each in zip(*(turned_tests(turn) for turn in range(8)), strict=True))
     numerators = seen.numerators.reshape(TESTS, -1)
     denominators = seen.denominators.reshape(4, -1)

@@ -23,7 +23,7 @@ class Neighbourhoods:
 
 
 def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbourhoods:
-    """Windows of side `patch` about every site; RecipeError if one does not reach every channel."""
+    """Return windows of side `patch` about every site; RecipeError if one does not reach every channel."""
     channel = window_channels(cfa, patch)
     count = np.array([np.bincount(window, minlength=channels) for window in channel])
     if (count == 0).any():
@@ -41,7 +41,7 @@ def window_channels(cfa: NDArray[np.uint8], patch: int) -> Integers:
 
 
 def _divided(numerator: int, count: Integers) -> Integers:
-    """round(numerator / count), halves up, in integers."""
+    """Return round(numerator / count), halves up, in integers."""
     return (2 * numerator + count) // (2 * count)
 
 
@@ -85,7 +85,7 @@ def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
 
 
 def sites(rows: int, cols: int, cfa_shape: tuple[int, ...], phase: tuple[int, int]) -> Integers:
-    """CFA site (row, col) of every pixel of a frame."""
+    """Return CFA site (row, col) of every pixel of a frame."""
     row = (np.arange(rows) + phase[0]) % cfa_shape[0]
     col = (np.arange(cols) + phase[1]) % cfa_shape[1]
     return row[:, None] * cfa_shape[1] + col

@@ -111,7 +111,7 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Exit code of `l3 ARGUMENTS`, after printing its results and messages."""
+    """Return exit code of `l3 ARGUMENTS`, after printing its results and messages."""
     Logged.current, record = None, begin(arguments)
     results: list[Result] = []
     try:
@@ -125,7 +125,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _called(arguments: list[str], record: Record | None, results: list[Result]) -> int:
-    """Exit code of the command, whose result is put among the `results` and, unless it is recorded, printed."""
+    """Return exit code of the command, whose result is put among the `results` and, unless it is recorded, printed."""
     try:
         result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False)
     except Planned as plan:
@@ -142,7 +142,7 @@ def _called(arguments: list[str], record: Record | None, results: list[Result]) 
 
 
 def _guarded(work: Callable[[], int | None]) -> int:
-    """Exit code of a part of the run; whatever goes wrong in it is said."""
+    """Return exit code of a part of the run; whatever goes wrong in it is said."""
     try:
         code = work()
         sys.stdout.flush()

@@ -45,6 +45,6 @@ def _text(comparison: "Comparison") -> None:
 
 
 def _lines(sentences: list[str]) -> list[str]:
-    """Sentences as lines that fit the terminal."""
+    """Return sentences as lines that fit the terminal."""
     wide = width()
     return [line for each in sentences for line in (textwrap.wrap(printable(each), wide) if wide else [each])]

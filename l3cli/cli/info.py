@@ -104,7 +104,7 @@ def _line(item: dict[str, Any]) -> str:
 
 
 def _short(value: Any) -> str:
-    """A number to six digits, text as it is; JSON has all digits."""
+    """Return a number to six digits, text as it is; JSON has all digits."""
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
     return figure(value, ".6g") if isinstance(value, float) else str(value)

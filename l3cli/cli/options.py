@@ -34,7 +34,7 @@ class RecipeFile(click.Path):
         return Recipe(self.kind).read(value)
 
     def names(self) -> Iterable[str]:
-        """The recipes that come with l3."""
+        """Return the recipes that come with l3."""
         from l3cli.recipes.builtin import known_recipes
 
         return known_recipes(self.kind)

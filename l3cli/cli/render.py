@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def _refuse_watching(context: Any, parameter: Any, value: str | None) -> None:
-    """UsageError for options that there were once."""
+    """Raise UsageError for options that there were once."""
     if value is not None:
         raise click.UsageError(
             "--watch is no more; call again for what has arrived: l3 render TABLE.h5 FOLDER -o OUTPUT --resume"
@@ -80,14 +80,14 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
 
 
 def clips_result(summary: "Summary", fault: BaseException | None = None, show_text: bool = False) -> Result:
-    """The result of l3 render; with `show_text`, or where a run over many clips was ended by `fault`, with a table."""
+    """Return the result of l3 render; with `show_text`, or where `fault` ended a run over many clips, with a table."""
     document = _worded(summary.document())
     text = (lambda: _table(document)) if show_text or fault else None
     return Result(document, text, fault, summary.exit_code)
 
 
 def _worded(value: Any) -> Any:
-    """A document in which messages name options."""
+    """Return a document in which messages name options."""
     if isinstance(value, dict):
         return {key: _worded(each) for key, each in value.items()}
     if isinstance(value, list):

@@ -85,7 +85,7 @@ class Record:
 
 
 def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
-    """A file's name, size and SHA-256; without these if it is no file, or has changed since it was `at` that date."""
+    """Return a file's name, size and SHA-256; without these if it is no file, or has changed since it was `at` that date."""
     size, digest = None, None
     try:
         require_regular(path)
@@ -99,7 +99,7 @@ def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
 
 
 def begin(arguments: list[str]) -> Record | None:
-    """The record of a command, if its arguments ask for JSON: known before they are understood, as they may be wrong."""
+    """Return the record of a command, if its arguments ask for JSON: known before they are read, as they may be wrong."""
     before = arguments[: arguments.index("--")] if "--" in arguments else arguments
     Record.current = None
     if JSON in before:

@@ -39,7 +39,7 @@ def show_json(document: Any) -> None:
 
 
 def finite(document: Any, console: "Console") -> Any:
-    """A document for JSON, which has no NaN: a figure that cannot be computed is null, and named on the console."""
+    """Return a document for JSON, which has no NaN: a figure that cannot be computed is null, and named on the console."""
     missing: list[str] = []
     known = _finite(document, "", missing)
     if missing:
@@ -49,7 +49,7 @@ def finite(document: Any, console: "Console") -> Any:
 
 
 def _finite(value: Any, name: str, missing: list[str]) -> Any:
-    """`value` with null for NaN and infinity; their names are added to `missing`."""
+    """Return `value` with null for NaN and infinity; their names are added to `missing`."""
     if isinstance(value, dict):
         return {key: _finite(each, f"{name}.{key}".lstrip("."), missing) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -61,7 +61,7 @@ def _finite(value: Any, name: str, missing: list[str]) -> Any:
 
 
 def with_options(message: str) -> str:
-    """A message that may come from below the command line, with an option for each parameter it names (‹skip_bad›)."""
+    """Return a message that may come from below the command line, with an option for each parameter (‹skip_bad›)."""
     return PARAMETER.sub(lambda match: f"--{match[1].replace('_', '-')}", message)
 
 
@@ -99,7 +99,7 @@ SELDOM, OFTEN = 600.0, 10.0  # seconds after which a log hears of the progress a
 
 
 def width() -> int | None:
-    """Characters in a line of stdout, by its terminal or the environment variable COLUMNS; None: any number."""
+    """Return characters in a line of stdout, by its terminal or the environment variable COLUMNS; None: any number."""
     import shutil
 
     columns = os.environ.get("COLUMNS", "")
@@ -109,7 +109,7 @@ def width() -> int | None:
 
 
 def folded(line: str, deeper: int) -> list[str]:
-    """A line of stdout as several, `deeper` characters further in from the second on, where the terminal is not as wide."""
+    """Return a line of stdout as several, `deeper` characters further in from the second, where the terminal is narrower."""
     import textwrap
 
     wide = width()
@@ -172,14 +172,14 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
 
 
 def _pace(done: int, total: int | None, seconds: float) -> str:
-    """Share that is done, rate and time left."""
+    """Return the share that is done, rate and time left."""
     each = max(seconds, 1e-9) / done
     rate = f"{1 / each:.3g} a second" if each < 2 else f"{_span(each)} each"
     return f"{100 * done // total} %, {rate}, {_span(max(total - done, 0) * each)} left" if total else rate
 
 
 def _span(seconds: float) -> str:
-    """A length of time in its two largest units."""
+    """Return a length of time in its two largest units."""
     seconds = round(seconds)
     for unit, name, part, smaller in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
         if seconds >= unit:

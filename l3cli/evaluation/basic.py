@@ -63,7 +63,7 @@ def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) ->
 
 
 def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
-    """White and measured reflectances (sample, wavelength), and the light (wavelength) that makes white 1 cd/m²."""
+    """Return the white and measured reflectances (sample, wavelength), and the light (wavelength) of 1 cd/m² on white."""
     radiance = light.radiance.astype(np.float64)
     if not spectra.xyz_weights(light.wavelength)[1] @ radiance > 0:
         raise InputFileError("a frame's light cannot be seen; simulate it again")

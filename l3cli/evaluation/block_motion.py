@@ -79,7 +79,7 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
 
 
 def _without_outliers(plane: Array) -> Array:
-    """Medians (row, col) of every BLOCK-th value over a window, smoothed between blocks."""
+    """Return medians (row, col) of every BLOCK-th value over a window, smoothed between blocks."""
     from scipy.ndimage import median_filter, uniform_filter
 
     side = -(-WINDOW // BLOCK) | 1

@@ -104,7 +104,7 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
 
 
 def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
-    """The curves, with the names of their files where cameras are of one name."""
+    """Return the curves, with the names of their files where cameras are of one name."""
     names = [curve.name for curve in curves]
     return [
         curve if names.count(curve.name) == 1 else replace(curve, name=f"{curve.name} ({file.removesuffix('.json')})")

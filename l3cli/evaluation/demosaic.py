@@ -98,8 +98,8 @@ def _bayer_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
-    """`known` methods and those of installed packages (docs/python.md#a-baseline). L3Error if one of these fails, or has
-    the name of a known one."""
+    """Return `known` methods and those of installed packages (docs/python.md#a-baseline). L3Error if one of these fails, or
+    has the name of a known one."""
     methods = dict(known)
     for name, entry in plugins(BASELINES).items():
         if name in known:
@@ -166,9 +166,9 @@ def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
 
 
 def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
-    """PPID (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing using pseudo-panchromatic image", IEEE Trans.
-    Computational Imaging 3, 2017, equations 21 to 34) for a CFA that `occurs_once`: the differences of all samples from the
-    pseudo-panchromatic image, the mean of all bands, are interpolated along edges."""
+    """Return PPID (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing using pseudo-panchromatic image", IEEE
+    Trans. Computational Imaging 3, 2017, equations 21 to 34) for a CFA that `occurs_once`: the differences of all samples
+    from the pseudo-panchromatic image, the mean of all bands, are interpolated along edges."""
 
     def method(padded: Array) -> Callable[[Direction], Array]:
         values = CODES * padded
@@ -222,8 +222,8 @@ def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Arr
 
 
 def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Direction, Array] | None = None) -> Array:
-    """Bands (band, row, col) at the pixels of a CFA site, from the samples of `plane` less than a period away: weighed by a
-    triangle in either direction, and by `weights` of their direction. The site's own band is the sample there."""
+    """Return bands (band, row, col) at the pixels of a CFA site, from the samples of `plane` less than a period away:
+    weighed by a triangle in either direction, and by `weights` of their direction. The site's own band is the sample."""
     total = np.zeros((int(cfa.max()) + 1, *_samples(plane, cfa, site).shape))
     norm = np.zeros_like(total)
     for down, right in itertools.product(*(range(1 - length, length) for length in cfa.shape)):

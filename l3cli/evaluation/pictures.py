@@ -96,6 +96,6 @@ def inner(region: Region) -> Region:
 
 
 def _means(planes: Array, regions: list[Region]) -> Array:
-    """(3, 1, patch)"""
+    """Return (3, 1, patch)"""
     means = [planes[:, rows, cols].mean(axis=(1, 2), dtype=np.float64) for rows, cols in map(inner, regions)]
     return np.array(means).T[:, None]

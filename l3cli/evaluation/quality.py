@@ -79,7 +79,7 @@ class Target:
         self.patches = PlainPatches(self._labs[0])
 
     def _labs_of(self, linear: Array) -> tuple[Array, Array]:
-        """L*a*b* (row, col, 3) as displayed, and after the eye's blur."""
+        """Return L*a*b* (row, col, 3) as displayed, and after the eye's blur."""
         xyz = displayed_xyz(linear)
         return lab(xyz, daylight()), _blurred_lab(xyz, daylight(), self._viewing)
 

@@ -166,7 +166,7 @@ class SequenceEvaluation:
 
 
 def _warped_error(error: Array, last: Array, motion: Array, border: int) -> float | None:
-    """Root mean square of how the error (row, col) differs from the last one where the same was seen; None if nothing was.
+    """Return the root mean square of changes of the error (row, col) where the same was seen; None if nothing was.
 
     Errors are warped, not pictures: the differences of two warped pictures less those of the ideal ones, since warping is
     linear, and what the interpolation spoils at edges is in both.
@@ -192,7 +192,7 @@ def _cell_means(plane: Array) -> Array:
 
 
 def _deviation(series: Array) -> float:
-    """Root mean square over series (time, …) of their standard deviation."""
+    """Return root mean square over series (time, …) of their standard deviation."""
     return float(np.sqrt(series.var(axis=0, ddof=1, dtype=np.float64).mean()))
 
 

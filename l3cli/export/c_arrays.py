@@ -158,7 +158,7 @@ def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
 
 
 def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
-    """Arrays and structs of a table of several layers."""
+    """Return arrays and structs of a table of several layers."""
     basis = opponent_basis(table.white_point)
     arrays = _fixed("l3_", first_plane_weights(fixed_point(table), table.bits))
     structs, entries = [], []
@@ -236,7 +236,7 @@ def _fill(taps: NDArray) -> NDArray:
 
 
 def _some(edges: NDArray) -> NDArray:
-    """Edges, or one that nobody reads where there are none: C has no empty arrays."""
+    """Return edges, or one that nobody reads where there are none: C has no empty arrays."""
     return edges if edges.size else np.zeros((1, *edges.shape[1:]), edges.dtype)
 
 

@@ -87,7 +87,7 @@ def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
 
 
 def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) -> Matrix:
-    """(n, 3), whose pseudo-inverse gives the best colours: so developers use it."""
+    """Return (n, 3), whose pseudo-inverse gives the best colours: so developers use it."""
     start = fit_through(xyz, channels, white, neutral)
     ours = refinement(channels @ np.linalg.pinv(start).T, xyz, white)
     values = np.round(start @ np.linalg.inv(ours), DIGITS)
@@ -95,7 +95,7 @@ def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) ->
 
 
 def _matrix_to(space: Array, balanced: Array, noise: Array, wanted: Array, white: Array) -> Matrix:
-    """(3, n) from balanced channels to a linear `space` (3, 3) of XYZ, where a white has exactly the white's colour."""
+    """Return (3, n) from balanced channels to a linear `space` (3, 3) of XYZ, with white exact."""
     start = fit_through(balanced, wanted, np.ones(balanced.shape[1]), white, noise)
     values = np.round(space @ refinement(balanced @ start.T, wanted, white) @ start, DIGITS)
     largest = np.abs(values).argmax(axis=1)
@@ -152,8 +152,8 @@ def errors(matrices: LightMatrices) -> dict[str, dict[str, Any]]:
 
 
 def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array | None:
-    """(temperature, 3): K, r over g, b over g of a grey under black bodies and daylights, the channels r, g, b in this
-    `order`; None unless r falls and b rises all the way, as who searches along the curve expects."""
+    """Return (temperature, 3): K, r over g, b over g of a grey under black bodies and daylights, the channels r, g, b in
+    this `order`; None unless r falls and b rises all the way, as who searches along the curve expects."""
     names = [f"{kelvin}K" for kelvin in BLACK_BODIES] + [f"D{kelvin}K" for kelvin in DAYLIGHTS]
     greys = np.array([_responses(camera, name)[0] for name in names])
     first, middle, last = greys[:, order].T
@@ -165,8 +165,8 @@ def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array
 
 
 def noise_profile(camera: CameraModel) -> tuple[float, float]:
-    """Constant and slope of a pixel's standard deviation, constant + slope · √signal, on a scale of 16 bits: least squares
-    over signals evenly spaced in their roots; a constant below zero is none."""
+    """Return the constant and slope of a pixel's standard deviation, constant + slope · √signal, on a scale of 16 bits:
+    least squares over signals evenly spaced in their roots; a constant below zero is none."""
     scale = 2.0 ** (SIXTEEN - camera.bits)
     root = np.linspace(1.0, np.sqrt((camera.white_level - camera.black_level) * scale), NOISE_LEVELS)
     deviation = scale * np.sqrt(camera.noise_variance(root**2 / scale))
@@ -190,7 +190,7 @@ def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
 
 
 def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int, int, int] | None:
-    """`rgb_order` of a Bayer array (2×2, g on a diagonal); None for any other array."""
+    """Return `rgb_order` of a Bayer array (2×2, g on a diagonal); None for any other array."""
     order = rgb_order(channels)
     if order is None or cfa.shape != (2, 2):
         return None
@@ -382,7 +382,7 @@ def _datasheet_csv(camera: CameraModel) -> str:
 
 
 def _json(value: Any, indent: int = 0) -> str:
-    """JSON, two spaces a level, with lists of plain values on one line; ASCII."""
+    """Return JSON, two spaces a level, with lists of plain values on one line; ASCII."""
     inner = " " * (indent + 2)
     if isinstance(value, dict):
         lines = [f"{inner}{json.dumps(key)}: {_json(each, indent + 2)}" for key, each in value.items()]

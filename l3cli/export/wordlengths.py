@@ -46,7 +46,7 @@ class Vector:
     outputs: NDArray[np.float32]  # (output, row, col)
 
     def files(self) -> dict[str, bytes]:
-        """Little-endian, row by row."""
+        """Return Little-endian, row by row."""
         return {
             "test_raw.bin": self.raw.astype("<u2").tobytes(),
             "test_labels.bin": self.labels.astype("<u4").tobytes(),
@@ -137,7 +137,7 @@ def _value_step(table: TransformTable) -> float:
 
 
 def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
-    """R (tap, tap) of the windows of the last layer, and which classes have these: of the mosaic, those of a site."""
+    """Return R (tap, tap) of the windows of the last layer, and which classes have these: of the mosaic, those of a site."""
     layer = table.layers[-1]
     if table.later:
         source = np.repeat(np.arange(len(table.outputs)), table.later[-1].side ** 2)
@@ -148,7 +148,7 @@ def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[
 
 
 def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
-    """R (tap, tap) of square windows, plane by plane, of taps of a `source`: `other` times as alike where it differs."""
+    """Return R (tap, tap) of square windows, plane by plane, of taps of a `source`: `other` times where it differs."""
     side = math.isqrt(len(source) if other else np.count_nonzero(source == source[0]))
     row, column = np.divmod(np.arange(len(source)) % side**2, side)
     distance = np.hypot(row[:, None] - row, column[:, None] - column)

@@ -23,8 +23,8 @@ Array = NDArray[np.floating]
 
 
 def homography(cells: Array, pixels: Array) -> Array:
-    """(3, 3) from chart cells (point, 2) x, y to pixels (point, 2) col, row, four points or more, by least squares; applied
-    to (x, y, 1) it gives col, row times a scale. LinAlgError if four points lie on a line."""
+    """Return (3, 3) from chart cells (point, 2) x, y to pixels (point, 2) col, row, four points or more, by least squares;
+    applied to (x, y, 1) it gives col, row times a scale. LinAlgError if four points lie on a line."""
     scale, shift = float(np.ptp(pixels, axis=0).max()) or 1.0, pixels.mean(axis=0)
     equations, right_side = [], []
     for (x, y), (u, v) in zip(cells, (pixels - shift) / scale, strict=True):
@@ -38,7 +38,7 @@ def homography(cells: Array, pixels: Array) -> Array:
 
 
 def corner_cells(rows: int, cols: int) -> Array:
-    """(4, 2) x, y of the outer corners of a grid of patches, clockwise from the first patch."""
+    """Return (4, 2) x, y of the outer corners of a grid of patches, clockwise from the first patch."""
     return np.array([[0, 0], [cols, 0], [cols, rows], [0, rows]], dtype=np.float64)
 
 
@@ -113,7 +113,7 @@ def patch_values(
 
 
 def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> Iterator[tuple[tuple[int, int], NDArray]]:
-    """((patch, channel), flat indices of its pixels) of a map (row, col) of patches."""
+    """Yield ((patch, channel), flat indices of its pixels) of a map (row, col) of patches."""
     shape, channels = patch.shape, int(cfa.max()) + 1
     channel_of = np.tile(cfa, [-(-length // period) for length, period in zip(shape, cfa.shape, strict=True)])
     channel_of = channel_of[: shape[0], : shape[1]]
@@ -133,8 +133,8 @@ def _clean(values: Array) -> NDArray[np.bool_]:
 
 
 def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
-    """(row, col) differences whose variance is a pixel's noise: of two frames or, in a single one, of neighbours of one site
-    in a row and below, so that neither slopes nor patches that differ enter; NaN at the edge."""
+    """Return (row, col) differences whose variance is a pixel's noise: of two frames or, in a single one, of neighbours of
+    one site in a row and below, so that neither slopes nor patches that differ enter; NaN at the edge."""
     if len(frames) > 1:
         return np.asarray((frames[0].astype(np.float64) - frames[1]) / np.sqrt(2.0))
     rows, cols = cfa.shape
@@ -155,8 +155,8 @@ def _robust_variance(values: Array) -> float:
 
 
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:
-    """Conversion gain (DN/e-) and dark noise (DN) of the line of variance over signal, patches and channels of all shots;
-    None if there is no such line: of processed files, or with next to no noise."""
+    """Return conversion gain (DN/e-) and dark noise (DN) of the line of variance over signal, patches and channels of all
+    shots; None if there is no such line: of processed files, or with next to no noise."""
     mean = np.concatenate([each.mean[each.used] for each in values])
     variance = np.concatenate([each.variance[each.used] for each in values])
     real = (variance > 0) & (mean > 0)
@@ -196,7 +196,7 @@ class Located:
 
 
 def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
-    """(row, col, channel) means over whole super-pixels of a mosaic whose first pixel is the CFA's."""
+    """Return (row, col, channel) means over whole super-pixels of a mosaic whose first pixel is the CFA's."""
     rows, cols = cfa.shape
     height, width = mosaic.shape[0] // rows, mosaic.shape[1] // cols
     blocks = mosaic[: height * rows, : width * cols].reshape(height, rows, width, cols).astype(np.float64)
@@ -227,7 +227,7 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
 
 
 def components(reflectance: Array) -> Array:
-    """(patch, component) orthonormal: what the values of any channel are made of, a constant for glare included."""
+    """Return (patch, component) orthonormal: what the values of any channel are made of, a constant for glare included."""
     left, _, _ = np.linalg.svd(reflectance, full_matrices=False)
     basis, _ = np.linalg.qr(np.column_stack([np.ones(len(reflectance)), left[:, :COMPONENTS]]))
     return np.asarray(basis)
@@ -269,7 +269,7 @@ def _plain_regions(picture: Array, slope: float) -> tuple[Array, Array]:
 
 
 def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
-    """Homographies (3, 3) from grid places, the seed's (0, 0), to pixels, of the grids on which most regions lie."""
+    """Return homographies (3, 3) from grid places, the seed's (0, 0), to pixels, of the grids on which most regions lie."""
     least = max(LEAST_ON, round(LEAST_SHARE * grid[0] * grid[1]))
     if len(centres) < least:
         return []
@@ -303,7 +303,7 @@ def _may_be_steps(u: Array, v: Array) -> bool:
 
 
 def _on_grid(coordinates: Array, reach: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Grid places (region, 2) x, y, and which regions lie on one, each place once."""
+    """Return grid places (region, 2) x, y, and which regions lie on one, each place once."""
     places = np.rint(coordinates).astype(np.int64)
     off = np.abs(coordinates - places).max(axis=1)
     on = (off < OFF) & (np.abs(places).max(axis=1) <= reach)

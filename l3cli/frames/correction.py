@@ -41,7 +41,7 @@ class BadPixelCorrection:
     source: NDArray[np.int64]  # (defect, NEIGHBOURS) places of sound pixels
 
     def corrected(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """values (row, col) with every defect replaced by the mean of the middle two of its neighbours, rounded up."""
+        """Return values (row, col) with every defect replaced by the mean of the middle two neighbours, rounded up."""
         result = values.copy()
         neighbours = values.ravel()[self.source].astype(np.int32)
         result.ravel()[self.target] = (neighbours.sum(axis=1) - neighbours.max(axis=1) - neighbours.min(axis=1) + 1) >> 1
@@ -85,8 +85,8 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
 
 
 def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int64]:
-    """(offset, 2) rows and columns to the pixels of the channel of a CFA site, the nearest first; of equally near ones those
-    opposite one another come one after the other."""
+    """Return (offset, 2) rows and columns to the pixels of the channel of a CFA site, the nearest first; of equally near
+    ones those opposite one another come one after the other."""
     down, across = np.mgrid[-FARTHEST : FARTHEST + 1, -FARTHEST : FARTHEST + 1].reshape(2, -1)
     same = cfa[(site[0] + down) % cfa.shape[0], (site[1] + across) % cfa.shape[1]] == cfa[site]
     distance = down**2 + across**2
@@ -233,7 +233,7 @@ class HotTest:
         return np.array(values)
 
     def _variance(self, frame: RawFrame, level: Array) -> Array:
-        """DN² of pixels at `level` DN."""
+        """Return DN² of pixels at `level` DN."""
         scale = self.span / (frame.white_level - frame.black_level)
         signal = np.maximum((level - frame.black_level) * scale, 0.0)
         return np.asarray((self.constant + (self.linear + self.quadratic * signal) * signal) / scale**2)
@@ -335,7 +335,7 @@ class CameraFile:
 
 
 def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
-    """The correction that a camera model knows; InputFileError if it knows none, or its array is not the table's."""
+    """Return the correction that a camera model knows; InputFileError if it knows none, or its array is not the table's."""
     camera = _camera_of(file)
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
         theirs, ours = (_written(each.cfa, each.channels) for each in (camera, table))
@@ -353,7 +353,7 @@ def correction_again(file: CameraFile) -> Correction:
 
 
 def _camera_of(file: CameraFile) -> CameraModel:
-    """The camera model in a file, or that of a table."""
+    """Return the camera model in a file, or that of a table."""
     from l3cli.artifacts.store import load, open_artifact
     from l3cli.artifacts.table import TransformTable
 

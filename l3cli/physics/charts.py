@@ -46,7 +46,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 
 def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
-    """Reflectances times 1 + what is smoothest among all that gives the stated colours."""
+    """Return reflectances times 1 + what is smoothest among all that gives the stated colours."""
     target = _stated_xyz(stated)
     light = spectra.illuminant("D50", wavelength)
     weights = spectra.xyz_weights(wavelength) * light
@@ -63,7 +63,7 @@ def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
 
 @functools.cache
 def _stated_xyz(stated: str) -> Array:
-    """(patch, 3) XYZ under D50, a perfect white's Y 1, in colour-science's table of what the maker states."""
+    """Return (patch, 3) XYZ under D50, a perfect white's Y 1, in colour-science's table of what the maker states."""
     colour = spectra.colour_science()
     table = colour.CCS_COLOURCHECKERS[stated]
     assert np.allclose(table.illuminant, colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D50"], atol=2e-3)

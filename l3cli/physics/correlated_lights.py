@@ -32,7 +32,7 @@ class CorrelatedLight:
 
 
 def radiance(mired: float, green: float, wavelength: Array) -> Array:
-    """Relative photon radiance (wavelength) of a light of this correlated colour temperature, `green` as in GREENS."""
+    """Return relative photon radiance (wavelength) of this correlated colour temperature, `green` as in GREENS."""
     kelvin = 1e6 / mired
     plain = spectra.illuminant(f"{'D' if mired <= DAYLIGHT_MIRED else ''}{kelvin:.6f}K", wavelength)
     return np.asarray(plain * _greener(green, wavelength))
@@ -44,21 +44,21 @@ def _greener(green: float, wavelength: Array) -> Array:
 
 
 def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> CorrelatedLight:
-    """The light under which a grey gives a camera of `weights` (channel, wavelength) the signals `neutral` (channel), of any
-    scale: by least squares in their logarithms. Channels whose signal is not above zero are left out."""
+    """Return the light under which a grey gives a camera of `weights` (channel, wavelength) the signals `neutral` (channel),
+    of any scale: by least squares in their logarithms. Channels whose signal is not above zero are left out."""
     mired, green, misfit = _nearest(weights, wavelength, neutral)
     xyz = spectra.xyz_weights(WAVELENGTH) @ radiance(mired, green, WAVELENGTH)
     return CorrelatedLight(xyz / xyz[1], *temperature(xyz), misfit, radiance(mired, green, wavelength))
 
 
 def light_of_white(white: Array, wavelength: Array) -> CorrelatedLight:
-    """The light that has a white (3), its radiance on a camera's grid `wavelength`; `misfit` is of X, Y and Z."""
+    """Return the light that has a white (3), its radiance on a camera's grid `wavelength`; `misfit` is of X, Y and Z."""
     mired, green, misfit = _nearest(spectra.xyz_weights(WAVELENGTH), WAVELENGTH, white)
     return CorrelatedLight(white / white[1], *temperature(white), misfit, radiance(mired, green, wavelength))
 
 
 def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, float, float]:
-    """Reciprocal temperature (mired), green and misfit of the light whose grey is `neutral` (channel)."""
+    """Return reciprocal temperature (mired), green and misfit of the light whose grey is `neutral` (channel)."""
     used = neutral > 0
     wanted = _centred(np.log(neutral[used]))
     mireds, greens = MIREDS, GREENS
@@ -74,13 +74,13 @@ def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, 
 
 
 def light_of(white: Array) -> CorrelatedLight:
-    """A light of which no more is known than its white (3)."""
+    """Return a light of which no more is known than its white (3)."""
     return CorrelatedLight(np.asarray(white / white[1], np.float64), *temperature(white), 0.0, None)
 
 
 def temperature(xyz: Array) -> tuple[float, float]:
-    """Correlated colour temperature (K) of a white (3) within 1600…25 000 K, and its distance from the black bodies in CIE
-    1960 uv, above zero if it is greener than they."""
+    """Return correlated colour temperature (K) of a white (3) within 1600…25 000 K, and its distance from the black bodies
+    in CIE 1960 uv, above zero if it is greener than they."""
     mireds, locus = _black_bodies()
     point = uv(xyz)
     step = np.diff(locus, axis=0)
@@ -93,19 +93,19 @@ def temperature(xyz: Array) -> tuple[float, float]:
 
 
 def mired_of(xyz: Array) -> float:
-    """Reciprocal colour temperature (10^6 / K) of a white (3), as `temperature`."""
+    """Return reciprocal colour temperature (10^6 / K) of a white (3), as `temperature`."""
     return 1e6 / temperature(xyz)[0]
 
 
 def uv(xyz: Array) -> NDArray[np.float64]:
-    """CIE 1960 uv (…, 2) of XYZ (…, 3)."""
+    """Return CIE 1960 uv (…, 2) of XYZ (…, 3)."""
     x, y, z = np.moveaxis(np.asarray(xyz, np.float64), -1, 0)
     return np.stack([4 * x, 6 * y], axis=-1) / (x + 15 * y + 3 * z)[..., None]
 
 
 @functools.cache
 def _black_bodies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Reciprocal temperatures (mired) and CIE 1960 uv (…, 2) of black bodies."""
+    """Return reciprocal temperatures (mired) and CIE 1960 uv (…, 2) of black bodies."""
     mireds = np.arange(MIREDS[0], MIREDS[-1] + 1, 5.0)
     lights = np.array([spectra.illuminant(f"{1e6 / each:.6f}K", WAVELENGTH) for each in mireds])
     return mireds, uv(lights @ spectra.xyz_weights(WAVELENGTH).T)

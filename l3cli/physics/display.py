@@ -30,23 +30,23 @@ PRECISION = 1e-3  # of the gradient of mean squares: more changes no figure
 
 @functools.cache
 def daylight() -> Array:
-    """XYZ (3), Y = 1, of D65, the white of displays."""
+    """Return XYZ (3), Y = 1, of D65, the white of displays."""
     return white_point("D65")
 
 
 def display_white() -> Array:
-    """XYZ (3), Y = 1 to four digits, of what sRGB's matrix shows as white: D65."""
+    """Return XYZ (3), Y = 1 to four digits, of what sRGB's matrix shows as white: D65."""
     return np.linalg.solve(SRGB_FROM_XYZ, np.ones(3))
 
 
 def white_luminance(luminance: Array) -> float:
-    """Luminance that is shown white: the 99th percentile of `luminance` (row, col), in its unit; 1 where all is dark."""
+    """Return the luminance shown white: the 99th percentile of `luminance` (row, col), in its unit; 1 in the dark."""
     bright = white_percentile(luminance)
     return bright if bright > 0 else 1.0
 
 
 def white_percentile(values: Array) -> float:
-    """np.percentile(values, 99), which loads masked arrays for it: a twentieth of the time that a picture takes."""
+    """Return np.percentile(values, 99), which loads masked arrays for it: a twentieth of the time that a picture takes."""
     flat = values.ravel()
     place = (flat.size - 1) * (WHITE_PERCENTILE / 100)
     below = min(int(place), flat.size - 1)
@@ -64,7 +64,7 @@ def exposure_scale(luminance: Array) -> float:
 
 
 def scene_white(text: str) -> NDArray[np.float64]:
-    """XYZ (3), Y = 1, of a white given as "x,y" chromaticity or by the name of an illuminant; RecipeError if neither."""
+    """Return XYZ (3), Y = 1, of a white given as "x,y" or by the name of an illuminant; RecipeError if neither."""
     if "," not in text:
         return np.asarray(white_point(text), np.float64)
     parts = text.split(",")
@@ -84,27 +84,27 @@ def scene_white(text: str) -> NDArray[np.float64]:
 
 
 def xyz_from_srgb_matrix() -> Array:
-    """XYZ = M (3, 3) @ linear sRGB, white at Y = 1."""
+    """Return XYZ = M (3, 3) @ linear sRGB, white at Y = 1."""
     return np.linalg.inv(SRGB_FROM_XYZ)
 
 
 def srgb_curve(linear: Array) -> Array:
-    """Non-linear sRGB of linear values, both clipped to 0…1 (IEC 61966-2-1)."""
+    """Return non-linear sRGB of linear values, both clipped to 0…1 (IEC 61966-2-1)."""
     return SRGB_CURVE.encoded(linear)
 
 
 def srgb_decoded(encoded: Array) -> Array:
-    """Linear values of non-linear sRGB in 0…1, the inverse of `srgb_curve` (IEC 61966-2-1)."""
+    """Return linear values of non-linear sRGB in 0…1, the inverse of `srgb_curve` (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def codes(encoded: Array, bits: int = 8) -> NDArray[Any]:
-    """Encoded values in 0…1 as the codes of a picture file, of a depth in CODES: round((2^bits − 1) · value)."""
+    """Return encoded values in 0…1 as the codes of a picture file, of a depth in CODES: round((2^bits − 1) · value)."""
     return np.floor(encoded * (2**bits - 1) + 0.5).astype(CODES[bits])
 
 
 def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
-    """Linear sRGB as the `codes` of a picture file."""
+    """Return linear sRGB as the `codes` of a picture file."""
     return codes(srgb_curve(linear), bits)
 
 
@@ -112,55 +112,55 @@ def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
 
 
 def displayed(xyz: Array, white: Array, scale: float) -> Array:
-    """The picture in 0…1 of XYZ planes (3, row, col): `white` (3) adapted to D65, Y = `scale` shown as 1."""
+    """Return the picture in 0…1 of XYZ planes (3, row, col): `white` (3) adapted to D65, Y = `scale` shown as 1."""
     matrix = SRGB_FROM_XYZ @ adaptation_matrix(white, daylight()) / scale
     return np.clip(np.einsum("oc,crk->rko", matrix, xyz), 0.0, 1.0)
 
 
 def scene_xyz(linear: Array, white: Array, scale: float) -> Array:
-    """XYZ planes (3, row, col) of a picture, the inverse of `displayed` where that does not clip."""
+    """Return XYZ planes (3, row, col) of a picture, the inverse of `displayed` where that does not clip."""
     matrix = adaptation_matrix(daylight(), white) @ xyz_from_srgb_matrix() * scale
     return np.einsum("co,rko->crk", matrix, linear)
 
 
 def displayed_xyz(linear: Array) -> Array:
-    """XYZ (row, col, 3) of a display that shows a picture, white at Y = 1."""
+    """Return XYZ (row, col, 3) of a display that shows a picture, white at Y = 1."""
     return linear @ xyz_from_srgb_matrix().T
 
 
 def lab(xyz: Array, white: Array) -> Array:
-    """CIE L*a*b* of xyz (…, 3) relative to `white` (3), in the same scale."""
+    """Return CIE L*a*b* of xyz (…, 3) relative to `white` (3), in the same scale."""
     x, y = white[0] / white.sum(), white[1] / white.sum()
     return colour_science().XYZ_to_Lab(np.asarray(xyz) / white[1], np.array([x, y]))
 
 
 def lightness(linear: Array) -> Array:
-    """CIE L* (row, col), 0 to 100, of a picture as a display shows it."""
+    """Return CIE L* (row, col), 0 to 100, of a picture as a display shows it."""
     return np.asarray(colour_science().lightness(100.0 * (linear @ LUMA), method="CIE 1976"))
 
 
 def srgb_from_lab(lab_values: Array) -> Array:
-    """Linear sRGB (…, 3), unclipped, of CIE L*a*b* relative to D65."""
+    """Return linear sRGB (…, 3), unclipped, of CIE L*a*b* relative to D65."""
     colour = colour_science()
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     return np.asarray(colour.Lab_to_XYZ(lab_values, white) @ SRGB_FROM_XYZ.T)
 
 
 def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
-    """CIEDE2000 colour difference of two L*a*b* arrays (…, 3)."""
+    """Return CIEDE2000 colour difference of two L*a*b* arrays (…, 3)."""
     return colour_science().delta_E(lab_a, lab_b, method="CIE 2000")
 
 
 def displayed_delta_e(one: Array, other: Array) -> Array:
-    """CIEDE2000 (row, col) of two pictures as a display shows them."""
+    """Return CIEDE2000 (row, col) of two pictures as a display shows them."""
     labs = [lab(displayed_xyz(picture), daylight()) for picture in (one, other)]
     return delta_e_2000(*labs)
 
 
 def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, noise: Array | float = 0.0) -> Array:
-    """M (output, input) of least squares over surfaces of |outputs − M inputs|² for which M @ known = answer (by a Lagrange
-    multiplier); inputs (surface, input), outputs (surface, output). `noise` (input): variances that the inputs have beside,
-    which M is not to amplify."""
+    """Return M (output, input) of least squares over surfaces of |outputs − M inputs|² for which M @ known = answer (by a
+    Lagrange multiplier); inputs (surface, input), outputs (surface, output). `noise` (input): variances that the inputs have
+    beside, which M is not to amplify."""
     gram = inputs.T @ inputs + len(inputs) * np.diag(np.broadcast_to(noise, inputs.shape[1:]))
     free = np.linalg.solve(gram, inputs.T @ outputs).T
     towards = np.linalg.solve(gram, known)
@@ -168,8 +168,8 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
 
 
 def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
-    """R (3, 3) that leaves `white` (3) as it is, for which the squares of CIEDE2000 between R @ xyz and `wanted`, both
-    (surface, 3), are least near the unit matrix."""
+    """Return R (3, 3) that leaves `white` (3) as it is, for which the squares of CIEDE2000 between R @ xyz and `wanted`,
+    both (surface, 3), are least near the unit matrix."""
     from scipy.optimize import minimize
 
     goal, free = lab(wanted, white), np.linalg.svd(white[None])[2][1:]  # directions (2, 3) that white has nothing of

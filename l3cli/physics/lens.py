@@ -11,15 +11,15 @@ Array = NDArray[np.floating]
 
 
 def image_distance(focal_length: float, object_distance: float) -> float:
-    """Distance from lens to sensor when an object is in focus, f d / (d − f); the focal length for an object at infinity,
-    whose `object_distance` is 0."""
+    """Return the distance from lens to sensor when an object is in focus, f d / (d − f); the focal length for an object at
+    infinity, whose `object_distance` is 0."""
     if object_distance > 0:
         return focal_length * object_distance / (object_distance - focal_length)
     return focal_length
 
 
 def magnification(focal_length: float, object_distance: float) -> float:
-    """|m|, size of the image over size of the object in focus: f / (d − f); 0 at infinity, an `object_distance` of 0."""
+    """Return |m|, image size over object size in focus: f / (d − f); 0 at infinity, an `object_distance` of 0."""
     return focal_length / (object_distance - focal_length) if object_distance > 0 else 0.0
 
 
@@ -29,15 +29,15 @@ def irradiance_per_radiance(f_number: float, magnification: float) -> float:
 
 
 def relative_illumination(image_distance: float, pixel_pitch: float, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Light (row, col) of an even scene over that on the axis, the middle of the frame: (D² / (D² + r²))², the "cos⁴ law",
-    D being the image distance."""
+    """Return light (row, col) of an even scene over that on the axis, the middle of the frame: (D² / (D² + r²))², the "cos⁴
+    law", D being the image distance."""
     down, across = ((np.arange(length) - (length - 1) / 2) * pixel_pitch for length in shape)
     squared = image_distance**2
     return np.asarray((squared / (squared + down[:, None] ** 2 + across**2)) ** 2, dtype=np.float64)
 
 
 def diffraction_transfer(frequency: Array, wavelength: Array, f_number: float) -> Array:
-    """MTF (frequency, wavelength) of an aberration-free lens: 2/π (acos u − u √(1 − u²)), u = f λ N.
+    """Return MTF (frequency, wavelength) of an aberration-free lens: 2/π (acos u − u √(1 − u²)), u = f λ N.
 
     `frequency` in cycles/m on the sensor, `wavelength` in nm.
     """
@@ -46,7 +46,7 @@ def diffraction_transfer(frequency: Array, wavelength: Array, f_number: float) -
 
 
 def gaussian_transfer(frequency: Array, deviation: float) -> Array:
-    """MTF (frequency) of a Gaussian blur of standard deviation `deviation` on the sensor: exp(−2 (π σ f)²).
+    """Return MTF (frequency) of a Gaussian blur of standard deviation `deviation` on the sensor: exp(−2 (π σ f)²).
 
     `frequency` in cycles/m.
     """

@@ -31,7 +31,7 @@ class Curve:
     exponent: float
 
     def encoded(self, linear: Array) -> Array:
-        """Encoded values of linear ones, both clipped to 0…1."""
+        """Return encoded values of linear ones, both clipped to 0…1."""
         clipped = np.clip(linear, 0.0, 1.0)
         return np.where(clipped <= self.knee, self.slope * clipped, self._power(np.maximum(clipped, 1e-9)))
 
@@ -88,18 +88,18 @@ SPACES = {
 
 
 def xyz_of(chromaticity: XY) -> Array:
-    """XYZ (3), Y = 1, of a chromaticity x, y."""
+    """Return XYZ (3), Y = 1, of a chromaticity x, y."""
     x, y = chromaticity
     return np.array([x, y, 1 - x - y]) / y
 
 
 def chromaticity_of(xyz: Array) -> XY:
-    """Chromaticity x, y of XYZ (3)."""
+    """Return chromaticity x, y of XYZ (3)."""
     x, y, _ = np.asarray(xyz, np.float64) / np.sum(xyz)
     return float(x), float(y)
 
 
 def adaptation_matrix(white: Array, to: Array) -> Array:
-    """Bradford chromatic adaptation (3, 3) of XYZ from `white` to `to`, each (3) with any Y."""
+    """Return Bradford chromatic adaptation (3, 3) of XYZ from `white` to `to`, each (3) with any Y."""
     gain = (BRADFORD @ to / to[1]) / (BRADFORD @ white / white[1])
     return np.linalg.solve(BRADFORD, gain[:, None] * BRADFORD)

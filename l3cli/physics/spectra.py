@@ -25,7 +25,7 @@ Array = NDArray[np.floating]
 
 
 def colour_science() -> Any:
-    """colour-science, imported when first needed (it takes two seconds) and without its import-time warnings."""
+    """Return colour-science, imported when first needed (it takes two seconds) and without its import-time warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour
@@ -33,13 +33,13 @@ def colour_science() -> Any:
 
 
 def photons_from_energy(wavelength: Array, energy: Array) -> Array:
-    """Photon count per joule-based spectrum: energy (…, wavelength) W… → photons/s…"""
+    """Return photon count per joule-based spectrum: energy (…, wavelength) W… → photons/s…"""
     return energy * (wavelength * 1e-9) / (PLANCK * LIGHT_SPEED)
 
 
 def bin_edges(wavelength: Array) -> Array:
-    """Edges (wavelength + 1) in nm of the steps that the samples of an increasing grid stand for: midway between them; the
-    outermost as far beyond the ends as the next lie inside. One sample alone stands for 1 nm."""
+    """Return edges (wavelength + 1) in nm of the steps that the samples of an increasing grid stand for: midway between
+    them; the outermost as far beyond the ends as the next lie inside. One sample alone stands for 1 nm."""
     if wavelength.size == 1:
         return wavelength[0] + np.array([-0.5, 0.5])
     inner = (wavelength[1:] + wavelength[:-1]) / 2
@@ -47,19 +47,19 @@ def bin_edges(wavelength: Array) -> Array:
 
 
 def bin_widths(wavelength: Array) -> Array:
-    """Width in nm of the step that each sample of a grid stands for, (wavelength): Σ f·Δλ is the integral of f."""
+    """Return the width (wavelength) in nm of the step that each sample stands for: Σ f·Δλ is the integral of f."""
     return np.abs(np.gradient(wavelength)) if wavelength.size > 1 else np.ones(1)
 
 
 def ascending(wavelength: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """A grid that falls, with its values (…, wavelength), turned round; any other as it is."""
+    """Return a grid that falls, with its values (…, wavelength), turned round; any other as it is."""
     falls = wavelength.size > 1 and (np.diff(wavelength) < 0).all()
     return (wavelength[::-1], values[..., ::-1]) if falls else (wavelength, values)
 
 
 def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
-    """The two samples of an increasing grid about each wavelength, and their weights in a linear interpolation that is held
-    beyond the ends, both (2, at)."""
+    """Return the two samples of an increasing grid about each wavelength, and their weights in a linear interpolation that
+    is held beyond the ends, both (2, at)."""
     if grid.size == 1:
         return np.zeros((2, at.size), np.intp), np.array([[1.0], [0.0]]) * np.ones(at.size)
     right = np.clip(np.searchsorted(grid, at), 1, grid.size - 1)
@@ -68,12 +68,12 @@ def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def light_grid(seen: Array) -> Array:
-    """Every nm of what the observer sees, and a camera with wavelengths `seen`."""
+    """Return every nm of what the observer sees, and a camera with wavelengths `seen`."""
     return np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
 
 
 def interpolation_matrix(source: Array, grid: Array) -> Array:
-    """M (grid, source): a smooth function at points, linear between its samples and zero outside their range."""
+    """Return M (grid, source): a smooth function at points, linear between its samples and zero outside their range."""
     matrix = np.zeros((grid.size, source.size))
     samples, shares = _neighbours(source, grid)
     inside = (grid >= source[0]) & (grid <= source[-1])
@@ -82,7 +82,7 @@ def interpolation_matrix(source: Array, grid: Array) -> Array:
 
 
 def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
-    """M (grid, source): the mean over each step of `grid`, for `sampling_matrix` and, `held`, `average`.
+    """Return M (grid, source): the mean over each step of `grid`, for `sampling_matrix` and, `held`, `average`.
 
     The source is linear between its samples and constant in the outer half of its outermost steps; beyond, it is zero or
     held. Its integral over every piece between samples of either grid is shared between the two samples of `grid`
@@ -106,8 +106,8 @@ def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
 
 
 def sampling_matrix(source: Array, grid: Array) -> Array:
-    """M (grid, source): a density (power or photons per nm) as means over the steps of another `grid`, so that the sum of
-    value × bin width stays what it was, wherever spectral lines lie between the samples. Zero beyond the source's steps.
+    """Return M (grid, source): a density (power or photons per nm) as means over the steps of another `grid`, so that the
+    sum of value × bin width stays what it was, wherever spectral lines lie between the samples. Zero beyond its steps.
 
     Grids are in any order. On a finer grid this is linear interpolation, on the same grid it changes nothing.
     """
@@ -115,19 +115,19 @@ def sampling_matrix(source: Array, grid: Array) -> Array:
 
 
 def resample(spectrum: Array, source: Array, grid: Array) -> Array:
-    """A density (…, source) by `sampling_matrix`."""
+    """Return a density (…, source) by `sampling_matrix`."""
     return spectrum @ sampling_matrix(source, grid).T
 
 
 def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
-    """A ratio (…, source) such as a transmittance or a responsivity, averaged over the steps of another grid like a density
-    in `sampling_matrix`; at its ends over what is known of it, and zero at wavelengths outside its range."""
+    """Return a ratio (…, source) such as a transmittance or a responsivity, averaged over the steps of another grid like a
+    density in `sampling_matrix`; at its ends over what is known of it, and zero at wavelengths outside its range."""
     inside = (grid >= source.min()) & (grid <= source.max())
     return np.asarray(curve @ (_step_matrix(source, grid, extended=True) * inside[:, None]).T, dtype=np.float64)
 
 
 def held_interpolation(bands: Array, wavelength: Array) -> Array:
-    """M (wavelength, band): a reflectance's mean over each step of a grid; held constant beyond the first and last (CIE 15).
+    """Return M (wavelength, band): a reflectance's mean over each step of a grid; constant beyond the ends (CIE 15).
 
     Evenly spaced bands of 20 nm at most are interpolated by Sprague's polynomials as CIE 167 recommends and colour-science
     does, all others linearly.
@@ -160,7 +160,7 @@ LUMINOUS_WIDTH = 106.86  # nm, integral of ȳ of CIE 1931
 
 
 def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> Array:
-    """x̄ ȳ z̄, (3, wavelength), of a key of OBSERVERS, linearly interpolated from the tabulated 1 nm observer."""
+    """Return x̄ ȳ z̄, (3, wavelength), of a key of OBSERVERS, linearly interpolated from the tabulated 1 nm observer."""
     if observer not in OBSERVERS:
         raise RecipeError(f'observer "{observer}" is unknown; {suggestion(observer, OBSERVERS)}')
     cmfs = colour_science().MSDS_CMFS[OBSERVERS[observer]]
@@ -168,21 +168,21 @@ def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> 
 
 
 def near_infrared(wavelength: Array) -> Array:
-    """(wavelength) of a band of near infrared, scaled as ȳ is, so that a light of equal power up to 830 nm gives as much of
-    it as of Y: from 740 nm, where eyes end, rising to 780 nm, where CIE's IR-A begins; zero beyond 1000 nm."""
+    """Return (wavelength) of a band of near infrared, scaled as ȳ is, so that a light of equal power up to 830 nm gives as
+    much of it as of Y: from 740 nm, where eyes end, rising to 780 nm, where CIE's IR-A begins; zero beyond 1000 nm."""
     band = np.clip((wavelength - INFRARED[0]) / (INFRARED[1] - INFRARED[0]), 0.0, 1.0) * (wavelength <= INFRARED[2])
     return np.asarray(band * (LUMINOUS_WIDTH / (830.0 - (INFRARED[0] + INFRARED[1]) / 2)))
 
 
 def matching_weights(functions: Array, wavelength: Array) -> Array:
-    """W (output, wavelength) of matching functions (output, wavelength) per watt: output = W @ radiance
+    """Return W (output, wavelength) of matching functions (output, wavelength) per watt: output = W @ radiance
     (photons/s/sr/m²/nm), in cd/m² for x̄ ȳ z̄."""
     energy_per_photon = PLANCK * LIGHT_SPEED / (wavelength * 1e-9)
     return LUMINOUS_EFFICACY * functions * energy_per_photon * bin_widths(wavelength)
 
 
 def xyz_weights(wavelength: Array) -> Array:
-    """W (3, wavelength): CIE 1931 XYZ with Y in cd/m² = W @ radiance (photons/s/sr/m²/nm)."""
+    """Return W (3, wavelength): CIE 1931 XYZ with Y in cd/m² = W @ radiance (photons/s/sr/m²/nm)."""
     return matching_weights(colour_matching_functions(wavelength), wavelength)
 
 
@@ -191,13 +191,13 @@ USUAL_LIGHTS = 'A, D50, D65, F2, F11, LED-B3, "3200K" (a black body) and "D6000K
 
 @functools.cache
 def illuminant_names() -> tuple[str, ...]:
-    """The tabulated illuminants; beside them "F1"…"F12" are FL1…FL12, "3200K" is a black body, "D6000K" daylight."""
+    """Return the tabulated illuminants; beside them "F1"…"F12" are FL1…FL12, "3200K" is a black body, "D6000K" daylight."""
     return tuple(sorted(colour_science().SDS_ILLUMINANTS))
 
 
 def illuminant(name: str, wavelength: Array) -> Array:
-    """Relative photon radiance (wavelength), mean 1, of a named CIE illuminant, a black body such as "3200K" or daylight
-    of a correlated colour temperature such as "D6000K"; RecipeError if the name is unknown."""
+    """Return relative photon radiance (wavelength), mean 1, of a named CIE illuminant, a black body such as "3200K" or
+    daylight of a correlated colour temperature such as "D6000K"; RecipeError if the name is unknown."""
     temperature = re.fullmatch(r"(D?)(\d+(?:\.\d+)?) ?K", name, re.ASCII)
     if temperature:
         kind, what = (DAYLIGHT, "CIE daylight") if temperature[1] else (BLACK_BODY, "a black body")
@@ -217,7 +217,7 @@ def illuminant(name: str, wavelength: Array) -> Array:
 
 
 def _tabulated(name: str, wavelength: Array) -> Array:
-    """Energy (wavelength) of a CIE illuminant, linear between its samples and held beyond them."""
+    """Return energy (wavelength) of a CIE illuminant, linear between its samples and held beyond them."""
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
         close = nearest(name, illuminant_names()) or f"usual ones are {USUAL_LIGHTS};"
@@ -228,7 +228,7 @@ def _tabulated(name: str, wavelength: Array) -> Array:
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
-    """Energy (wavelength) of CIE daylight of a correlated colour temperature in K, one of DAYLIGHT (CIE 15)."""
+    """Return energy (wavelength) of CIE daylight of a correlated colour temperature in K, one of DAYLIGHT (CIE 15)."""
     colour = colour_science()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -237,7 +237,7 @@ def _daylight(temperature: float, wavelength: Array) -> Array:
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
-    """`radiance` (wavelength) scaled so that its luminance is `luminance` cd/m²; InputFileError if none of it is visible."""
+    """Return `radiance` (wavelength) scaled to a luminance of `luminance` cd/m²; InputFileError if none of it is visible."""
     seen = xyz_weights(wavelength)[1] @ radiance
     if not seen > UNSEEN * (matching_weights(np.ones_like(wavelength), wavelength) @ radiance):
         ends = f"{wavelength.min():g}…{wavelength.max():g} nm"
@@ -246,7 +246,7 @@ def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
 
 
 def white_point(name: str) -> NDArray[np.float64]:
-    """XYZ (3), Y = 1, of a perfect reflector under a named illuminant or black body."""
+    """Return XYZ (3), Y = 1, of a perfect reflector under a named illuminant or black body."""
     wavelength = np.arange(380.0, 781.0, 5.0)
     xyz = xyz_weights(wavelength) @ illuminant(name, wavelength)
     return xyz / xyz[1]
@@ -264,7 +264,7 @@ def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 @functools.cache
 def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
-    """Every measured reflectance set inside colour-science as (wavelength, (sample, wavelength)), but no ColorChecker."""
+    """Return the measured reflectances in colour-science as (wavelength, (sample, wavelength)), no ColorChecker."""
     colour = colour_science()
     from colour.quality.cfi2017 import load_TCS_CIE2017
     from colour.quality.datasets.tcs import SDS_TCS
@@ -279,7 +279,7 @@ def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
 
 
 def reflectance_library(wavelength: Array) -> Array:
-    """Measured reflectances of surfaces, (sample, wavelength), within 0.003–0.999 (docs/method.md#procedural-scenes).
+    """Return measured reflectances of surfaces, (sample, wavelength), within 0.003–0.999 (docs/method.md#procedural-scenes).
 
     They are smooth: taken at points, for that is where `held_interpolation` leads a curve through; means would be flatter.
     """
@@ -293,16 +293,16 @@ WHITEST, BLACKEST = 1.0, 0.002  # reflectances
 
 
 def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.bool_] | slice = slice(None)) -> Array:
-    """reflectance (…, band) drawn towards its geometric mean: 0 is grey, 1 leaves it. The mean is that of the
-    bands `drawn`, of all without."""
+    """Return reflectance (…, band) drawn towards its geometric mean: 0 is grey, 1 leaves it. The mean is that of the bands
+    `drawn`, of all without."""
     grey = np.exp(np.log(reflectance[..., drawn]).mean(axis=-1, keepdims=True))
     return np.asarray(grey * (reflectance / grey) ** saturation)
 
 
 def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, width: float) -> Array:
-    """reflectance (…, band) in [BLACKEST, WHITEST] with the absorption edge of rutile (3.0 eV, 413 nm) added: whatever is
-    scattered by titanium white turns dark within some 20 nm of it. `edge` is the K/S it adds at 405 nm (about 0.2), `width`
-    how fast that falls, in nm (5 to 11): Kubelka–Munk; the tail falls exponentially, as Urbach's rule says.
+    """Return reflectance (…, band) in [BLACKEST, WHITEST] with the absorption edge of rutile (3.0 eV, 413 nm) added:
+    whatever is scattered by titanium white turns dark within some 20 nm of it. `edge` is the K/S it adds at 405 nm (about
+    0.2), `width` how fast that falls, in nm (5 to 11): Kubelka–Munk; the tail falls exponentially, as Urbach's rule says.
 
     Cameras and eyes weigh this edge differently; without it a table takes white paint for yellow.
     """
@@ -311,6 +311,6 @@ def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, widt
 
 
 def kubelka_munk(absorption_per_scattering: Array) -> Array:
-    """Reflectance of an opaque layer of given K/S (Kubelka–Munk)."""
+    """Return the reflectance of an opaque layer of given K/S (Kubelka–Munk)."""
     ratio = absorption_per_scattering
     return 1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio)

@@ -90,8 +90,8 @@ def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def summary(starter: Path) -> str:
-    """One line on a camera recipe, or that of a benchmark: the period of its array, its channels, the first sentence of the
-    file's first comment."""
+    """Return one line on a camera recipe, or that of a benchmark: the period of its array, its channels, the first sentence
+    of the file's first comment."""
     camera = starter / "camera.toml" if starter.is_dir() else starter
     text = camera.read_text(encoding="utf-8")
     cfa = tomllib.loads((_base(camera) or camera).read_text(encoding="utf-8"))["cfa"]
@@ -104,7 +104,7 @@ def summary(starter: Path) -> str:
 
 
 def classes_of(camera: Path) -> str:
-    """The class recipe of a camera recipe that l3 brings, by name."""
+    """Return the class recipe of a camera recipe that l3 brings, by name."""
     return CLASSES.get(camera.stem, "default")
 
 
@@ -118,13 +118,13 @@ def folder_files(starter: Path) -> dict[str, Path]:
 
 
 def _base(camera: Path) -> Path | None:
-    """The camera recipe that this one builds on, beside it."""
+    """Return the camera recipe that this one builds on, beside it."""
     named = tomllib.loads(camera.read_text(encoding="utf-8")).get("base")
     return None if named is None else camera.parent / named
 
 
 def curves_of(starter: Path) -> Path | None:
-    """The file of curves that a camera recipe names."""
+    """Return the file of curves that a camera recipe names."""
     if starter.is_dir():
         return None
     named = tomllib.loads((_base(starter) or starter).read_text(encoding="utf-8"))["responsivity"].get("file")
@@ -132,5 +132,5 @@ def curves_of(starter: Path) -> Path | None:
 
 
 def _named(camera: Path) -> list[Path]:
-    """The files beside a camera recipe that it needs: its base, its curves."""
+    """Return the files beside a camera recipe that it needs: its base, its curves."""
     return [path for path in (_base(camera), curves_of(camera)) if path is not None]

@@ -56,9 +56,9 @@ CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # levels and
 
 # Long: a rule and a table have many fields, and each is named.
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
-    """Random weights for as many classes as a trained table has: the recipe's levels and chromas, two contrasts (one before
-    a second layer), ten saturation cases; chroma centres about the grey of `synthetic_frame`, so that its pixels change
-    between them. Before a second layer weights are nearly equal: its classes follow the frame."""
+    """Return random weights for as many classes as a trained table has: the recipe's levels and chromas, two contrasts (one
+    before a second layer), ten saturation cases; chroma centres about the grey of `synthetic_frame`, so that its pixels
+    change between them. Before a second layer weights are nearly equal: its classes follow the frame."""
     cfa = CFAS[case.cfa]
     channels = int(cfa.max()) + 1
     level_count, chromas = CLASSES[case.classes]
@@ -110,7 +110,7 @@ def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
 
 
 def _directions(case: Case, level_edges: NDArray[np.float64]) -> Axis:
-    """The directions of the recipe `default` before a second layer."""
+    """Return the directions of the recipe `default` before a second layer."""
     period = max(CFAS[case.cfa].shape)
     span = case.patch - period
     noise = np.sqrt(2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL)))  # DN, of a difference of two boxes
@@ -122,7 +122,7 @@ def _directions(case: Case, level_edges: NDArray[np.float64]) -> Axis:
 def _second_layer(
     first: ClassRule, sites: int, outputs: int, level_edges: NDArray[np.float64], rng: np.random.Generator
 ) -> PlaneLayer:
-    """Random weights for classes of structure, whose gradients are in units of the frame's noise."""
+    """Return random weights for classes of structure, whose gradients are in units of the frame's noise."""
     noise = np.sqrt(2 * _variance(np.append(level_edges, WHITE_LEVEL)) / first.patch**3)  # DN, of a difference of means
     scale = SIGMA * (WHITE_LEVEL - BLACK_LEVEL) * PLANE_STEP / noise
     mantissa, exponent = np.frexp(scale)
@@ -141,12 +141,12 @@ def _second_layer(
 
 
 def _variance(level: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Variance (DN²) of the noise of `synthetic_frame`, nearly."""
+    """Return variance (DN²) of the noise of `synthetic_frame`, nearly."""
     return 30 + 0.4 * level
 
 
 def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
-    """A smooth scene over all levels with noise and some texture: neighbouring pixels change class as real ones do."""
+    """Return a smooth scene over all levels with noise and some texture: neighbours change class as in real ones."""
     cfa = CFAS[case.cfa]
     row, col = np.mgrid[: case.height, : case.width]
     channel = cfa[row % cfa.shape[0], col % cfa.shape[1]]
@@ -160,8 +160,8 @@ def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
 
 
 def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Edges all over the frame, as near to one another as in a busy scene: from one pixel of a site to the next, structures
-    change more often than not."""
+    """Return edges all over the frame, as near to one another as in a busy scene: from one pixel of a site to the next,
+    structures change more often than not."""
     blocks = np.zeros((case.height, case.width))
     for side in (3, 7, 15):
         drawn = rng.standard_normal((case.height // side + 1, case.width // side + 1))
@@ -187,8 +187,8 @@ TINY = (Case(64, 48, 9, "five-band", "fast"),)
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
-    """All measurements for a device, or those of one variant: full frames with the variant made for it, small ones with the
-    other, tiny ones with the reference."""
+    """Return all measurements for a device, or those of one variant: full frames with the variant made for it, small ones
+    with the other, tiny ones with the reference."""
     usual = OpenCLRenderer(synthetic_table(TINY[0], np.random.default_rng(0)), device).variant
     planned: list[Callable[[], dict[str, Any]]] = []
     for name in VARIANTS if variant is None else (variant,):
@@ -197,8 +197,8 @@ def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str,
 
 
 def measure(case: Case, device: str | None = None, variant: str | None = None) -> dict[str, Any]:
-    """Medians over FRAMES frames on an OpenCL device: frame_ms as the caller waits, stages_ms as the device counts them
-    (OpenCLRenderer.stage_times), stages_sum_ms."""
+    """Return medians over FRAMES frames on an OpenCL device: frame_ms as the caller waits, stages_ms as the device counts
+    them (OpenCLRenderer.stage_times), stages_sum_ms."""
     table, frame, display = _synthetic(case)
     renderer = OpenCLRenderer(table, device, variant)
     shown = display if case.outputs == 3 else None
@@ -214,7 +214,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
 
 
 def measure_reference(case: Case) -> dict[str, Any]:
-    """The same of the numpy reference, which has no stages to speak of."""
+    """Return the same of the numpy reference, which has no stages to speak of."""
     table, frame, display = _synthetic(case)
     renderer = ReferenceRenderer(table)
     classes = _times(lambda: renderer.labels(frame))

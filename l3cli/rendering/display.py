@@ -37,24 +37,24 @@ class Display:
 
 
 def make_display(white: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB) -> Display:
-    """A display that shows `scale` · XYZ of a scene whose white is `white` (3) in a space that has a curve, adapted so that
-    this white becomes that of the space; RecipeError if white or scale is not positive."""
+    """Return a display that shows `scale` · XYZ of a scene whose white is `white` (3) in a space that has a curve, adapted
+    so that this white becomes that of the space; RecipeError if white or scale is not positive."""
     if not np.all(np.asarray(white) > 0):
         raise RecipeError("scene white and exposure must be positive")
     return adapted_display(adaptation_matrix(white, display_white()), scale, bits, space)
 
 
 def adapted_display(adaptation: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB) -> Display:
-    """A display that shows `scale` · `adaptation` (3, 3) @ XYZ of a scene, adapted to D65, in a space that has a curve;
-    RecipeError if the scale is not positive."""
+    """Return a display that shows `scale` · `adaptation` (3, 3) @ XYZ of a scene, adapted to D65, in a space that has a
+    curve; RecipeError if the scale is not positive."""
     if space.curve is None:
         raise ValueError(f"{space.title} is linear and has no codes")
     return Display(linear_matrix(adaptation, scale, space), bits, space.curve)
 
 
 def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) -> NDArray[np.float64]:
-    """Linear values of a space = M (3, 3) @ XYZ of a scene: `scale` · `adaptation` (3, 3) to D65, and from there to what the
-    space shows as white; RecipeError if the scale is not positive."""
+    """Return linear values of a space = M (3, 3) @ XYZ of a scene: `scale` · `adaptation` (3, 3) to D65, and from there to
+    what the space shows as white; RecipeError if the scale is not positive."""
     if not (np.isfinite(scale) and scale > 0):
         raise RecipeError("scene white and exposure must be positive")
     daylight, neutral = display_white(), space.neutral_xyz
@@ -63,13 +63,13 @@ def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) 
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:
-    """RecipeError unless a table's outputs are X, Y, Z, which is what a picture is made from."""
+    """Raise RecipeError unless a table's outputs are X, Y, Z, which is what a picture is made from."""
     if outputs != ("X", "Y", "Z"):
         raise RecipeError(f"pictures need the outputs X, Y, Z, this table has {', '.join(outputs)}; write an .exr file")
 
 
 def require_known_layers(table: TransformTable) -> None:
-    """RecipeError for a table of more layers than renderers know."""
+    """Raise RecipeError for a table of more layers than renderers know."""
     if len(table.layers) > MOST_LAYERS:
         raise RecipeError(
             f"this table has {len(table.layers)} layers, and {MOST_LAYERS} at most can be rendered; train it again"
@@ -77,6 +77,6 @@ def require_known_layers(table: TransformTable) -> None:
 
 
 def encode(planes: NDArray, display: Display) -> NDArray:
-    """XYZ planes (output, row, col) as the display's codes (row, col, 3), computed in float64."""
+    """Return XYZ planes (output, row, col) as the display's codes (row, col, 3), computed in float64."""
     linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
     return codes(display.curve.encoded(linear), display.bits)

@@ -30,8 +30,8 @@ class SpreadSamples:
         self._orders: dict[int, TapOrder] = {}  # by CFA site
 
     def of(self, frame: RawFrame, gains: np.ndarray | None = None) -> tuple[RawFrame, int, Integers]:
-        """Patches (patch, tap) of a frame with the gains (channel) of a white balance, shading that of each patch; the CFA
-        site of them all, that of the frame's first pixel; and their classes (patch) within the site."""
+        """Return patches (patch, tap) of a frame with the gains (channel) of a white balance, shading that of each patch;
+        the CFA site of them all, that of the frame's first pixel; and their classes (patch) within the site."""
         table, rule = self._table, self._table.first.rule
         down, across = self._geometry(frame)
         patches = frame.values.reshape(-1).take(_places(down, across))
@@ -49,7 +49,7 @@ class SpreadSamples:
         return cut, site, label_patches(cut.values, rule, self._neighbours, site, self._orders[site])
 
     def shape(self, frame: RawFrame) -> tuple[int, int]:
-        """Rows and columns of the grid in which the patches of a frame lie, row by row."""
+        """Return rows and columns of the grid in which the patches of a frame lie, row by row."""
         down, across = self._geometry(frame)
         return len(_windows(*down)[0]), len(_windows(*across)[0])
 
@@ -59,7 +59,7 @@ class SpreadSamples:
         return [(frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]) for axis in (0, 1)]
 
     def signal(self, patches: RawFrame) -> NDArray[np.float32]:
-        """Values (patch, tap) as shares of full scale."""
+        """Return values (patch, tap) as shares of full scale."""
         full_scale = np.float32(self._table.white_level - self._table.black_level)
         return (patches.values.astype(np.float32) - np.float32(patches.black_level)) / full_scale
 
@@ -76,7 +76,7 @@ class LightMeter:
         self._intercept = table.first.intercept[:, 1]
 
     def brightness(self, frame: RawFrame, balance: WhiteBalance | None = None) -> float:
-        """Y that ought to be shown white, of the frame with the gains of a white balance."""
+        """Return Y that ought to be shown white, of the frame with the gains of a white balance."""
         patches, site, labels = self._samples.of(frame, None if balance is None else balance.gains)
         classes = self.table.first.rule.on_site(labels, site)
         luminance = np.einsum("nt,nt->n", self._weights[classes], self._samples.signal(patches)) + self._intercept[classes]
@@ -88,7 +88,7 @@ class LightMeter:
 
 @functools.lru_cache(4)  # the same for every frame of a sequence
 def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Padded indices (position, tap) along an axis of patches at evenly spread samples, at most so many, of the first
+    """Return padded indices (position, tap) along an axis of patches at evenly spread samples, at most so many, of the first
     sample's phase, and the samples that these are."""
     available = -(-length // period)
     spread = np.linspace(0, available - 1, min(most, available)).round().astype(int)
@@ -99,7 +99,7 @@ def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarra
 
 @functools.lru_cache(1)
 def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) -> np.ndarray:
-    """Index (patch, tap) into a frame's values, row by row, of what patches hold. One in place of two: half the time."""
+    """Return index (patch, tap) into a frame's values, row by row, of what patches hold. One, not two: half the time."""
     (_, row), (_, col) = _windows(*down), _windows(*across)
     places = row[:, None, :, None].astype(np.intp) * across[0] + col[None, :, None, :]
     places.flags.writeable = False
@@ -155,7 +155,7 @@ class RangeMeter:
         return OutOfRange(*(float(np.mean(mask)) for mask in (darker, brighter, untrained, saturated)))
 
     def learned_range(self) -> tuple[float, float]:
-        """The darkest and brightest level that the table has patches of, as shares of full scale."""
+        """Return the darkest and brightest level that the table has patches of, as shares of full scale."""
         table = self._table
         learned = np.flatnonzero(self._samples.sum(axis=(0, 2, 3, 4)) > 0)
         edges = np.concatenate([[0.0], level.inner_bounds(table.first.rule, table.black_level, table.white_level), [1.0]])

@@ -59,8 +59,8 @@ OUTPUTS = Rendition(None, None, FLOAT_BITS, None)  # as they are
 
 
 def chosen_space(name: str | None, linear: bool) -> Space:
-    """The space of pictures, None: sRGB, without its curve where values are `linear`; RecipeError if there is none of this
-    name, or it has no codes and they are asked for."""
+    """Return the space of pictures, None: sRGB, without its curve where values are `linear`; RecipeError if there is none of
+    this name, or it has no codes and they are asked for."""
     if name is not None and name not in SPACES:
         raise RecipeError(f'space "{name}" is unknown; {suggestion(name, SPACES)}')
     space = SPACES[name or SRGB.name]
@@ -72,7 +72,7 @@ def chosen_space(name: str | None, linear: bool) -> Space:
 
 
 def outputs_as_they_are(table: TransformTable) -> Rendition:
-    """The rendition that leaves a table's outputs as they are; X, Y, Z are colours."""
+    """Return the rendition that leaves a table's outputs as they are; X, Y, Z are colours."""
     if table.outputs != ("X", "Y", "Z"):
         return OUTPUTS
     return replace(OUTPUTS, space=replace(XYZ, title="CIE XYZ", neutral=chromaticity_of(table.white_point)))
@@ -117,7 +117,7 @@ def rendered(
 def shown(
     renderer: Renderer, frame: RawFrame, rendition: Rendition, balance: WhiteBalance, scale: float
 ) -> tuple[RawFrame, Display]:
-    """A frame with the gains of its white balance, and how its outputs are shown; `scale`: of its exposure, 0: automatic."""
+    """Return a frame with the gains of its white balance, and how its outputs are shown; `scale` 0: automatic."""
     frame = balanced(frame, renderer.table, balance.gains)
     # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
     scale = (scale * balance.luminance or exposure_scale(renderer.outputs(frame)[1])) * 2**rendition.stops
@@ -176,8 +176,8 @@ class Following:
         self._first: tuple[float, WhiteBalance | None] | None = None
 
     def shown(self, frame: RawFrame) -> tuple[RawFrame, float, WhiteBalance | None]:
-        """The next frame, filtered, its scale, and its balance, None: the rendition's. InputFileError if its white cannot be
-        taken."""
+        """Return the next frame, filtered, its scale, and its balance, None: the rendition's. InputFileError if its white
+        cannot be taken."""
         with self._alone:
             measured = self._first if self._held and self._first is not None else self._meter.measured(frame)[:2]
             self._first = measured

@@ -81,8 +81,8 @@ def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...
 
 
 def _matrix(predicted: Array, residual: Array, ideal: Array) -> Array:
-    """(channel, 3) that turns `predicted` (patch, channel) into `ideal` (patch, 3) with the least error of what is measured,
-    `residual` (patch, channel) apart: channels that are alike are not played off against one another."""
+    """Return (channel, 3) that turns `predicted` (patch, channel) into `ideal` (patch, 3) with the least error of what is
+    measured, `residual` (patch, channel) apart: channels that are alike are not played off against one another."""
     noise = np.diag((residual**2).sum(axis=0))
     matrix: Array = np.linalg.pinv(predicted.T @ predicted + noise) @ predicted.T @ ideal
     return matrix

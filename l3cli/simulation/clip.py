@@ -100,7 +100,7 @@ def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
 
 
 def _filled(until: Array) -> Array:
-    """Integral up to there of the triangle that falls from 1 at 0 to 0 at ±1."""
+    """Return integral up to there of the triangle that falls from 1 at 0 to 0 at ±1."""
     inner = np.clip(until, -1.0, 1.0)
     return np.where(inner < 0, 0.5 * (1 + inner) ** 2, 1 - 0.5 * (1 - inner) ** 2)
 
@@ -169,7 +169,7 @@ MOVING, LEAVES, COLOURS = 1, 2, 3  # parts of a seed: course, shapes, and colour
 def clip_of(
     scene: Scene | ChannelPicture, wanted: sources.WantedScene, run: SimulationRun
 ) -> Callable[[int], Scene | ChannelPicture]:
-    """The scene, as it was drawn or read, in each frame of its clip; ValueError if the camera moves beyond it."""
+    """Return the scene, as it was drawn or read, in each frame of its clip; ValueError if the camera moves beyond it."""
     framing = wanted.source
     samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
     framed_size((samples.shape[0], samples.shape[1]), framing, run.camera)
@@ -202,7 +202,7 @@ def _course(wanted: sources.WantedScene, run: SimulationRun) -> Course:
 def _colours(
     scene: Scene | ChannelPicture, count: int, wanted: sources.WantedScene, run: SimulationRun
 ) -> NDArray[np.float32]:
-    """Reflectances or signals (leaf, band) of the leaves."""
+    """Return reflectances or signals (leaf, band) of the leaves."""
     rng = np.random.default_rng(_seed(wanted, run, COLOURS))
     if isinstance(scene, ChannelPicture):
         return rng.uniform(0.05, 0.9, (count, scene.signal.shape[2])).astype(np.float32)

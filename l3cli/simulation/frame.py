@@ -222,7 +222,7 @@ def lens_transfer(
 
 
 def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pixel_pitch: float) -> NDArray[np.float32]:
-    """planes (channel, term, row, col), each term filtered by its radial part and summed: (channel, row, col).
+    """Return planes (channel, term, row, col), each term filtered by its radial part and summed: (channel, row, col).
 
     The planes hold Σ_band weight · spectral (term, band) · reflectance: the bands are projected on the channels before any
     transform. Beyond its border a frame is mirrored, which the discrete cosine transform does by itself. Overwrites
@@ -243,7 +243,7 @@ def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pix
 
 
 def project(cube: NDArray[np.float32], weights: Array) -> NDArray[np.float32]:
-    """cube (row, col, band) summed with weights (channel, band): (channel, row, col)."""
+    """Return cube (row, col, band) summed with weights (channel, band): (channel, row, col)."""
     rows, cols, bands = cube.shape
     return (weights.astype(np.float32) @ cube.reshape(-1, bands).T).reshape(-1, rows, cols)
 

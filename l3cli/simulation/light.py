@@ -118,7 +118,7 @@ def check_measured(curve: Curve, name: str) -> None:
 
 
 def read_curve(path: Path, role: str) -> Curve:
-    """A CSV file of a scene recipe in its role: light, transmittance or functions; InputFileError if it is none."""
+    """Return a CSV file of a scene recipe in its role: light, transmittance or functions; InputFileError if it is none."""
     table = read_table(path)
     if role == "transmittance":
         return table.wavelength, table.counted(1).shares()

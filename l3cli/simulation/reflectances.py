@@ -125,7 +125,7 @@ def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -
 
 
 def _painted(rng: np.random.Generator, reflectance: Array, wavelength: Array) -> Array:
-    """reflectance (band) with an edge of titanium white as paints, plastics and papers have it."""
+    """Return reflectance (band) with an edge of titanium white as paints, plastics and papers have it."""
     edge = np.exp(rng.normal(np.log(0.2), 0.7))
     return with_titanium_white(reflectance, wavelength, edge, rng.uniform(5.0, 11.0))
 

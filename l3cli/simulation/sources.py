@@ -324,13 +324,13 @@ def _pixels(length: int, scale: float) -> int:
 
 
 def _scaled(cube: NDArray[np.float32], scale: float, most: tuple[int, int]) -> NDArray[np.float32]:
-    """cube (row, col, band) with `scale` pixels a sample, its middle cut out where it exceeds `most` (rows, cols)."""
+    """Return cube (row, col, band) with `scale` pixels a sample, its middle cut out where it exceeds `most` (rows, cols)."""
     down, across = (_resampling(length, scale, limit) for length, limit in zip(cube.shape, most, strict=False))
     return resampled(cube, down, across)
 
 
 def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.float32]:
-    """cube (row, col, band) by sparse matrices (pixel, sample) for its rows and its columns, row by row: bounded memory."""
+    """Return cube (row, col, band) by sparse matrices (pixel, sample) for rows and columns, row by row: bounded memory."""
     rows, cols, bands = cube.shape
     tall = (down @ cube.reshape(rows, cols * bands)).reshape(-1, cols, bands)
     made = np.empty((tall.shape[0], across.shape[0], bands), np.float32)

@@ -24,8 +24,8 @@ from l3cli.system.limits import trusted
 
 
 def content(file: Path) -> dict[str, Any]:
-    """The document of `l3 info --json`: kind, version, history and datasets of an artifact; under "insight" what a transform
-    table has learned. InputFileError if the file is no artifact."""
+    """Return the document of `l3 info --json`: kind, version, history and datasets of an artifact; under "insight" what a
+    transform table has learned. InputFileError if the file is no artifact."""
     note_inputs({"artifact": [file]})
     described = describe(file)
     if described["kind"] == TransformTable.kind:
@@ -44,7 +44,7 @@ class Verification:
     strangers: tuple[Path, ...]  # files given that the history does not name
 
     def document(self) -> dict[str, Any]:
-        """All of it, ready for JSON."""
+        """Return all of it, ready for JSON."""
         return {
             "kind": self.intact.kind,
             "version": self.intact.version,

@@ -95,7 +95,7 @@ def _chart_name(capture: LabCapture) -> str:
 def _described(
     model: CameraModel, chosen: LabRecipe, captures: tuple[LabCapture, ...], folder: Path
 ) -> files.MeasurementRecipe:
-    """The measurement file's content, after writing the spectra it names."""
+    """Return the measurement file's content, after writing the spectra it names."""
     mono: list[files.MonoRecipe] = []
     charts: list[files.ChartRecipe] = []
     others: dict[str, list[files.CaptureRecipe]] = {"white": [], "dark": []}

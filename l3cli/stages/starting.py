@@ -137,13 +137,13 @@ def _link(path: Path, photo: Path) -> None:
 
 
 def _shown(camera: PhotoCamera) -> str:
-    """The name, in the folder, of the photo that its picture.png shows."""
+    """Return the name, in the folder, of the photo that its picture.png shows."""
     suffix = camera.photo.suffix.lower()
     return f"{SHOWN}{suffix if is_photo(camera.photo) else ''}"
 
 
 def _photo_line(place: Path, camera: PhotoCamera) -> str:
-    """One line on a folder: the camera, what is from where, what is assumed, what comes next."""
+    """Return one line on a folder: the camera, what is from where, what is assumed, what comes next."""
     body, frame = camera.body, camera.frame
     pattern = "/".join("".join(body.channels[site] for site in row) for row in body.cfa)
     white = f" ‹white› {camera.light}" if camera.light else ""
@@ -157,7 +157,7 @@ def _photo_line(place: Path, camera: PhotoCamera) -> str:
 
 
 def _raw_files(photo: Path) -> list[Path]:
-    """The raw files of a folder, or the file itself."""
+    """Return the raw files of a folder, or the file itself."""
     if not photo.is_dir():
         if photo.exists() and photo.suffix.lower() in BY_SUFFIX and not is_photo(photo):
             raise InputFileError(
@@ -172,7 +172,7 @@ def _raw_files(photo: Path) -> list[Path]:
 
 
 def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console) -> dict[str, list[tuple[Path, Stated]]]:
-    """The files by make and model. Those of a folder that are no raw files are left out with a line each."""
+    """Return the files by make and model. Those of a folder that are no raw files are left out with a line each."""
     cameras: dict[str, list[tuple[Path, Stated]]] = {}
     for path in dict.fromkeys(files):
         try:
@@ -205,8 +205,8 @@ def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
 
 
 def photographed(taken: Taken, light: str | None, console: Console) -> PhotoCamera:
-    """The camera that took these raw files. `light`: of the charts in them; None: guessed. InputFileError if the first is
-    none that states its array and levels, or if nothing tells its curves."""
+    """Return the camera that took these raw files. `light`: of the charts in them; None: guessed. InputFileError if the
+    first is none that states its array and levels, or if nothing tells its curves."""
     path, known = taken[0]
     measured = _measurements(path, light)
     frame = measured.photos[0].frames[0]
@@ -238,7 +238,7 @@ def _measurements(path: Path, light: str | None) -> Measurements:
 
 
 def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
-    """The camera by the chart in its photo; None if there is none, or none to rely on."""
+    """Return the camera by the chart in its photo; None if there is none, or none to rely on."""
     try:
         camera = model.calibrate(measured)
     except InputFileError:
@@ -250,7 +250,7 @@ def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
 
 
 def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[responsivity.Curves, str]:
-    """The curves by the colour matrices of a file, or the usual ones, and where they are from."""
+    """Return the curves by the colour matrices of a file, or the usual ones, and where they are from."""
     channels = measured.body.channels
     prior = responsivity.prior_of(channels, shipped_statistics())
     codes = [code_of(name) for name in channels]

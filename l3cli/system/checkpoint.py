@@ -91,5 +91,5 @@ def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
 
 
 def refuse_other_run(folder: Path, key: str, force: bool) -> None:
-    """L3Error if `folder` holds anything but what a stopped run `key` has left, unless `force`."""
+    """Raise L3Error if `folder` holds anything but what a stopped run `key` has left, unless `force`."""
     refuse_filled_folder(folder, force or key_in(folder / UNFINISHED) == key)

@@ -73,7 +73,7 @@ def _refuse_protected(path: Path, globs: tuple[str, ...]) -> None:
 
 
 def refuse_unwritable(path: Path) -> None:
-    """L3Error if `path` lies where nothing can be written."""
+    """Raise L3Error if `path` lies where nothing can be written."""
     whole = path.absolute()
     folder = whole if whole.is_dir() else next(parent for parent in whole.parents if parent.exists())
     if not folder.is_dir():

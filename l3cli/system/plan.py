@@ -40,7 +40,7 @@ class Planned(Exception):
         return (*read, *map(_made, self.makes), "dry run: nothing has been written")
 
     def document(self) -> dict[str, Any]:
-        """The same, ready for JSON."""
+        """Return the same, ready for JSON."""
         reads = {role: [str(path) for path in paths] for role, paths in self.reads.items()}
         makes = [{"path": str(made.path), "what": made.what, "bytes": made.size} for made in self.makes]
         return {"dry_run": {"reads": reads, "makes": makes}}

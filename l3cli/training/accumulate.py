@@ -56,8 +56,8 @@ def _batches(
     neighbours: Neighbourhoods,
     rngs: dict[int, np.random.Generator],
 ) -> Iterator[tuple[int, Patches]]:
-    """The patches of a block, frames from `first`, for each site: together or, where one frame has more than BATCH, a part
-    of it at a time."""
+    """Yield the patches of a block, frames from `first`, for each site: together or, where one frame has more than BATCH, a
+    part of it at a time."""
     waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
     for index, frame in enumerate(frames, first):
         colourless = colourless_frame(frame, pass_.head) if pass_.recipe.achromatic else None
@@ -97,7 +97,7 @@ class _Batch:
             self._add_piece(sums, large, label[piece], level[draw], scale[draw], patch, rng)
 
     def _exposed(self, rng: np.random.Generator) -> tuple[NDArray[np.unsignedinteger], Floats, Floats]:
-        """Class, level as the camera sees it and scale of every draw of every patch (draw · patch)."""
+        """Return class, level as the camera sees it and scale of every draw of every patch (draw · patch)."""
         pass_, signal = self.pass_, self.patches.signal
         patch_level = np.maximum(signal @ self.tap_share, 1e-3)
         start = rng.random(patch_level.size)
@@ -113,7 +113,7 @@ class _Batch:
         return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)
 
     def _scale(self, patch_level: Floats, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Factors (patch) that take patches from the level they have to those at `places` (patch) of the distribution."""
+        """Return factors (patch) that take patches from their level to those at `places` (patch) of the distribution."""
         if not self.pass_.recipe.rescale:
             return np.ones(patch_level.size)
         return levels_at(self.pass_.recipe, places) / patch_level
@@ -121,7 +121,7 @@ class _Batch:
     def _seen(
         self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """Class and level (patch) of the patches of `batch` at each row of `scale` (draw, patch), with noise."""
+        """Yield class and level (patch) of the patches of `batch` at each row of `scale` (draw, patch), with noise."""
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
         channel = self.neighbours.channel[self.site][order.taps][:, None]
@@ -135,7 +135,7 @@ class _Batch:
     def _exposed_values(
         self, signal: Floats, rng: np.random.Generator, carried: Floats | None, channel: NDArray[np.int64]
     ) -> NDArray[np.uint32]:
-        """DN (tap, patch) of signals of the `channel` (tap, 1), with noise unless the recipe wants none."""
+        """Return DN (tap, patch) of signals of the `channel` (tap, 1), with noise unless the recipe wants none."""
         camera = self.pass_.head.camera
         if self.pass_.recipe.noise != "none":
             return expose_patches(signal, camera, rng, carried, self.pass_.dark, channel)

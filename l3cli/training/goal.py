@@ -35,12 +35,12 @@ class Goal:
 
 
 def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
-    """A mean light, if it is known and that of a single light."""
+    """Return a mean light, if it is known and that of a single light."""
     return light if light is not None and light.spread <= ONE_LIGHT else None
 
 
 def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) -> Goal:
-    """The goal of a training with sets of this head, whose frames have the mean `white_point` (output) and `light`."""
+    """Return the goal of a training with sets of this head, of the mean `white_point` (output) and `light`."""
     camera = head.camera
     levels = camera.black_level, camera.white_level
     isolated: dict[str, Any] = {}

@@ -39,7 +39,7 @@ def grey_patches(
     filters: tuple[int, ...] = (),
     sensitivity: Array | None = None,
 ) -> dict[int, Array]:
-    """Moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
+    """Return moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
     times the number of greys a patch of the class (ODDS). Where every channel clips they are fully clipped.
 
     `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1 and `signal`
@@ -81,10 +81,10 @@ def steps_back(
     black_level: float,
     white_level: float,
 ) -> tuple[NDArray[np.int64], Array]:
-    """Places in `clipping` of the classes that a grey falls into where every channel clips, and how much luminance each
-    lacks there, beside the brightest that greys are given on the way; `clipping` are the classes with something saturated,
-    `common` (class, channel + 1) what each adds to luminance for a flat patch of one channel, or at all, and `signal`
-    (channel) what the camera sees of the training light's white."""
+    """Return places in `clipping` of the classes that a grey falls into where every channel clips, and how much luminance
+    each lacks there, beside the brightest that greys are given on the way; `clipping` are the classes with something
+    saturated, `common` (class, channel + 1) what each adds to luminance for a flat patch of one channel, or at all, and
+    `signal` (channel) what the camera sees of the training light's white."""
     threshold = (rule.saturation - black_level) / (white_level - black_level)
     greys = np.exp(np.arange(np.log(threshold / signal.max()), np.log(threshold / signal.min()), np.log(STEP)))
     clipped = np.append(np.minimum(greys[:, None] * signal, 1.0), np.ones((1, signal.size)), axis=0)
@@ -107,8 +107,8 @@ def white_channels(
     known: Array | None,
     white_error: Array | float = 0.0,
 ) -> Array | None:
-    """Signals (channel) of the training light's white at Y = 1: those `known`, unless the patches speak against it, as they
-    do of frames through another lens; else those that they make likely. None if there are no patches. `white_error`
+    """Return signals (channel) of the training light's white at Y = 1: those `known`, unless the patches speak against it,
+    as they do of frames through another lens; else those that they make likely. None if there are no patches. `white_error`
     (channel): how far off, relatively, surfaces are known to make them."""
     likely = _channels_of(flat_moments(sums, rule, window.size + 1 + white.size), window, white)
     if known is None or likely is None or (np.abs(known / likely - 1) > np.maximum(white_error, FARTHEST)).any():
@@ -130,8 +130,8 @@ def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
 
 
 def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -> Array:
-    """Second moments (channel, channel) of the channels' means over all unsaturated patches of the lowest contrast, of
-    trace 1."""
+    """Return second moments (channel, channel) of the channels' means over all unsaturated patches of the lowest contrast,
+    of trace 1."""
     width = int((np.sqrt(8 * sums.moments.shape[1] + 1) - 1) / 2)
     means = (window == np.arange(window.max() + 1)[:, None]) / np.bincount(window)[:, None]
     colours = means @ flat_moments(sums, rule, width)[: window.size, : window.size] @ means.T
@@ -140,13 +140,13 @@ def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -
 
 
 def flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
-    """Summed moments (column, column) of all unsaturated patches of the lowest contrast."""
+    """Return summed moments (column, column) of all unsaturated patches of the lowest contrast."""
     return moment_matrix(rule.by_axis(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:
-    """Signals (channel) of the training light's white at Y = 1, by regression of the channels on the outputs (a per cent or
-    two off where the training surfaces differ from white). None if there are no patches."""
+    """Return signals (channel) of the training light's white at Y = 1, by regression of the channels on the outputs (a per
+    cent or two off where the training surfaces differ from white). None if there are no patches."""
     taps = window.size
     power = moments[taps + 1 :, taps + 1 :]
     if not power.any():

@@ -30,9 +30,9 @@ class Patches:
     carried: Floats | None = None  # (patch, tap) noise variance that a real signal already has, full scale²; simulated: 0
 
     def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
-        """`scale` (patch) as far as the patches can follow. Simulated ones follow everywhere. Real ones carry noise and
-        clipped values: they can be made darker, since noise can be added, but not brighter, and not at all if a tap clips.
-        """
+        """Return `scale` (patch) as far as the patches can follow. Simulated ones follow everywhere. Real ones carry noise
+        and clipped values: they can be made darker, since noise can be added, but not brighter, and not at all if a tap
+        clips."""
         if self.carried is None:
             return scale
         followed = np.where((self.signal >= 1).any(axis=1), 1.0, np.minimum(scale, 1.0))
@@ -40,7 +40,7 @@ class Patches:
 
     @classmethod
     def concatenated(cls, parts: list["Patches"]) -> "Patches":
-        """All patches of `parts`; simulated ones among real ones carry a variance of zero."""
+        """Return all patches of `parts`; simulated ones among real ones carry a variance of zero."""
         carried = None
         if any(part.carried is not None for part in parts):
             carried = np.concatenate([np.zeros_like(p.signal) if p.carried is None else p.carried for p in parts])
@@ -59,8 +59,8 @@ def patches_of(
     achromatic: float = 0.0,
     colourless: TrainingFrame | None = None,
 ) -> Patches:
-    """`count` patches of a simulated frame or a real pair, laid out like those of canonical `site`; whether sites share
-    their training, as in site_maps, matters to real pairs. A share `achromatic` of them is taken from the `colourless`
+    """Return `count` patches of a simulated frame or a real pair, laid out like those of canonical `site`; whether sites
+    share their training, as in site_maps, matters to real pairs. A share `achromatic` of them is taken from the `colourless`
     frame, if there is one."""
     side = int(np.sqrt(neighbours.channel.shape[1]))
     if frame.raw.shape[0] < side or frame.raw.shape[1] < side:
@@ -77,15 +77,15 @@ def patches_of(
 
 
 def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
-    """A frame without colour, for all sites; None of a real pair, and where the light is not known or the outputs are not
-    X, Y, Z."""
+    """Return a frame without colour, for all sites; None of a real pair, and where the light is not known or the outputs are
+    not X, Y, Z."""
     if not isinstance(frame, TrainingFrame) or frame.light is None or head.outputs[:3] != XYZ:
         return None
     return without_colour(frame, head.camera)
 
 
 def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
-    """A frame of X, Y, Z under a known light that shows the luminance of its scene alone, every channel as it sees white."""
+    """Return a frame of X, Y, Z under a known light that shows the luminance of its scene alone, as white is seen."""
     if frame.light is None:
         raise ValueError("the light must be known")
     luminance = frame.target[Y]
@@ -96,7 +96,7 @@ def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
 
 
 def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
-    """Signals (channel), as shares of full scale, of a white of Y = 1 under a light."""
+    """Return signals (channel), as shares of full scale, of a white of Y = 1 under a light."""
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
     return np.asarray(camera.signal_weights @ radiance * (camera.output_unit / camera.full_scale))
 
@@ -110,8 +110,8 @@ def sample_pair(
     rng: np.random.Generator,
     shared: bool = True,
 ) -> Patches:
-    """`count` patches of a real pair at random places among the sites that are canonical `site` turned or mirrored: only
-    there, and only turned so, is its mosaic that of the table."""
+    """Return `count` patches of a real pair at random places among the sites that are canonical `site` turned or mirrored:
+    only there, and only turned so, is its mosaic that of the table."""
     side = int(np.sqrt(neighbours.channel.shape[1]))
     radius, period = side // 2, camera.cfa.shape
     rows, cols = pair.raw.shape
@@ -151,7 +151,7 @@ def sample_patches(
     orientations: list[NDArray[np.int64]],
     rng: np.random.Generator,
 ) -> Patches:
-    """`count` patches at random places and orientations of a frame, seen through the CFA `window` (tap).
+    """Return `count` patches at random places and orientations of a frame, seen through the CFA `window` (tap).
 
     The mosaic is laid over the full-resolution electrons at any offset, after mirroring and turning the scene.
     """
@@ -176,7 +176,7 @@ def sample_patches(
 
 
 def draw_levels(recipe: LearningRecipe, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """`count` levels, share of full scale: log-uniform over the whole range, a share of them over the highlights."""
+    """Return `count` levels, share of full scale: log-uniform over the whole range, a share of them over the highlights."""
     return levels_at(recipe, rng.random(count))
 
 
@@ -190,8 +190,8 @@ def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np
 
 
 def even_places(count: int, axes: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Places (place, axis) from 0 to 1 that cover all axes together more evenly than random ones: from a random start, steps
-    of the powers of 1/g, with g^(axes + 1) = g + 1 (docs/method.md#patches)."""
+    """Return places (place, axis) from 0 to 1 that cover all axes together more evenly than random ones: from a random
+    start, steps of the powers of 1/g, with g^(axes + 1) = g + 1 (docs/method.md#patches)."""
     ratio = 2.0
     for _ in range(40):
         ratio = (1 + ratio) ** (1 / (axes + 1))
@@ -204,8 +204,8 @@ def _normal_deviates() -> Floats:
 
 
 def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-    """Standard normal values: a run of 2²⁰ deviates from a random place on. Enough for class decisions, where each patch
-    counts by itself, and twenty times as fast as fresh ones."""
+    """Return standard normal values: a run of 2²⁰ deviates from a random place on. Enough for class decisions, where each
+    patch counts by itself, and twenty times as fast as fresh ones."""
     pool, size = _normal_deviates(), math.prod(shape)
     start = rng.integers(max(pool.size - size, 0), endpoint=True)
     run = pool[start : start + size]
@@ -220,9 +220,9 @@ def expose_patches(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> NDArray[np.uint32]:
-    """The noisy DN that decide the class of `signal` in shares of full scale, (patch, tap) or (tap, patch), in a frame of
-    which `dark` DN of dark current have been taken off. A simulated signal lacks all noise, a real one what goes beyond the
-    variance `carried` already. `channel`, which broadcasts against the signals, says of which they are."""
+    """Return the noisy DN that decide the class of `signal` in shares of full scale, (patch, tap) or (tap, patch), in a
+    frame of which `dark` DN of dark current have been taken off. A simulated signal lacks all noise, a real one what goes
+    beyond the variance `carried` already. `channel`, which broadcasts against the signals, says of which they are."""
     noisy = _variance(signal, camera, carried, dark, QUANTISATION, channel)
     np.sqrt(noisy, out=noisy)
     noisy *= _normal(signal.shape, rng)
@@ -239,8 +239,8 @@ def noise_share(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Variance of the noise that signals (patch, tap) lack, in units of full scale squared; 0 where clipped. `dark` and
-    `channel` as for `expose_patches`."""
+    """Return the variance of the noise that signals (patch, tap) lack, in units of full scale squared; 0 where clipped.
+    `dark` and `channel` as for `expose_patches`."""
     variance = _variance(signal, camera, carried, dark, channel=channel)
     variance *= signal < 1
     return variance
@@ -254,8 +254,8 @@ def _variance(
     later: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """camera.noise_variance in units of full scale, less what signals carry, as only real ones do, which alone are ever
-    negative, and what rounding will add `later` (DN²)."""
+    """Return camera.noise_variance in units of full scale, less what signals carry, as only real ones do, which alone are
+    ever negative, and what rounding will add `later` (DN²)."""
     if carried is not None:
         signal = np.clip(signal, 0.0, np.inf)
     span = camera.white_level - camera.black_level

@@ -38,8 +38,8 @@ BLACKS = (0.02, 0.1, 0.3)  # reflectances of an optimal colour where it is dark
 
 
 def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
-    """Stripes (stripe, channel) of a whole number of periods in an array `cfa` (row, col) and a mean of 0, that are the same
-    value within ±1 at all sites of a channel, and not the same at all channels."""
+    """Return stripes (stripe, channel) of a whole number of periods in an array `cfa` (row, col) and a mean of 0, that are
+    the same value within ±1 at all sites of a channel, and not the same at all channels."""
     rows, cols = cfa.shape
     sites = np.stack([cfa == channel for channel in range(channels)]).reshape(channels, -1)
     sites = sites / sites.sum(axis=1, keepdims=True)
@@ -54,9 +54,9 @@ def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
 
 
 def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Array:
-    """Stripes (stripe, channel), as those of `uniform_stripes`, whose colour no surface can have under a light of `photons`
-    at each `wavelength` in nm: none is less than UNLIKE of its distance to white away from an optimal colour, and none
-    near white."""
+    """Return stripes (stripe, channel), as those of `uniform_stripes`, whose colour no surface can have under a light of
+    `photons` at each `wavelength` in nm: none is less than UNLIKE of its distance to white away from an optimal colour, and
+    none near white."""
     electrons = camera.signal_weights @ spectra.sampling_matrix(wavelength, camera.wavelength) * photons
     white = electrons.sum(axis=1)
     if not white.min() > 0:
@@ -72,18 +72,18 @@ def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Arr
 
 
 def stripe_shares(white: Array, stripes: Array) -> Array:
-    """The chroma centres (stripe, channel) of stripes (stripe, channel) on a white of these signals (channel)."""
+    """Return the chroma centres (stripe, channel) of stripes (stripe, channel) on a white of these signals (channel)."""
     return shares(white * (1.0 + CENTRE * stripes))
 
 
 def shares(signals: Array) -> Array:
-    """Signals (…, channel) over their sum."""
+    """Return signals (…, channel) over their sum."""
     return np.asarray(signals / signals.sum(axis=-1, keepdims=True))
 
 
 def optimal_reflectances(wavelength: Array) -> Array:
-    """Reflectances (surface, wavelength) that are bright in one band or in all but one and dark elsewhere: Schrödinger's
-    optimal colours, the most vivid that a surface can have, and paler ones."""
+    """Return reflectances (surface, wavelength) that are bright in one band or in all but one and dark elsewhere:
+    Schrödinger's optimal colours, the most vivid that a surface can have, and paler ones."""
     edges = np.linspace(0, wavelength.size, BAND_EDGES).round()
     first, last = np.triu_indices(BAND_EDGES, 1)
     place = np.arange(wavelength.size)
@@ -105,7 +105,7 @@ SAME_WHITE = 0.005  # relative, for a coarse grid: outputs whose white is not th
 
 @functools.lru_cache(maxsize=4)
 def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, Array]:
-    """Reflectances of surfaces (surface, wavelength), and of painted greys."""
+    """Return reflectances of surfaces (surface, wavelength), and of painted greys."""
     grid = np.array(wavelength)
     paler = np.concatenate([with_saturation(spectra.reflectance_library(grid), each) for each in SATURATIONS])
     paler = np.clip(paler, BLACKEST, WHITEST)
@@ -128,8 +128,8 @@ class PlainSurfaces:
     stripes: int  # how many of them, the first, are stripes, whose outputs are those of white
 
     def moments(self, rule: ClassRule, window: NDArray[np.int64]) -> list[Array | None]:
-        """Mean moments (column, column) of uniform patches of the surfaces of each chroma of a rule, columns and weights as
-        of sums; None: too few surfaces to tell. `window` (tap) names channels."""
+        """Return mean moments (column, column) of uniform patches of the surfaces of each chroma of a rule, columns and
+        weights as of sums; None: too few surfaces to tell. `window` (tap) names channels."""
         centres = chroma_centres(rule)
         chroma = _nearest(self.signals, centres)
         every = [self._mean(chroma == each, window) for each in range(rule.chromas)]
@@ -172,7 +172,7 @@ class PlainSurfaces:
 
 
 def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.int64]) -> Array:
-    """Mean moments (column, column) of samples (sample, channel or output) that count unlike."""
+    """Return mean moments (column, column) of samples (sample, channel or output) that count unlike."""
     weight = count / count.sum() / (signals.mean(axis=1) * outputs[:, 1])
     values = np.concatenate([signals, np.zeros((len(signals), 1)), outputs], axis=1)
     # Not by BLAS, whose sums depend on how many threads it has.
@@ -183,8 +183,8 @@ def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.in
 
 
 def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpectrum, white: Array) -> PlainSurfaces | None:
-    """Surfaces as the camera sees them under `light`, with outputs under `target`; None if the outputs, of which a white
-    has `white` at Y = 1, are not CIE 1931 X, Y, Z, or the light gives a channel nothing."""
+    """Return surfaces as the camera sees them under `light`, with outputs under `target`; None if the outputs, of which a
+    white has `white` at Y = 1, are not CIE 1931 X, Y, Z, or the light gives a channel nothing."""
     grid = light.wavelength  # as fine as the edge of titanium white needs
     lit = light.radiance.astype(np.float64)
     wanted = spectra.resample(target.radiance.astype(np.float64), target.wavelength, grid)
@@ -208,12 +208,12 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
 
 
 def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Array, Array]:
-    """Signals and outputs of surfaces (surface, wavelength). Not by BLAS, whose sums depend on how many threads it has."""
+    """Return signals and outputs of surfaces (surface, wavelength). Not by BLAS, whose sums depend on its threads."""
     return np.einsum("sw,cw->sc", reflectances, to_signals), np.einsum("sw,ow->so", reflectances, to_outputs)
 
 
 def _nearest(signals: Array, centres: Array) -> NDArray[np.intp]:
-    """The chroma (sample) of signals (sample, channel)."""
+    """Return the chroma (sample) of signals (sample, channel)."""
     return np.argmin(((shares(signals)[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
 
 
@@ -229,8 +229,8 @@ def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
 
 
 def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Array:
-    """Moments (column, column) of flat patches, as many as make up those of a class, `moments`: they differ from the mean
-    colour of these in each band by itself, by SPREAD of it. `gains` as from `output_gains`."""
+    """Return moments (column, column) of flat patches, as many as make up those of a class, `moments`: they differ from the
+    mean colour of these in each band by itself, by SPREAD of it. `gains` as from `output_gains`."""
     taps, member = window.size, _membership(window)
     mean = moments[:taps, taps] @ member / np.bincount(window)  # times the number of patches, as weighed
     columns = np.concatenate([member, np.zeros((1, gains.size)), np.diag(gains)])
@@ -245,5 +245,5 @@ def teaches(rule: ClassRule, index: int) -> bool:
 
 
 def _membership(window: NDArray[np.int64]) -> Array:
-    """1 where a tap is of a channel (tap, channel)."""
+    """Return 1 where a tap is of a channel (tap, channel)."""
     return (window[:, None] == np.arange(window.max() + 1)).astype(np.float64)

@@ -30,7 +30,7 @@ class ColourWeighting:
     def weight(
         self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
     ) -> Floats:
-        """(e² + ¼)^(−power) of each patch (patch): e is the Lab error expected of the first pass, bias and noise.
+        """Return (e² + ¼)^(−power) of each patch (patch): e is the Lab error expected of the first pass, bias and noise.
 
         `clean` and `variance` (patch, tap), `target` (patch, 3), `level` (patch), all in shares of full scale; `runs` are
         class, first and last patch of the patches of each class.
@@ -63,8 +63,8 @@ class SpectralWeighting:
     def weight(
         self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
     ) -> Floats:
-        """(e² + ¼)^(−power) of each patch (patch): e is the spectral angle in degrees expected of the first pass, by bias
-        and noise. Arguments as of ColourWeighting, `target` (patch, output)."""
+        """Return (e² + ¼)^(−power) of each patch (patch): e is the spectral angle in degrees expected of the first pass, by
+        bias and noise. Arguments as of ColourWeighting, `target` (patch, output)."""
         bias, noise = np.empty_like(target), np.empty_like(level)
         for index, first, last in runs:
             bias[first:last] = clean[first:last] @ self.weights[index] + self.intercept[index]
@@ -81,8 +81,8 @@ RowWeighting = ColourWeighting | SpectralWeighting
 
 
 def row_weighting(table: TransformTable, site: int, power: float) -> RowWeighting:
-    """The weighting of a canonical site from the first pass's table; its weights go with `power` of the squared error.
-    The outputs are X, Y, Z or the camera's channels."""
+    """Return the weighting of a canonical site from the first pass's table; its weights go with `power` of the squared
+    error. The outputs are X, Y, Z or the camera's channels."""
     classes = table.first.rule.of_site(site)
     weights = np.ascontiguousarray(np.swapaxes(table.first.weights[classes], 1, 2))
     intercept = table.first.intercept[classes]
@@ -94,7 +94,7 @@ def row_weighting(table: TransformTable, site: int, power: float) -> RowWeightin
 
 
 def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]) -> Floats:
-    """Squared Lab error (…), chroma halved and eased, of errors in XYZ (…, 3) about targets (…, 3) at levels (…)."""
+    """Return squared Lab error (…), chroma halved and eased, of errors in XYZ (…, 3) about targets (…, 3) at levels (…)."""
     relative = 1 / level[..., None]
     slope = np.maximum(target * relative / white, DARKEST) ** np.float32(-2 / 3) / (3 * white)
     x, y, z = np.moveaxis(slope * error * relative, -1, 0)

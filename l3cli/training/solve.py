@@ -26,7 +26,7 @@ THIN_PARENT = 100.0  # … and half of the others, where a level of the case has
 def shrunk(
     sums: ClassSums, parents: ClassSums, classes: NDArray[np.intp], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array]:
-    """Moments (class, pair) and noise (class, tap) of `classes`, all of them saturated or none, with help
+    """Return moments (class, pair) and noise (class, tap) of `classes`, all of them saturated or none, with help
     (docs/method.md#thin-classes): unsaturated, sums of the levels beside each, which add since sums are relative to the
     level; and pseudo-patches of its parent."""
     _, level, contrast, further, kind = rule.split(classes)
@@ -46,9 +46,9 @@ def shrunk(
 
 
 def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
-    """Mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their chroma
-    and further features, or where none of them has patches those of any contrast; and a share of its case's,
-    the larger the fewer patches there are (docs/method.md#thin-classes). A parent's count is that of its level and case."""
+    """Return mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their
+    chroma and further features, or where none of them has patches those of any contrast; and a share of its case's, the
+    larger the fewer patches there are (docs/method.md#thin-classes). A parent's count is that of its level and case."""
     first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # kind of each case
 
     def by_case(values: Array) -> Array:
@@ -70,7 +70,7 @@ def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
 
 
 def parent_of(index: Any, rule: ClassRule) -> Any:
-    """The parent of classes `index`, which tells saturation cases but neither chromas nor further features apart."""
+    """Return the parent of classes `index`, which tells saturation cases but neither chromas nor further features apart."""
     place = rule.split(index)
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
@@ -128,9 +128,9 @@ def solve(
     recipe: LearningRecipe,
     goal: Goal,
 ) -> Solution:
-    """Solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin classes
-    helped by their neighbours; `window` (tap) names the channel of each tap, and `turns` are the orientations that leave it
-    as it is, over which sums are averaged. Raises L3Error if no class has any patches."""
+    """Return solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin
+    classes helped by their neighbours; `window` (tap) names the channel of each tap, and `turns` are the orientations that
+    leave it as it is, over which sums are averaged. Raises L3Error if no class has any patches."""
     parents = parents_of(sums, rule)
     parent = parent_of(np.arange(sums.count.size), rule)
     samples = np.mean([sums.count[turn.classes] for turn in turns], axis=0)
@@ -189,7 +189,7 @@ def solve(
 def _averaged(
     sums: ClassSums, parents: ClassSums, batch: NDArray[np.intp], turns: list[Turn], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array]:
-    """Moments (class, column, column) and noise (class, tap) of the classes of a batch with help, averaged over `turns`."""
+    """Return moments (class, column, column) and noise (class, tap) of a batch with help, averaged over `turns`."""
     width = width_of(sums.moments)
     moments, noise = np.zeros((batch.size, sums.moments.shape[1])), np.zeros((batch.size, sums.noise.shape[1]))
     for turn in turns:
@@ -200,8 +200,8 @@ def _averaged(
 
 
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
-    """Moments of plain surfaces of the unsaturated classes of the lowest contrast and no direction, and of stripes of those
-    of any direction, if the patches bear out what the camera sees of white, and so of all else."""
+    """Return moments of plain surfaces of the unsaturated classes of the lowest contrast and no direction, and of stripes of
+    those of any direction, if the patches bear out what the camera sees of white, and so of all else."""
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
     plain = {chroma: each for chroma, each in enumerate(goal.surfaces.moments(rule, window)) if each is not None}
@@ -224,11 +224,10 @@ def _near_white(rule: ClassRule, goal: Goal) -> Array:
 def equal_responses(
     solutions: list[Solution], copies: list[int], rule: ClassRule, recipe: LearningRecipe, goal: Goal
 ) -> list[Transforms]:
-    """Transforms of the canonical sites, each of which stands for `copies` sites, constrained so that sites answer a flat
-    patch alike, textures as far as that pays, and white with white (docs/method.md#equal-response). Classes that some site
-    has no solution for are filled from the nearest, at all sites from the same one. L3Error if there is no class that all
-    sites have a solution for.
-    """
+    """Return transforms of the canonical sites, each of which stands for `copies` sites, constrained so that sites answer a
+    flat patch alike, textures as far as that pays, and white with white (docs/method.md#equal-response). Classes that some
+    site has no solution for are filled from the nearest, at all sites from the same one. L3Error if there is no class that
+    all sites have a solution for."""
     solved = np.all([solution.solved for solution in solutions], axis=0)
     if not solved.any():
         raise L3Error("no class has training patches at every CFA site; simulate more frames")
@@ -254,7 +253,7 @@ def _constrained(
     goal: Goal,
     equations: list[OutputKind],
 ) -> list[Array]:
-    """Rows (class, tap + 1, output) of the sites. Of all common responses the one of least total squared error is taken."""
+    """Return rows (class, tap + 1, output) of the sites. Of all common responses that of least squared error is taken."""
     constrained = [solution.rows.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
     white = _exact_white(solutions, goal)
@@ -293,7 +292,7 @@ def _constrained(
 
 
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
-    """Signals (channel) of white, if they are known and borne out at every site and the outputs are colours."""
+    """Return signals (channel) of white, if they are known and borne out at every site and the outputs are colours."""
     known, borne = goal.white_signal, [solution.white for solution in solutions]
     if (
         known is None
@@ -326,7 +325,7 @@ def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[Outp
 
 
 def _opponent_basis(goal: Goal) -> Array:
-    """Columns X − X_w Y, Y, Z − Z_w Y for X, Y, Z, zero on greys under the training light; other outputs as they are."""
+    """Return columns X − X_w Y, Y, Z − Z_w Y for X, Y, Z, zero on greys under the training light; others unchanged."""
     basis = np.eye(len(goal.outputs))
     if goal.outputs[:3] == XYZ:
         basis[1, 0], basis[1, 2] = -goal.white[0], -goal.white[2]

@@ -28,12 +28,12 @@ Array = NDArray[np.float64]
 
 @functools.cache
 def pairs(width: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Column indices (pair), (pair) of the upper triangle of a moment matrix, row by row."""
+    """Return column indices (pair), (pair) of the upper triangle of a moment matrix, row by row."""
     return np.triu_indices(width)
 
 
 def width_of(packed: Array) -> int:
-    """Columns of the matrices whose upper triangles are packed (…, pair)."""
+    """Return columns of the matrices whose upper triangles are packed (…, pair)."""
     return (math.isqrt(8 * packed.shape[-1] + 1) - 1) // 2
 
 
@@ -45,7 +45,7 @@ def empty_sums(rule: ClassRule, outputs: int) -> ClassSums:
 
 
 def rounding_number(step: Array | float) -> Array:
-    """A number of steps, 1.5 · 2⁵², beside which float64 keeps whole steps only."""
+    """Return a number of steps, 1.5 · 2⁵², beside which float64 keeps whole steps only."""
     return np.asarray(step * (1.5 * 2.0**52))
 
 
@@ -57,15 +57,15 @@ def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
 
 
 def runs_of(label: NDArray[np.integer]) -> list[tuple[int, int, int]]:
-    """Class, first and last row of each class among rows of the sorted classes `label`."""
+    """Return class, first and last row of each class among rows of the sorted classes `label`."""
     changes = (np.flatnonzero(label[1:] != label[:-1]) + 1).tolist()
     first, last = [0, *changes], [*changes, len(label)]
     return list(zip(label[first].tolist(), first, last, strict=True)) if len(label) else []
 
 
 def pieces_of(label: NDArray[np.integer]) -> Iterator[slice]:
-    """Pieces of about PIECE of the rows whose sorted classes are `label`, which end where a class ends unless it is large:
-    a class's product costs little more for many rows than for few."""
+    """Yield pieces of about PIECE of the rows whose sorted classes are `label`, which end where a class ends unless it is
+    large: a class's product costs little more for many rows than for few."""
     start = np.array([first for _, first, _ in runs_of(label)], np.int64)
     first = start[np.unique(start // PIECE, return_index=True)[1]].tolist()
     for begin, end in itertools.pairwise([*first, len(label)]):
@@ -97,7 +97,7 @@ def add(sums: ClassSums, more: ClassSums) -> None:
 
 
 def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
-    """Grid steps of the moments (level, pair), powers of two."""
+    """Return grid steps of the moments (level, pair), powers of two."""
     return steps_of_columns(intercept_scale(rule, camera), rule.patch**2, outputs)
 
 
@@ -109,7 +109,7 @@ def intercept_scale(rule: ClassRule, camera: CameraModel) -> Array:
 
 
 def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
-    """Grid steps (level, pair) of products of columns: taps, the intercept of scale `intercept` (level), outputs."""
+    """Return grid steps (level, pair) of products of columns: taps, the intercept of scale `intercept` (level), outputs."""
     scale = np.ones((len(intercept), taps + 1 + outputs))
     scale[:, taps] = intercept
     row, col = pairs(scale.shape[1])
@@ -117,7 +117,7 @@ def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
 
 
 def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
-    """L3Error if sums have grown so large that additions may have been rounded. No product of two columns sums to more
+    """Raise L3Error if sums have grown so large that additions may have been rounded. No product of two columns sums to more
     than the larger of their squares, so the squares tell for all."""
     row, col = pairs(width_of(sums.moments))
     squares = rule.by_axis(sums.moments[:, row == col])[0] / steps[:, None, None, None, row == col]
@@ -135,7 +135,7 @@ def turned_places(turn: NDArray[np.integer], width: int) -> NDArray[np.intp]:
 
 
 def moment_matrix(packed: Array, width: int) -> Array:
-    """The symmetric matrices (…, column, column) of packed moments (…, pair)."""
+    """Return the symmetric matrices (…, column, column) of packed moments (…, pair)."""
     matrix = np.empty((*packed.shape[:-1], width, width))
     row, col = pairs(width)
     matrix[..., row, col] = packed

@@ -23,7 +23,7 @@ class SiteMap:
 
 
 def orientations(patch: int) -> list[Indices]:
-    """Tap permutations (tap) of the eight rotations and mirror images of a square patch, the identity first."""
+    """Return tap permutations (tap) of the eight rotations and mirror images of a square patch, the identity first."""
     taps = np.arange(patch * patch).reshape(patch, patch)
     return [np.rot90(side, turns).ravel() for side in (taps, taps.T) for turns in range(4)]
 
@@ -51,12 +51,12 @@ def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap
 
 
 def stabilisers(window: Indices, patch: int) -> list[Indices]:
-    """The orientations that leave the layout of one window (tap) as it is."""
+    """Return the orientations that leave the layout of one window (tap) as it is."""
     return [permutation for permutation in orientations(patch) if (window[permutation] == window).all()]
 
 
 def turned_classes(rule: ClassRule, permutation: Indices) -> Indices:
-    """Class within a site (class) that patches of each class have after their taps are permuted by an orientation of
+    """Return class within a site (class) that patches of each class have after their taps are permuted by an orientation of
     `orientations`. Only further features can change: sums over all of a patch stay."""
     number = next(n for n, each in enumerate(orientations(rule.patch)) if np.array_equal(each, permutation))
     transposed, turns = divmod(number, 4)
@@ -74,14 +74,14 @@ class Turn(NamedTuple):
 
 
 def turns_of(rule: ClassRule, window: Indices, shared: bool = True) -> list[Turn]:
-    """The orientations that leave the layout of one window (tap) as it is, the identity first; it alone unless training is
-    `shared`."""
+    """Return the orientations that leave the layout of one window (tap) as it is, the identity first; it alone unless
+    training is `shared`."""
     every = stabilisers(window, rule.patch) if shared else orientations(rule.patch)[:1]
     return [Turn(turn, np.argsort(turned_classes(rule, turn))) for turn in every]
 
 
 def turned_structures(rule: StructureRule, number: int) -> Indices:
-    """Class within a site (class) that windows of each class have after they are read in orientation `number` of
+    """Return class within a site (class) that windows of each class have after they are read in orientation `number` of
     `orientations`: only the direction of an edge changes."""
     across, down = structure.turn_signs(orientations(3)[number])
     place = rule.split(np.arange(rule.classes_per_site))

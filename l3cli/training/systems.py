@@ -31,9 +31,9 @@ class Equations(NamedTuple):
 
 
 def solve_within(equations: Equations, ridge: float, member: Array, integers: Integers | None) -> tuple[Array, Array]:
-    """The solutions (class, tap, as `right`) and their condition numbers (class): with `ridge`, or, if transforms or what
-    bends them to another response of the channels, whose taps `member` (channel, tap) tells, are too large, with the least
-    of its multiples by ten that makes them small enough."""
+    """Return the solutions (class, tap, as `right`) and their condition numbers (class): with `ridge`, or, if transforms or
+    what bends them to another response of the channels, whose taps `member` (channel, tap) tells, are too large, with the
+    least of its multiples by ten that makes them small enough."""
     solutions, conditions = np.empty_like(equations.right), np.empty(len(equations.right))
     left = np.arange(len(solutions))
     for step in range(STEPS + 1):
@@ -68,7 +68,7 @@ def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) ->
 
 
 def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Array:
-    """X Xᵀ + factor · Λ + ridge over taps and, if there is one, the intercept, of the `chosen` classes (class, tap, tap)."""
+    """Return x Xᵀ + factor · Λ + ridge over taps and any intercept, of `chosen` classes (class, tap, tap)."""
     taps = equations.noise.shape[1]
     systems = equations.power[chosen]
     diagonal = np.einsum("cii->ci", systems)  # a view
@@ -79,7 +79,7 @@ def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Ar
 
 
 def solve_positive(system: Array, right: Array) -> tuple[Array, float]:
-    """The solution of a symmetric positive system by Cholesky, and an estimate of its condition number (1-norm)."""
+    """Return the solution of a symmetric positive system by Cholesky, and an estimate of its condition number (1-norm)."""
     from scipy.linalg import lapack
 
     factor, failed = lapack.dpotrf(system.T, lower=False)

@@ -49,7 +49,7 @@ class Pilot:
 def take_pilot(
     frames: Iterable[TrainingPair], first: int, patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> Pilot:
-    """A pilot sample of `frames`, the first of which has the index `first` and which give so many `patches` (frame)."""
+    """Return a pilot sample of `frames`, the first of which has the index `first`, of so many `patches` (frame)."""
     camera = head.camera
     codes = 2 ** len(camera.channels)
     rule = make_rule(recipe.classes, camera, np.zeros(codes, dtype=np.uint16))
@@ -78,7 +78,7 @@ def take_pilot(
 
 
 def pilot_patches(patches: Sequence[int]) -> list[int]:
-    """Patches (frame) a site of the pilot sample of frames that have `patches` (frame)."""
+    """Return patches (frame) a site of the pilot sample of frames that have `patches` (frame)."""
     total = sum(patches)
     return [-(-PILOT_PATCHES * share // total) for share in patches]
 
@@ -86,9 +86,9 @@ def pilot_patches(patches: Sequence[int]) -> list[int]:
 def survey(
     pilots: Iterable[Pilot], patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> tuple[ClassRule, NDArray[np.float64], float, LightSpectrum | None]:
-    """The class rule for `head.camera`, its saturation cases and chroma centres from the pilots of all frames in order, the
-    mean white point (output) of their lights, the mean exposure time (s) of those that are simulated and the mean light, if
-    all are known; frames count as they have `patches` (frame)."""
+    """Return the class rule for `head.camera`, its saturation cases and chroma centres from the pilots of all frames in
+    order, the mean white point (output) of their lights, the mean exposure time (s) of those that are simulated and the mean
+    light, if all are known; frames count as they have `patches` (frame)."""
     every = list(pilots)
     filters = range(len(head.camera.channels)) if head.camera.readout is None else head.camera.readout.same_filter.tolist()
     occurrences = np.sum([pilot.occurrences for pilot in every], axis=0)
@@ -123,13 +123,13 @@ def _joined(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
-    """The sites that are trained; all others are their rotations or mirror images."""
+    """Return the sites that are trained; all others are their rotations or mirror images."""
     neighbours = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
     return sorted({site_map.canonical for site_map in site_maps(neighbours.channel, rule.patch, recipe.symmetry)})
 
 
 def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
-    """The sums of all parts; L3Error if a class has more patches than can be added exactly."""
+    """Return the sums of all parts; L3Error if a class has more patches than can be added exactly."""
     outputs = len(pass_.head.outputs)
     sums = empty_sums(pass_.rule, outputs)
     for part in parts:
@@ -139,7 +139,7 @@ def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
 
 
 def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> Solution:
-    """Solutions of one canonical site from the sums of all parts of a pass, in whatever order; L3Error as add_up."""
+    """Return solutions of one canonical site from the sums of all parts of a pass, in whatever order; L3Error as add_up."""
     sums = add_up(pass_, parts)
     camera, rule = pass_.head.camera, pass_.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
@@ -148,7 +148,7 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
 
 # Long: a table has many fields, and each is named.
 def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
-    """The table of all sites from the solutions of the canonical ones."""
+    """Return the table of all sites from the solutions of the canonical ones."""
     head, rule, camera = pass_.head, pass_.rule, pass_.head.camera
     neighbours = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     maps = site_maps(neighbours.channel, rule.patch, pass_.recipe.symmetry)
@@ -208,7 +208,7 @@ def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:
 
 
 def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
-    """DN of dark current in a frame; InputFileError if that fills its pixels."""
+    """Return DN of dark current in a frame; InputFileError if that fills its pixels."""
     dark = camera.dark_signal(frame.dark_time)
     if not dark < camera.white_level - camera.black_level:
         raise InputFileError(
@@ -218,7 +218,7 @@ def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
-    """White (output) of a frame's light at Y = 1, or at a mean of 1 where no output is called Y."""
+    """Return white (output) of a frame's light at Y = 1, or at a mean of 1 where no output is called Y."""
     size = float(brightness_of(frame.white, outputs))
     if frame.white.size != len(outputs) or size <= 0:
         raise InputFileError(f"white of scene {frame.scene} is no positive white of the outputs {', '.join(outputs)}")

@@ -85,7 +85,7 @@ def turned(known: CurveStatistics, order: Sequence[int]) -> CurveStatistics:
 
 
 def _covariance(modes: Array) -> Array:
-    """(channel, wavelength, channel, wavelength) of modes (mode, channel, wavelength), with a smooth share beside them."""
+    """Return (channel, wavelength, channel, wavelength) of modes (mode, channel, wavelength), and a smooth share."""
     _, count, size = modes.shape
     flat = modes.reshape(len(modes), -1)
     sampled = flat.T @ flat

@@ -67,7 +67,7 @@ class PhotoCamera:
         return value if value is not None and value >= LEAST_F_NUMBER else None
 
     def recipe(self) -> str:
-        """The camera recipe, with a comment on what each figure is from."""
+        """Return the camera recipe, with a comment on what each figure is from."""
         body, frame = self.body, self.frame
         rows = "\n".join(f'  "{" ".join(body.channels[site] for site in row)}",' for row in body.cfa)
         pitch, full = self.stated.pitch_um, (frame.white_level - frame.black_level) / self.noise.gain
@@ -105,7 +105,7 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
 """
 
     def curve_file(self) -> str:
-        """The curves as CSV, relative, per photon."""
+        """Return the curves as CSV, relative, per photon."""
         heading = ",".join(["wavelength_nm", *self.body.channels])
         lines = (
             f"{at:g}," + ",".join(f"{value:.5f}" for value in row)
@@ -115,7 +115,7 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
 
 
 def noise_of(stated: Stated, span: float) -> SensorNoise:
-    """The noise that a raw file states, or what is usual at its sensitivity; `span` DN lie between its levels."""
+    """Return the noise that a raw file states, or what is usual at its sensitivity; `span` DN lie between its levels."""
     if stated.noise is not None:
         slope, constant = stated.noise
         return SensorNoise(span * slope, float(np.sqrt(constant)) / slope, "as the file's noise profile says")

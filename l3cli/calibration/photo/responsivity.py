@@ -107,7 +107,7 @@ def measure(capture: PhotoCapture, body: Body) -> Photograph:
 
 
 def light_of(capture: PhotoCapture) -> Array:
-    """(wavelength) relative photon radiance of a photo's light, mean 1."""
+    """Return (wavelength) relative photon radiance of a photo's light, mean 1."""
     light = np.maximum(spectra.resample(capture.radiance, capture.wavelength, WAVELENGTH), 0.0)
     return np.asarray(light / light.mean())
 
@@ -305,7 +305,7 @@ def _far_lines(
 
 
 def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
-    """(photo, patch, channel), charts of fewer patches filled."""
+    """Return (photo, patch, channel), charts of fewer patches filled."""
     most = max(len(part) for part in parts)
     shape = (len(parts), most, parts[0].shape[1])
     result = np.full(shape, fill, dtype=bool if isinstance(fill, bool) else np.float64)

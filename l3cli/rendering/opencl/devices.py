@@ -120,8 +120,8 @@ _owner: int | None = None  # number of the process that has begun to use OpenCL
 
 
 def pyopencl() -> Any:
-    """pyopencl, imported when first needed; DeviceError if there is no OpenCL at all, or if this process was forked from one
-    that uses it: drivers have threads, which a fork does not copy, and the first call would wait for them for ever."""
+    """Return pyopencl, imported when first needed; DeviceError if there is no OpenCL at all, or if this process was forked
+    from one that uses it: drivers have threads, which a fork does not copy, and the first call would wait for ever."""
     global _owner
     if _owner not in (None, os.getpid()):
         raise DeviceError(FORKED)
@@ -135,13 +135,13 @@ def pyopencl() -> Any:
 
 
 def devices() -> list[Any]:
-    """Every OpenCL device there is, in the order that --device and L3_DEVICE count."""
+    """Return every OpenCL device there is, in the order that --device and L3_DEVICE count."""
     return [device for _, shown, _ in _platforms() for device in shown]
 
 
 def survey() -> list[str]:
-    """One line for each device, with its number; and one for each platform without any, and for none at all, with what is
-    missing and how to install it."""
+    """Return one line for each device, with its number; and one for each platform without any, and for none at all, with
+    what is missing and how to install it."""
     lines, number = [], 0
     platforms = _platforms()
     for name, shown, why in platforms:
@@ -178,7 +178,7 @@ def _platforms() -> list[tuple[str, list[Any], str]]:
 
 
 def choose_device(wanted: str) -> Any:
-    """The device that `wanted` names by index or part of its name; else the first GPU, else the first of any kind.
+    """Return the device that `wanted` names by index or part of its name; else the first GPU, else the first of any kind.
 
     DeviceError if there is none.
     """

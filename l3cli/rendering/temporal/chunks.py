@@ -21,7 +21,7 @@ class Filter(Protocol):
     """A recursive filter of one backend."""
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """The next frame, with what it shares with those before it."""
+        """Return the next frame, with what it shares with those before it."""
 
 
 class Chunks:
@@ -32,7 +32,7 @@ class Chunks:
         self._filters: dict[int, Filter] = {}  # by chunk
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """The frame at a place of the sequence, from 0; places increase, and may leave out what nothing needs."""
+        """Return the frame at a place of the sequence, from 0; places increase, and may leave out what nothing needs."""
         chunks = chunks_of(place)
         self._filters = {chunk: self._filters.get(chunk) or self._make() for chunk in chunks}
         made = [self._filters[chunk].filtered(frame) for chunk in chunks]  # the next one leads in
@@ -40,7 +40,7 @@ class Chunks:
 
 
 def chunks_of(place: int) -> range:
-    """The chunks whose filters take the frame at a place: its own and, where that leads in, the next."""
+    """Return the chunks whose filters take the frame at a place: its own and, where that leads in, the next."""
     return range(place // CHUNK, (place + LEAD) // CHUNK + 1)
 
 
@@ -75,7 +75,7 @@ class AnyOrder:
         self._chunks = Chunks(make)
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """The frame at a place, with what it shares with those before it."""
+        """Return the frame at a place, with what it shares with those before it."""
         with self._alone:
             if place in self._made:
                 return self._made[place]

@@ -25,7 +25,7 @@ NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # blocks whose vectors of the c
 
 
 def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
-    """Means of a mosaic of whole blocks over a period, then over two by two of these, and so on."""
+    """Return means of a mosaic of whole blocks over a period, then over two by two of these, and so on."""
     down, across = grid.period
     sums = values.reshape(grid.shape[0] // down, down, grid.shape[1] // across, across).sum(axis=(1, 3), dtype=np.int64)
     planes = [((sums + down * across // 2) // (down * across)).astype(np.int32)]
@@ -37,7 +37,7 @@ def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
 
 
 def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTerms) -> Vectors:
-    """The vector of every block in pixels: what is at a pixel now was at pixel + vector in the frame before."""
+    """Return the vector of every block in pixels: what is at a pixel now was at pixel + vector in the frame before."""
     found = np.zeros((*grid.blocks, 2), np.int32)
     for level in reversed(range(grid.planes)):
         coarsest = level == grid.planes - 1
@@ -75,7 +75,7 @@ class _Search:
         return np.arange(grid.blocks[axis]) * grid.block[axis] // unit - margin
 
     def _windows(self, plane: Plane, vector: Vectors) -> Plane:
-        """(block row, block col, row, col) of a plane, moved; beyond it its edge."""
+        """Return (block row, block col, row, col) of a plane, moved; beyond it its edge."""
         rows = np.clip(self._rows[:, None, :] + vector[..., 0, None], 0, plane.shape[0] - 1)
         cols = np.clip(self._cols[None, :, :] + vector[..., 1, None], 0, plane.shape[1] - 1)
         return plane[rows[..., :, None], cols[..., None, :]]
@@ -89,7 +89,7 @@ class _Search:
         return self._cost(vector) <= self._settled
 
     def best_of(self, candidates: list[Vectors]) -> Vectors:
-        """The best of several; all but the first cost reluctance."""
+        """Return the best of several; all but the first cost reluctance."""
         best = self._within(candidates[0])
         least = self._cost(best)
         for candidate in candidates[1:]:
@@ -100,7 +100,7 @@ class _Search:
         return best
 
     def _within(self, vector: Vectors) -> Vectors:
-        """Vectors that keep their block, at the finest plane, within the frame."""
+        """Return vectors that keep their block, at the finest plane, within the frame."""
         grid, limited = self._grid, vector.copy()
         for axis in (0, 1):
             unit = grid.period[axis] << self._level
@@ -112,7 +112,7 @@ class _Search:
 
 
 def root_of(window: tuple[int, int]) -> int:
-    """16 times the root of the number of units in a window."""
+    """Return 16 times the root of the number of units in a window."""
     return int(np.sqrt(window[0] * window[1]) * 16 + 0.5)
 
 

@@ -66,7 +66,7 @@ class GreyRenderer:
         self._reach = table.first.rule.radius + sum(max(REACH, layer.radius) for layer in table.later)
 
     def outputs_of(self, shares: Array) -> NDArray[np.float64]:
-        """Outputs (area, output) of plain areas whose channels have the signals `shares` (area, channel) of full scale."""
+        """Return outputs (area, output) of plain areas with signals `shares` (area, channel) of full scale."""
         table, (rows, cols) = self.table, self.table.cfa.shape
         down, across = (1 + 2 * -(-self._reach // period) for period in (rows, cols))  # periods of an area
         tile = np.tile(table.cfa, (down, across))
@@ -77,8 +77,8 @@ class GreyRenderer:
         return np.asarray(areas.mean(axis=(1, 3)).T, np.float64)
 
     def signals(self, frame: RawFrame, grey: Grey) -> NDArray[np.float64]:
-        """Mean signal (channel), in DN above black and dark current, of a grey in a frame; InputFileError if it is clipped,
-        too dark or not plain, or holds too little of a channel."""
+        """Return mean signal (channel), in DN above black and dark current, of a grey in a frame; InputFileError if it is
+        clipped, too dark or not plain, or holds too little of a channel."""
         means, why = _measured(frame, self.table, grey.where)
         if why:
             raise InputFileError(f"{grey.name} {why}")
@@ -89,7 +89,7 @@ class GreyRenderer:
         return not _measured(frame, self.table, grey.where)[1]
 
     def of_part(self, frame: RawFrame, where: tuple[slice, slice]) -> NDArray[np.float64]:
-        """Mean outputs of rows and columns of a frame as the sensor lies."""
+        """Return mean outputs of rows and columns of a frame as the sensor lies."""
         rows, cols = where
         margin = self._reach + max(self.table.cfa.shape)
         top, left = max(rows.start - margin, 0), max(cols.start - margin, 0)
@@ -101,15 +101,15 @@ class GreyRenderer:
 
 
 def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
-    """A part of a frame, its phase still that of the whole, without what channels differ by in their shading; what all of
-    them lose is about the same there, and stays."""
+    """Return a part of a frame, its phase still that of the whole, without what channels differ by in their shading; what
+    all of them lose is about the same there, and stays."""
     shading = frame.shading
     cut = None if shading is None else replace(shading, colour=None if shading.colour is None else shading.colour[where])
     return replace(replace(frame, values=frame.values[where], shading=cut).shading_corrected(), shading=None)
 
 
 def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:
-    """Mean signal (channel) in DN above black and dark current of a part of a frame, and why it is none of a grey, or ""."""
+    """Return mean signal (channel) in DN above black and dark current of a part of a frame, and why it is no grey, or ""."""
     values, means = _shading_corrected(frame, where).values, np.zeros(len(table.channels))
     clipped = float((values >= frame.white_level).mean())
     if clipped > MOST_CLIPPED:

@@ -32,17 +32,17 @@ class WhiteBalance:
 
 
 def adaptation(white: Array) -> NDArray[np.float64]:
-    """Bradford adaptation (3, 3) of outputs from a white (3)."""
+    """Return Bradford adaptation (3, 3) of outputs from a white (3)."""
     return np.asarray(adaptation_matrix(white, display_white()), np.float64)
 
 
 def plain_balance(white: Array, channels: int) -> WhiteBalance:
-    """Adaptation from a white (3) alone."""
+    """Return the adaptation from a white (3) alone."""
     return WhiteBalance(np.ones(channels), adaptation(white), 1.0)
 
 
 def balanced(frame: RawFrame, table: TransformTable, gains: Array) -> RawFrame:
-    """A frame whose channels have been multiplied by their gains, up to the white level."""
+    """Return a frame whose channels have been multiplied by their gains, up to the white level."""
     if (gains == 1).all():
         return frame
     curves = _curves(frame.black_level + frame.dark, frame.white_level, tuple(gains.tolist()))
@@ -82,14 +82,14 @@ class SteadyWhite:
         self._now: WhiteBalance | None = None
 
     def balance(self, wanted: WhiteBalance | None) -> WhiteBalance | None:
-        """Balance of the next frame; one that asks for none leaves it where it was (None at the beginning)."""
+        """Return the balance of the next frame; one that asks for none leaves it where it was (None at the beginning)."""
         if wanted is not None:
             self._now = wanted if self._now is None else _between(self._now, wanted, self._share)
         return self._now
 
 
 def followed_share(rate: Fraction) -> float:
-    """Share of a difference that is followed from one frame to the next."""
+    """Return the share of a difference that is followed from one frame to the next."""
     return 1 - math.exp(-1 / (float(rate) * TIME_CONSTANT))
 
 
@@ -154,8 +154,8 @@ class Whites:
         return camera.signal_weights @ spectra.resample(light.radiance, light.wavelength, camera.wavelength)
 
     def of_neutral(self, neutral: Array) -> SceneWhite:
-        """The white of which the channels have the signals `neutral` (channel), of any scale; InputFileError if the table
-        makes no white of them."""
+        """Return the white of which the channels have the signals `neutral` (channel), of any scale; InputFileError if the
+        table makes no white of them."""
         if not (np.isfinite(neutral).all() and neutral.max() > 0):
             raise InputFileError("a white without light is none; give another ‹white›")
         camera = self.table.camera
@@ -165,7 +165,7 @@ class Whites:
         return SceneWhite(self._balance(neutral, light), light, True)
 
     def of_light(self, name: str) -> SceneWhite:
-        """The white of a named illuminant; RecipeError if it is unknown."""
+        """Return the white of a named illuminant; RecipeError if it is unknown."""
         white, camera = spectra.white_point(name), self.table.camera
         if camera is None:
             return self.of_xyz(white)
@@ -174,8 +174,8 @@ class Whites:
         return SceneWhite(self._balance(camera.signal_weights @ radiance, light), light, True)
 
     def of_chromaticity(self, white: Array) -> SceneWhite:
-        """The white of a scene of which no more is known than its XYZ (3): of the light of training if that has it, else of
-        the black body or daylight, more or less green, that has it; where none has, pictures are adapted from it alone."""
+        """Return the white of a scene of which no more is known than its XYZ (3): of the light of training if that has it,
+        else of the black body or daylight, more or less green, that has it; where none has, pictures are adapted from it."""
         camera = self.table.camera
         if camera is None or np.linalg.norm(uv(white) - uv(self.table.white_point[:3])) < SAME_WHITE:
             return self.of_xyz(white)
@@ -186,11 +186,11 @@ class Whites:
         return SceneWhite(self._balance(camera.signal_weights @ light.radiance, light), light, True)
 
     def of_xyz(self, white: Array) -> SceneWhite:
-        """The white of XYZ (3) as the table shows it."""
+        """Return the white of XYZ (3) as the table shows it."""
         return SceneWhite(plain_balance(white, len(self.table.channels)), light_of(white), False)
 
     def of_greys(self, frame: RawFrame, greys: Sequence[Grey]) -> SceneWhite:
-        """The white of greys in a frame: that by which they have the least chroma, in squares of C*ab, all in all.
+        """Return the white of greys in a frame: that by which they have the least chroma, in squares of C*ab, all in all.
         InputFileError if one of them is clipped, too dark or not plain."""
         signals = np.array([self.grey.signals(frame, grey) for grey in greys])
         share = signals.mean(axis=1) / signals.mean(axis=1).max()
@@ -214,7 +214,7 @@ class Whites:
         return WhiteBalance(gains, matrix, float(before / after / raised))
 
     def _gains(self, neutral: Array) -> NDArray[np.float64]:
-        """Factors (channel), none below 1, that bring a neutral to that of training as far as they may."""
+        """Return factors (channel), none below 1, that bring a neutral to that of training as far as they may."""
         if self._trained is None:
             return np.ones(len(neutral))
         seen = (neutral > 0) & (self._trained > 0)  # a channel of infrared may see nothing of a lamp
@@ -226,8 +226,8 @@ class Whites:
         return _white(self.grey.outputs_of(GREY_LEVEL * neutral[None] / neutral.max())[0])
 
     def _correction(self, radiance: Array, gains: Array) -> NDArray[np.float64]:
-        """M (3, 3): XYZ under D65 from what the table, balanced and adapted, makes of measured surfaces under a light whose
-        radiance (wavelength) is given on the camera's grid, by least squares in which white stays what it is."""
+        """Return M (3, 3): XYZ under D65 from what the table, balanced and adapted, makes of measured surfaces under a light
+        whose radiance (wavelength) is given on the camera's grid, by least squares in which white stays what it is."""
         camera = self.table.camera
         assert camera is not None
         surfaces = _surfaces(tuple(camera.wavelength))
@@ -246,13 +246,13 @@ def _is_plausible(light: CorrelatedLight) -> bool:
 
 @functools.lru_cache(1)
 def _surfaces(wavelength: tuple[float, ...]) -> Array:
-    """Measured reflectances (surface, wavelength), evenly taken from the library."""
+    """Return measured reflectances (surface, wavelength), evenly taken from the library."""
     library = spectra.reflectance_library(np.array(wavelength))
     return np.asarray(library[np.linspace(0, len(library) - 1, SURFACES).round().astype(int)])
 
 
 def _white(outputs: Array) -> NDArray[np.float64]:
-    """Outputs (3) that can be those of a white; InputFileError unless all are above zero."""
+    """Return outputs (3) that can be those of a white; InputFileError unless all are above zero."""
     if not (np.isfinite(outputs).all() and outputs.min() > 0):
         raise InputFileError("the table makes no white of this grey; is it the table of this camera?")
     return np.asarray(outputs, np.float64)

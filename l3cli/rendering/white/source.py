@@ -45,7 +45,7 @@ class AutoWhite:
         self._made: dict[tuple[int, int], SceneWhite] = {}
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
-        """White of a frame; None where all is clipped or dark."""
+        """Return the white of a frame; None where all is clipped or dark."""
         estimate = estimated(*self._samples(frame))
         if estimate is None:
             return None
@@ -56,14 +56,14 @@ class AutoWhite:
         return self._made[place]
 
     def _nearest(self, estimate: Array) -> tuple[int, int]:
-        """Place of the likeliest light for an estimate."""
+        """Return the place of the likeliest light for an estimate."""
         green = np.linspace(GREENS[0], GREENS[-1], FINE[1])
         error = ((self._places - estimate) ** 2).sum(axis=-1) / LIKELY_ERROR**2 + (green / LIKELY_GREEN) ** 2
         row, col = np.unravel_index(int(error.argmin()), error.shape)
         return int(row), int(col)
 
     def _neutral(self, row: int, col: int) -> Array:
-        """Signals (channel) of a grey under the light of a place."""
+        """Return signals (channel) of a grey under the light of a place."""
         places = (
             np.array([place * (count - 1) / (fine - 1)])
             for place, count, fine in zip((row, col), self._neutrals.shape[:2], FINE, strict=True)
@@ -71,7 +71,7 @@ class AutoWhite:
         return np.asarray(_between(self._neutrals, *places)[0, 0])
 
     def _samples(self, frame: RawFrame) -> tuple[Array, NDArray[np.bool_]]:
-        """Cone responses (row, col, 3) of a grid of pixels, and which of them (row, col) are neither clipped nor dark."""
+        """Return cone responses (row, col, 3) of a grid of pixels, and which (row, col) are neither clipped nor dark."""
         table, rule = self._table, self._table.first.rule
         patches, site, labels = self._spread.of(frame)
         classes, signal = rule.on_site(labels, site), self._spread.signal(patches)
@@ -92,7 +92,7 @@ class AutoWhite:
 
 
 def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
-    """Logarithms of the outer cone responses over the middle one (2) of the white of samples (row, col, 3); None of too few.
+    """Return logarithms (2) of the outer cone responses over the middle one of white in samples (row, col, 3); None of few.
 
     The mean of what two methods find: that the steps between neighbours are grey where they are large (van de Weijer, Gevers
     and Gijsenij, 2007), and that the largest response of each cone is that to white (Land, 1977).
@@ -110,8 +110,8 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
 
 
 def _neutrals(table: TransformTable) -> Array:
-    """Signals (mired, green, channel) of a grey under lights near daylight and black bodies; of a table without its camera
-    XYZ, which it is taken to show."""
+    """Return signals (mired, green, channel) of a grey under lights near daylight and black bodies; of a table without its
+    camera XYZ, which it is taken to show."""
     camera = table.camera
     grid = camera.wavelength if camera else correlated_lights.WAVELENGTH
     weights = camera.signal_weights if camera else spectra.xyz_weights(grid)
@@ -121,12 +121,12 @@ def _neutrals(table: TransformTable) -> Array:
 
 
 def _ratios(cones: Array) -> Array:
-    """Logarithms (…, 2) of the outer cone responses over the middle one, of (…, 3)."""
+    """Return logarithms (…, 2) of the outer cone responses over the middle one, of (…, 3)."""
     return np.log(cones[..., [0, 2]] / cones[..., 1:2])
 
 
 def _between(values: Array, rows: Array, cols: Array) -> Array:
-    """Values (row, col, …) at fractional places `rows` and `cols`, linearly (row, col, …)."""
+    """Return values (row, col, …) at fractional places `rows` and `cols`, linearly (row, col, …)."""
     low_row = np.clip(rows.astype(int), 0, values.shape[0] - 2)
     low_col = np.clip(cols.astype(int), 0, values.shape[1] - 2)
     down, across = (rows - low_row)[:, None, None], (cols - low_col)[None, :, None]
@@ -163,7 +163,7 @@ class ChartWhite:
         self._reflectance = charts.chart("classic", WAVELENGTH)[1]
 
     def white(self, frame: RawFrame) -> ChartSceneWhite:
-        """The white of a frame; InputFileError if there is no chart in it, or no grey of one can be measured."""
+        """Return the white of a frame; InputFileError if there is no chart in it, or no grey of one can be measured."""
         table, (rows, cols) = self._table, charts.CLASSIC
         mosaic = frame.shading_corrected().values - (frame.black_level + frame.dark)
         located = locate(mosaic, shifted_cfa(table.cfa, frame.phase), self._reflectance, charts.CLASSIC)
@@ -180,7 +180,7 @@ class ChartWhite:
 
 
 def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
-    """The squares in the middle of neutral patches."""
+    """Yield the squares in the middle of neutral patches."""
     for patch in NEUTRALS:
         row, col = divmod(patch, charts.CLASSIC[1])
         middle = np.array([col + 0.5, row + 0.5])
@@ -192,7 +192,7 @@ def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
 
 
 def _place(frame: RawFrame, located: Located) -> str:
-    """Rows and columns of a chart in the upright picture."""
+    """Return rows and columns of a chart in the upright picture."""
     corners = through(located.to_pixels, corner_cells(*charts.CLASSIC))
     cols, rows = (_turned(corners[:, axis], frame, axis) for axis in (0, 1))
     if frame.orientation & 4:
@@ -201,7 +201,7 @@ def _place(frame: RawFrame, located: Located) -> str:
 
 
 def _turned(places: NDArray[np.floating], frame: RawFrame, axis: int) -> NDArray[np.floating]:
-    """Columns (axis 0) or rows of the sensor, mirrored as the picture is."""
+    """Return columns (axis 0) or rows of the sensor, mirrored as the picture is."""
     return frame.values.shape[1 - axis] - 1 - places if frame.orientation & (1, 2)[axis] else places
 
 
@@ -224,7 +224,7 @@ class WhiteSource(Protocol):
         ...
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
-        """White of a frame, None where there is nothing to tell it by; InputFileError if it cannot be taken from it."""
+        """Return the white of a frame, None where nothing shows it; InputFileError if it cannot be taken from it."""
         ...
 
 
@@ -287,7 +287,7 @@ def white_source(text: str | None, table: TransformTable, estimated_by: Transfor
 
 
 def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
-    """The white that a name or "x,y" means; None: that of the table. RecipeError if it is neither."""
+    """Return the white that a name or "x,y" means; None: that of the table. RecipeError if it is neither."""
     if text is None:
         return None
     return Whites(table).of_chromaticity(scene_white(text)) if "," in text else Whites(table).of_light(text)

@@ -51,7 +51,7 @@ WILD = re.compile(r"\[[^]]*\]|[*?]")
 
 
 def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> tuple[Path, ...]:
-    """Each input, in the place of a folder of clips what lies in it. RecipeError if the output would arrive there."""
+    """Return each input, in the place of a folder of clips what lies in it. RecipeError if the output would arrive there."""
     clips: list[Path] = []
     for each in inputs:
         inside = _clips_in(each, lambda: load(TransformTable, table), options) if each.is_dir() else []
@@ -113,7 +113,7 @@ def _is_clip(path: Path) -> bool:
 
 
 def refuse_one_name(sources: Sequence[Path]) -> None:
-    """RecipeError if two clips have one name."""
+    """Raise RecipeError if two clips have one name."""
     named: dict[str, Path] = {}
     for source in sources:
         if source == STDIN:
@@ -255,7 +255,7 @@ class Summary:
         return 1 if self.counts[FAILED] or self.left_out else 0
 
     def document(self) -> dict[str, Any]:
-        """All of it, ready for JSON."""
+        """Return all of it, ready for JSON."""
         states = {f"clips_{state}": self.counts[state] for state in (RENDERED, KEPT, FAILED)}
         return {"clips": [asdict(each) for each in self.clips], **states, "frames": self.frames, "left_out": self.left_out}
 

@@ -61,7 +61,7 @@ class Local:
         self._renderer, self._setup = renderer, setup
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[FrameReference, Any]]:
-        """Each frame rendered, in order.
+        """Yield each frame rendered, in order.
 
         Pictures whose exposure is known beforehand overlap on the device: while one is written the next is at work.
         """
@@ -126,7 +126,7 @@ class Remote:
         self._pool, self._setup, self.by_path, self._shading = pool, setup, by_path, shading
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[FrameReference, Any]]:
-        """Each frame rendered, the content of its picture's file, or what is wrong with it, in order."""
+        """Yield each frame rendered, the content of its picture's file, or what is wrong with it, in order."""
         away: collections.deque[FrameReference] = collections.deque()
 
         def jobs() -> Iterator[RenderJob]:
@@ -176,7 +176,7 @@ def _rendered(job: RenderJob) -> Any:
 def _renderer(
     path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...], pictures: bool, mix: Mix | None
 ) -> "tuple[TransformTable, Renderer]":
-    """The table, of `pictures` X, Y, Z alone, mixed for a light, and what renders through it, made once a worker."""
+    """Return the table, of `pictures` X, Y, Z alone, mixed for a light, and what renders through it, made once a worker."""
     from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.rendering.renderer import NoiseRenderer
@@ -214,7 +214,7 @@ class Renderers:
         self._renderers: dict[Any, Renderer] = {}
 
     def of(self, setup: RenderSetup, table: "TransformTable") -> "Renderer":
-        """The renderer of a run."""
+        """Return the renderer of a run."""
         from l3cli.rendering.renderer import NoiseRenderer
 
         key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items()), setup.mix

@@ -122,7 +122,7 @@ def _chunks(
     backend: str, engine: Mapping[str, str | None], table: TransformTable, scheduler: "Scheduler | None",
     sequence: FrameSequence, console: Console,
 ) -> Chunks:  # fmt: skip
-    """The filters of a sequence. They run here, also where workers render: frames depend on one another."""
+    """Return the filters of a sequence. They run here, also where workers render: frames depend on one another."""
     if sequence.count == 1:
         console.warn("one frame has none before it: ‹temporal› changes nothing of it; give a sequence")
     try:
@@ -134,14 +134,14 @@ def _chunks(
 
 
 def _protected(sequence: FrameSequence, guard: OutputGuard) -> FrameSequence:
-    """Frames whose files no output may replace; those of a stream, which may be endless, lie in one file."""
+    """Return frames whose files no output may replace; those of a stream, which may be endless, lie in one file."""
     if not sequence.is_stream:
         guard.protect(*(reference.source for reference in sequence.frames if reference.source))
     return sequence
 
 
 def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
-    """RecipeError if something is asked for that the destination cannot have."""
+    """Raise RecipeError if something is asked for that the destination cannot have."""
     space, exposure = options.space, options.exposure
     if destination.linear and space is None and (exposure.factor is not None or exposure.stops or options.white is not None):
         raise RecipeError(
@@ -176,8 +176,8 @@ Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for
 
 
 def mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
-    """The choice for a white that is given by name or "x,y"; None, the transforms of all lights in common, for that of the
-    table. RecipeError as given_white."""
+    """Return the choice for a white that is given by name or "x,y"; None, the transforms of all lights in common, for that
+    of the table. RecipeError as given_white."""
     if not table.lights:
         return None
     given = given_white(white, table)
@@ -194,9 +194,9 @@ def mix_of_given(white: str | None, table: TransformTable, choice: Choice, conso
 def mix_of_first(
     source: WhiteSource, table: TransformTable, sequence: FrameSequence, console: Console
 ) -> tuple[Mix | None, FrameSequence]:
-    """The light nearest to the white of the first of the frames, by whose transforms all of them are rendered, and the
-    frames; None, the transforms of all lights in common, where it has none. What is wrong with a frame is said when it is
-    rendered."""
+    """Return the light nearest to the white of the first of the frames, by whose transforms all of them are rendered, and
+    the frames; None, the transforms of all lights in common, where it has none. What is wrong with a frame is said when it
+    is rendered."""
     first, sequence = _first_frame(sequence)
     white, alone = None, sequence.count == 1
     if first is not None:
@@ -214,7 +214,7 @@ def mix_of_first(
 
 
 def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequence]:
-    """The first frame, None if there is none or it is broken, and the frames again: those of a stream come once."""
+    """Return the first frame, None if there is none or it is broken, and the frames again: those of a stream come once."""
     frames = sequence.frames
     number = next(iter(frames.wanted), None)
     if number is None:

@@ -217,7 +217,7 @@ class _Reading:
     _is_first: bool = True
 
     def _asked(self) -> Iterator[tuple[int, FrameReference, bool]]:
-        """Each frame with its place, and whether its picture is known to be there already, before it is read."""
+        """Yield each frame with its place, and whether its picture is known to be there already, before it is read."""
         sequence, destination = self.job.sequence, self.job.destination
         for place, reference in enumerate(itertools.islice(sequence.frames, sequence.part.stop if sequence.part else None)):
             is_finished = not sequence.renders(place)
@@ -274,7 +274,7 @@ class _Reading:
         return _Read(reference, frame, scale, white, balance, is_finished=is_finished)
 
     def _require_size(self, frame: RawFrame) -> None:
-        """InputFileError unless a frame has the size of the first."""
+        """Raise InputFileError unless a frame has the size of the first."""
         shape = upright(frame.values, frame.orientation).shape
         self._size = size = self._size or shape
         if shape != size:
@@ -285,8 +285,8 @@ class _Reading:
 
 
 def _filtered(reading: Iterator[_Read], temporal: Chunks) -> Iterator[_Read]:
-    """The same, filtered. In a thread of its own: a filter waits between its kernels for those of rendering, and the next
-    frame is read meanwhile."""
+    """Yield the same, filtered. In a thread of its own: a filter waits between its kernels for those of rendering, and the
+    next frame is read meanwhile."""
     for each in reading:
         if each.place is not None and isinstance(each.frame, RawFrame):
             each = replace(each, frame=temporal.filtered(each.place, each.frame))
@@ -301,7 +301,7 @@ def _identity(reference: FrameReference, frame: RawFrame) -> str:
 
 
 def _exposed(reading: Iterable[_Read], job: SequenceJob, tally: Tally, white_report: WhiteReport) -> Iterator[Exposed]:
-    """The frames to render, each with its scale (0: automatic exposure); what is broken is raised, or said and counted."""
+    """Yield the frames to render, each with its scale (0: automatic); errors are raised, or reported and counted."""
     for each in reading:
         if each.error is not None:
             if each.counted or not job.options.skip_bad:

@@ -35,8 +35,8 @@ def files_of(source: sources.Source, path: Path) -> list[Path]:
 
 
 def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callable[[int], Scene | ChannelPicture]":
-    """The scene, read or synthetic, as it lies on the sensor in each frame of its clip; one that stands still is the same in
-    all. InputFileError if it does not fit there."""
+    """Return the scene, read or synthetic, as it lies on the sensor in each frame of its clip; one that stands still is the
+    same in all. InputFileError if it does not fit there."""
     from l3cli.frames.scene import ChannelPicture
     from l3cli.simulation import procedural
     from l3cli.simulation.clip import clip_of
@@ -63,7 +63,7 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
 
 
 def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene | ChannelPicture":
-    """The scene of a file: read as such, or made of a picture or a cube."""
+    """Return the scene of a file: read as such, or made of a picture or a cube."""
     from l3cli.frames.scene import ChannelPicture, Scene, SpectralCube
 
     source = wanted.source
@@ -120,13 +120,13 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
 
 
 def _check_size(wanted: sources.WantedScene, run: SimulationRun) -> None:
-    """RecipeError for a synthetic scene, InputFileError for a file, if it does not fit on the sensor."""
+    """Raise RecipeError for a synthetic scene, InputFileError for a file, if it does not fit on the sensor."""
     error = RecipeError if wanted.path is None else InputFileError
     sources.check_size(size_of(wanted, run), run.camera, error, str(wanted.path or wanted.name))
 
 
 def size_of(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
-    """(rows, cols) of a scene as it lies on the sensor, of a file by its header; errors as of `refusals`."""
+    """Return (rows, cols) of a scene as it lies on the sensor, of a file by its header; errors as of `refusals`."""
     from l3cli.simulation.sources import framed_size
 
     source = wanted.source
@@ -147,7 +147,7 @@ def _file_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, in
 
 
 def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> tuple[SimulationRun, list[list[Path]]]:
-    """Everything checked and resolved before any work: the run, and the files of each source."""
+    """Return everything checked and resolved before any work: the run, and the files of each source."""
     try:
         asked.check(recipe, camera)
         named = asked.curve_files(recipe)
@@ -172,8 +172,8 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
 def fitting(
     run: SimulationRun, files: list[list[Path]], path: Path, skip_bad: bool, console: Console
 ) -> tuple[list[list[Path]], int]:
-    """The files of each source that can be read and fit on the sensor, and how many do not: with `skip_bad` each is said
-    and left out, else InputFileError names them all."""
+    """Return the files of each source that can be read and fit on the sensor, and how many do not: with `skip_bad` each is
+    said and left out, else InputFileError names them all."""
     refused = refusals(run, files)
     bad = [error for errors in refused for error in errors.values()]
     if not bad:
@@ -194,7 +194,7 @@ def fitting(
 
 
 def input_files(run: SimulationRun, files: list[list[Path]]) -> dict[str, list[Path]]:
-    """All files of a run by their role; `files` are those of each source."""
+    """Return all files of a run by their role; `files` are those of each source."""
     return {
         "scene": [
             file
@@ -214,7 +214,7 @@ def head_of(
     inputs: dict[str, list[Path]],
     chosen: dict[str, Any],
 ) -> TrainingSet:
-    """The training set's head, with this stage as the last of the camera's history."""
+    """Return the training set's head, with this stage as the last of the camera's history."""
     texts = [read_text(recipes[0]), recipe_text(recipes[1])]
     sums = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
     recipe = "\n".join(text for text in texts if text)

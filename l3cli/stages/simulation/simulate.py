@@ -157,8 +157,8 @@ def write_pictures(
 
 
 def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> dict[int, float]:
-    """Each frame as raw mosaic and as the picture it should become, white at display white; of those that are sRGB the
-    factor of Y at which a table shows the same."""
+    """Return each frame as raw mosaic and as the picture it should become, white at display white; of those that are sRGB
+    the factor of Y at which a table shows the same."""
     import numpy as np
 
     from l3cli.io.pictures.openimageio import write_mosaic

@@ -172,8 +172,8 @@ class WorkUnit:
 def units_of(
     run: SimulationRun, work: list[tuple[sources.WantedScene, list[Shot]]], stored: StoredFrames, workers: int
 ) -> list[WorkUnit]:
-    """One unit a scene, of its frames that are not stored, so that each is read once; a scene is shared out where there are
-    fewer scenes than workers need."""
+    """Return one unit a scene, of its frames that are not stored, so that each is read once; a scene is shared out where
+    there are fewer scenes than workers need."""
     first = sum(len(shots) for _, shots in work)
     pairs = ((pair, [Shot(first + number, "", 0.0, 0.0)]) for number, pair in enumerate(run.recipe.pair))
     pieces = -(-2 * workers // max(1, len(work))) if workers > 1 else 1

@@ -33,7 +33,7 @@ class Execution:
 
 
 def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
-    """The first pass, or the only one, with the class rule that a pilot over all frames finds."""
+    """Return the first pass, or the only one, with the class rule that a pilot over all frames finds."""
     learning = run.recipe.learning
     check_learning(learning)
     check_layers(run.recipe.layer)
@@ -59,7 +59,7 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
 
 
 def pass_of(run: TrainingRun, table: TransformTable, number: int | None = None) -> TrainingPass:
-    """The first pass, or the pass `number`, of a run whose class rule and white are those of a table."""
+    """Return the first pass, or the pass `number`, of a run whose class rule and white are those of a table."""
     learning = run.recipe.learning
     number = number or (FIRST if has_two_passes(run.head, learning) else LAST)
     about = (run.head, run.patches, table.first.rule, learning, table.white_point, run.seed, number)
@@ -121,7 +121,7 @@ def summed(
 
 
 def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> TransformTable:
-    """The table of one layer that this pass and those after it make."""
+    """Return the table of one layer that this pass and those after it make."""
     table = None
     for number in range(pass_.number, LAST + 1):
         pass_ = replace(pass_, number=number)
@@ -140,7 +140,7 @@ def sum_unit(unit: WorkUnit) -> dict[int, ClassSums]:
 
 
 def learn_unit(unit: WorkUnit) -> dict[int, ClassSums | Solution]:
-    """Solutions of the sites whose sums are whole, which then need not travel; sums of the others."""
+    """Return solutions of the sites whose sums are whole, which then need not travel; sums of the others."""
     results: dict[int, Any] = dict(sum_unit(unit))
     for site in unit.share.whole:
         results[site] = learn_site(unit.pass_, [results[site]], site)

@@ -54,7 +54,7 @@ def execution_of(
 
 
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
-    """All passes of all layers, for all conditions."""
+    """Return all passes of all layers, for all conditions."""
     table = learn_first(run, first_pass(run, execution), execution)
     table = learn_refinement_layers(run, table, execution)
     return learn_conditions(run, table, execution)

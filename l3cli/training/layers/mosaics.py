@@ -38,7 +38,7 @@ class Mosaics:
 
     @classmethod
     def joined(cls, parts: list["Mosaics"]) -> "Mosaics":
-        """The mosaics of all parts, of one width."""
+        """Return the mosaics of all parts, of one width."""
         arrays = [np.concatenate([getattr(part, name) for part in parts], axis=-2) for name in ("values", "clean", "target")]
         return cls(sum(part.count for part in parts), *arrays)
 
@@ -56,7 +56,7 @@ class Exposed:
     margin: int  # … and of what is read beyond it
 
     def shape(self, frame: tuple[int, int]) -> tuple[int, int]:
-        """Rows and columns of the mosaics of a frame: periods of the array, unless the frame has less than one."""
+        """Return rows and columns of the mosaics of a frame: periods of the array, unless the frame has less than one."""
         most = min(*frame, LARGEST_SIDE)
         wanted = min(self.inner + 2 * self.margin, most)
         rows, cols = (min(-(-wanted // period), most // period) * period or most for period in self.camera.cfa.shape)
@@ -64,9 +64,9 @@ class Exposed:
 
 
 def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaics]:
-    """`count` mosaics of a frame, one by one. Simulated ones are turned and mirrored at random and shown at drawn levels,
-    the last of them without colour; real pairs, whose noise cannot be separated from the scene, as they are. None of a frame
-    with nothing to learn from within the margin."""
+    """Yield `count` mosaics of a frame, one by one. Simulated ones are turned and mirrored at random and shown at drawn
+    levels, the last of them without colour; real pairs, whose noise cannot be separated from the scene, as they are. None of
+    a frame with nothing to learn from within the margin."""
     camera, shape = exposed.camera, exposed.shape(frame.raw.shape)
     if min(shape) <= 2 * exposed.margin:
         return
@@ -82,7 +82,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
 def _shown(
     frame: TrainingFrame, count: int, shape: tuple[int, int], exposed: Exposed, rng: np.random.Generator
 ) -> Iterator[Mosaics]:
-    """Mosaics of a simulated frame."""
+    """Yield mosaics of a simulated frame."""
     camera = exposed.camera
     channel = camera.channel_map(shape)
     gains = (camera.channel_gains / camera.full_scale).astype(np.float32)
@@ -103,8 +103,8 @@ def _shown(
 
 
 def sheets_of(mosaics: Iterable[Mosaics], period: int) -> Iterator[Mosaics]:
-    """Mosaics that follow one another and are of one size together, up to SHEET pixels; those of other than whole periods
-    one by one."""
+    """Yield mosaics that follow one another and are of one size together, up to SHEET pixels; those of other than whole
+    periods one by one."""
     parts: list[Mosaics] = []
     for each in mosaics:
         if parts and (
@@ -136,8 +136,8 @@ Turn = tuple[int, bool, slice, slice]  # quarter turns, whether mirrored, and ro
 def _drawn_turn(
     frame: tuple[int, ...], shape: tuple[int, int], place: list[float], rng: np.random.Generator
 ) -> tuple[Turn, Turn]:
-    """A piece of this `shape` of a turned frame, at `place` from 0 to 1 along each axis, and the part about it whose level
-    is drawn."""
+    """Return a piece of this `shape` of a turned frame, at `place` from 0 to 1 along each axis, and the part about it whose
+    level is drawn."""
     turns, mirrored = int(rng.integers(4)), bool(rng.integers(2))
     parts, pieces = [], []
     for length, side, share in zip(frame[::-1] if turns % 2 else frame, shape, place, strict=True):
@@ -171,19 +171,19 @@ class Seen:
     clean: Floats  # (plane, row, col) the same without noise, by the classes of the noisy one
 
     def inner_pixels(self, margin: int) -> Integers:
-        """Indices (pixel) of the pixels that are at least `margin` away from the edge of their mosaic."""
+        """Return indices (pixel) of the pixels that are at least `margin` away from the edge of their mosaic."""
         return within(np.arange(self.label.size).reshape(self.label.shape), self.count, margin).ravel()
 
 
 def within(planes: NDArray, count: int, margin: int) -> NDArray:
-    """Planes (…, row, col) of `count` mosaics without a margin of each."""
+    """Return planes (…, row, col) of `count` mosaics without a margin of each."""
     rows, cols = planes.shape[-2] // count, planes.shape[-1]
     mosaics = planes.reshape(*planes.shape[:-2], count, rows, cols)[..., margin : rows - margin, margin : cols - margin]
     return mosaics.reshape(*planes.shape[:-2], count * mosaics.shape[-2], mosaics.shape[-1])
 
 
 def margin_of(side: int) -> int:
-    """Pixels about each that a layer of windows of `side` reads planes of, for its classes or its windows."""
+    """Return pixels about each that a layer of windows of `side` reads planes of, for its classes or its windows."""
     return max(REACH, side // 2)
 
 
@@ -196,7 +196,7 @@ class FirstLayer:
         self._apply = _Transforms(fixed)
 
     def see(self, mosaics: Mosaics) -> Seen:
-        """Classes and planes of mosaics."""
+        """Return classes and planes of mosaics."""
         camera, rule, count, margin = self.camera, self.rule, mosaics.count, self.rule.radius
         statistics = mosaic_statistics(mosaics.values, rule, self._neighbours, camera.cfa, (0, 0))
         mean = (statistics.sums / self._neighbours.count[statistics.site]).mean(axis=-1) * 2**rule.shift
@@ -216,7 +216,7 @@ class PlaneStage:
         self._apply = _Transforms(refined_fixed_point(layer, basis))
 
     def see(self, seen: Seen) -> Seen:
-        """The mosaics after one layer more."""
+        """Return the mosaics after one layer more."""
         count, margin = seen.count, margin_of(self.layer.side)
         label = within(label_planes(seen.noisy, seen.label, self.layer.rule, self.first), count, margin)
         edge = margin - self.layer.radius
@@ -243,7 +243,7 @@ class _Transforms:
     def __call__(
         self, noisy: NDArray, clean: NDArray, side: int, count: int, label: Integers
     ) -> tuple[NDArray[np.int32], Floats]:
-        """Planes (plane, row, col) of the windows of `side` in sources (source, row, col) of `count` mosaics, of the
+        """Return planes (plane, row, col) of the windows of `side` in sources (source, row, col) of `count` mosaics, of the
         classes `label` (row, col): of noisy ones, which are whole numbers, that float64 adds exactly; and without rounding,
         of those without noise."""
         _, rows, cols = noisy.shape

@@ -52,8 +52,8 @@ class Reading:
         return 3 * self.order.shape[1] + self.ratio_taps
 
     def offsets(self, cols: int) -> Integers:
-        """Steps (site, tap) from a pixel of planes of so many columns to the taps of its window; behind them none, up to the
-        number of columns behind a window."""
+        """Return steps (site, tap) from a pixel of planes of so many columns to the taps of its window; behind them none, up
+        to the number of columns behind a window."""
         reach = np.arange(self.side) - self.side // 2
         steps = (reach[:, None] * cols + reach).ravel()[self.order]
         return np.pad(steps, ((0, 0), (0, max(self.ratio_taps + 1 + 3 - steps.shape[1], 0))))
@@ -74,13 +74,13 @@ def empty_sums(rule: PlaneRule, taps: int, outputs: int) -> LayerSums:
 
 
 def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
-    """Grid steps of the moments (level, pair); the darkest of the first layer's levels tells for those made one."""
+    """Return grid steps of the moments (level, pair); the darkest of the first layer's levels tells for those made one."""
     darkest = np.searchsorted(rule.level_of(np.arange(first.levels)), np.arange(rule.levels))
     return steps_of_columns(intercept_scale(first, camera)[darkest], taps, outputs)
 
 
 def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) -> None:
-    """L3Error if sums have grown so large that additions may have been rounded, as that of the first layer."""
+    """Raise L3Error if sums have grown so large that additions may have been rounded, as that of the first layer."""
     (row, col), (tap, other) = pairs(width_of(sums.moments)), pairs(width_of(sums.noise))
     level = rule.split(np.arange(rule.classes_per_site)).level
     squares = sums.moments[:, row == col] / steps[level][:, row == col]
@@ -91,8 +91,8 @@ def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) 
 def row_weights(
     seen: Seen, basis: NDArray[np.float64], white: NDArray[np.float64], recipe: LearningRecipe, pictures: bool
 ) -> Floats:
-    """Weight (row, col) of every pixel: relative to its level, less for large errors of the first layer, whose noise is
-    averaged over 5 × 5 (docs/method.md#row-weights, docs/method.md#second-pass); of what is no picture, for those of the
+    """Return weight (row, col) of every pixel: relative to its level, less for large errors of the first layer, whose noise
+    is averaged over 5 × 5 (docs/method.md#row-weights, docs/method.md#second-pass); of what is no picture, for those of the
     whole mosaic."""
     relative = np.maximum(seen.target[..., Y], 0) / seen.brightness + np.float32(TARGET_FLOOR)
     weight = relative ** np.float32(-recipe.brightness_power) / seen.brightness ** np.float32(recipe.level_power)
@@ -109,8 +109,8 @@ def row_weights(
 
 
 def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean squared error (mosaic) of what the layers before make of each, above a floor: errors of what is no picture are
-    judged mosaic by mosaic, as PSNR does."""
+    """Return mean squared error (mosaic) of what the layers before make of each, above a floor: errors of what is no picture
+    are judged mosaic by mosaic, as PSNR does."""
     error = np.moveaxis(seen.noisy, 0, -1) @ (np.linalg.inv(basis) * PLANE_STEP) - seen.target
     return np.asarray((error**2).reshape(seen.count, -1).mean(axis=1) + MEAN_FLOOR)
 
@@ -159,7 +159,7 @@ class GatheredRows:
         self._sheets.append(_Rows(clean, noise, *about, behind, both - light))
 
     def _ratios(self, planes: NDArray, pixels: Integers) -> Floats:
-        """Ratio taps (pixel, tap) of planes (plane, row, col)."""
+        """Return ratio taps (pixel, tap) of planes (plane, row, col)."""
         if not self.reading.ratio_taps:
             return np.empty((pixels.size, 0), np.float32)
         taps = shaded_chroma(planes, self.reading.side).reshape(self.reading.ratio_taps, -1)[:, pixels]
@@ -198,7 +198,7 @@ class GatheredRows:
 
 
 def _weighted(windows: Floats, behind: Floats, weight: Floats) -> Floats:
-    """Weighted rows (row, 4 · tap) of windows (row · tap, 4), of which each fourth number is nothing, with `behind`
+    """Return weighted rows (row, 4 · tap) of windows (row · tap, 4), of which each fourth number is nothing, with `behind`
     (row, column) in the place of these nothings."""
     values = windows.reshape(len(weight), -1)
     values[:, 3 : 3 + 4 * behind.shape[1] : 4] = behind

@@ -32,10 +32,9 @@ class LayerGoal:
 def solve_layer(
     sums: list[LayerSums], copies: list[int], rule: PlaneRule, goal: LayerGoal, equal: bool = True
 ) -> list[Array]:
-    """Rows (class, tap + 1, output) of the canonical sites, each of which stands for `copies`, constrained so that all
-    answer flat areas alike, and white with white: what the layer before makes of greys, also of those that clip, stays as
-    grey as it is. L3Error if no class can be solved.
-    """
+    """Return rows (class, tap + 1, output) of the canonical sites, each of which stands for `copies`, constrained so that
+    all answer flat areas alike, and white with white: what the layer before makes of greys, also of those that clip, stays
+    as grey as it is. L3Error if no class can be solved."""
     taps = int((np.sqrt(8 * sums[0].noise.shape[1] + 1) - 1) / 2)
     outputs, planes = len(goal.noise), len(goal.white)
     member = np.zeros((taps, planes))  # (tap, plane)
@@ -66,8 +65,8 @@ def solve_layer(
 
 
 def _plain_moments(moments: Array, member: Array) -> Array:
-    """Moments (column, column) of uniform windows of the mean colours of a class's windows, which stay as they are; columns
-    as of `moments`: taps, intercept and outputs. `member` (tap, plane) is 1 where a tap is of a window of the plane."""
+    """Return moments (column, column) of uniform windows of the mean colours of a class's windows, which stay as they are;
+    columns as of `moments`: taps, intercept and outputs. `member` (tap, plane) is 1 where a tap is of the plane."""
     taps, planes = member.shape
     mean = member / member.sum(axis=0)
     colours = mean.T @ moments[:taps, :taps] @ mean
@@ -76,8 +75,8 @@ def _plain_moments(moments: Array, member: Array) -> Array:
 
 
 def _solution(moments: Array, noise: Array, factor: float, ridge: float, output: int, member: Array) -> Array:
-    """The Wiener solution (tap) of an output, and behind it how it gives way to a change of the flat response
-    (tap, 1 + plane). Moments are of taps, intercept and outputs. There is no intercept: no light is answered with none."""
+    """Return the Wiener solution (tap) of an output, and behind it how it gives way to a change of the flat response (tap, 1
+    + plane). Moments are of taps, intercept and outputs. There is no intercept: no light is answered with none."""
     taps = len(noise)
     system = moments[:taps, :taps] + factor * noise
     system.reshape(-1)[:: taps + 1] += ridge * np.trace(system) / taps + 1e-12
@@ -85,7 +84,7 @@ def _solution(moments: Array, noise: Array, factor: float, ridge: float, output:
 
 
 def _constrained(estimates: list[Array], member: Array, copies: list[int], white: Array, output: int) -> list[Array]:
-    """Rows (tap) of the sites with one flat response, of all that answer white with white the one of least squared error."""
+    """Return rows (tap) of the sites with one flat response, of those keeping white white that of least squared error."""
     stiff = [np.linalg.pinv(member.T @ one[:, 1:]) for one in estimates]
     response = [member.T @ one[:, 0] for one in estimates]
     total = sum((copy * k for copy, k in zip(copies, stiff, strict=True)), np.zeros((len(white), len(white))))
