@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from l3cli.evaluation.block_motion import estimated_motion
-from l3cli.evaluation.sequence import SequenceEvaluation, SequenceFigures
+from l3cli.evaluation.sequence import SequenceEvaluation, SequenceFigures, estimated_motion
 from l3cli.physics.display import daylight, displayed_xyz, lab, lightness
 
 SHAPE = (64, 96)

@@ -18,9 +18,8 @@ from l3cli.frames.scene import Scene, SpectralCube
 from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.physics import spectra
 from l3cli.simulation import light, recipe
-from l3cli.simulation.cubes import scene_of
 from l3cli.simulation.light import make_target, output_weights
-from l3cli.simulation.sources import Cube, source_faults
+from l3cli.simulation.sources import Cube, scene_of, source_faults
 from l3cli.spectra.file import read_table
 
 HALVES = np.arange(380.0, 780.1, 0.5)

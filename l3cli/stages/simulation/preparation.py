@@ -71,7 +71,7 @@ def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "
     if isinstance(content, Scene):
         return content
     if isinstance(content, SpectralCube):
-        from l3cli.simulation.cubes import scene_of
+        from l3cli.simulation.sources import scene_of
 
         assert isinstance(source, sources.Spectral)
         try:
