@@ -20,6 +20,7 @@ from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import CLASSES, SCENES, UNSEEN
 
+os.fsync = lambda fd: None  # nobody cuts the power, and to reach the disk takes as long as a small command
 gc.disable()  # until tests are collected: of the many objects that this makes none is garbage
 
 

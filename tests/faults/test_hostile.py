@@ -28,8 +28,8 @@ from tests.helpers.hostile_special_files import SpecialFiles
 from tests.helpers.hostile_wavelengths import SOURCES, Grid, WavelengthGrids
 from tests.helpers.tables import random_table
 
-IDENTITIES = 20
-INPUTS = int(os.environ.get("L3_HOSTILE_INPUTS", "300"))  # of all subjects together
+IDENTITIES = 12
+INPUTS = int(os.environ.get("L3_HOSTILE_INPUTS", "184"))  # of all subjects together
 PHYSICS = 2  # inputs of each physical mistake
 EACH = settings(
     max_examples=-(-INPUTS // len(SUBJECTS)),

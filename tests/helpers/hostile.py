@@ -17,10 +17,7 @@ from typing import Any
 from l3cli.artifacts import container
 from l3cli.cli import run
 from l3cli.system.limits import MEGAPIXELS
-from tests.helpers.hostile_inputs import (
-    DRAWN,
-    make_inputs,
-)
+from tests.helpers.hostile_inputs import DRAWN, make_inputs
 from tests.helpers.hostile_spoiling import Choices, spoiled_bytes, spoiled_hdf5, spoiled_layer, spoiled_text
 
 CACHE = str(Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "l3cli"))  # l3's cache of kernels

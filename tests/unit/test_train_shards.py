@@ -204,7 +204,7 @@ def test_three_layers_have_the_same_bytes_in_shards(
     parts, table, words = in_shards(l3, run, 2, tmp_path, *before)
     assert "go on with" not in words
     assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
-    assert in_shards(l3, run, 6, tmp_path, *before)[1].read_bytes() == table.read_bytes()
+    assert in_shards(l3, run, 4, tmp_path, *before)[1].read_bytes() == table.read_bytes()
     code, words, _ = l3("info", parts[0])
     assert (code, "partial sums of a layer" in words) == (0, True)
 
