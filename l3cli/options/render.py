@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from l3cli.errors import shortened
 from l3cli.options.option import Given, Name, Number, Reader, option, options
-from l3cli.options.shared import PAIR, BackendOptions, DeviceOptions, ForceOptions, OnePath, SchedulerOptions, Shard
+from l3cli.options.shared import PAIR, BackendOptions, DeviceOptions, ForceOptions, OnePath, Pair, SchedulerOptions, Shard
 
 Preset = Literal["ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow"]
 LEVEL = Number(0, 65535, "DN")
@@ -75,23 +75,6 @@ class Rate(Reader):
         rate = Fraction(self.part.read(above), self.part.read(below))
         self.number.read(float(rate))
         return storable_rate(rate)
-
-
-class Pair(Reader):
-    """Two whole numbers with a separator between them, such as ROW,COL."""
-
-    def __init__(self, shape: str, separator: str, number: Number) -> None:
-        self._shape, self._separator, self._number = shape, separator, number
-
-    def read(self, given: Any) -> tuple[int, int]:
-        text = given if isinstance(given, str) else self._separator.join(map(str, given))
-        first, has_separator, second = text.partition(self._separator)
-        if not has_separator:
-            raise ValueError(f'"{shortened(text)}" is not {self._shape}')
-        try:
-            return self._number.read(first), self._number.read(second)
-        except ValueError as error:
-            raise ValueError(f"{self._shape}: {error}") from None
 
 
 ROWS_OR_COLS, PIXELS = Number(0, 65535, "rows or columns", whole=True), Number(1, 1_000_000, "pixels", whole=True)

@@ -15,22 +15,34 @@ PAIR = tuple[int, int]
 OnePath = Given[Name | None, Path | None]
 
 
-class Shard(Reader):
-    """I/N, a part of a work divided into several."""
+class Pair(Reader):
+    """Two whole numbers with a separator between them, such as ROW,COL."""
 
-    number = Number(0, 1_000_000, "shards", whole=True)
+    def __init__(self, shape: str, separator: str, number: Number) -> None:
+        self._shape, self._separator, self._number = shape, separator, number
 
     def read(self, given: Any) -> tuple[int, int]:
-        first, has_separator, second = (given if isinstance(given, str) else "/".join(map(str, given))).partition("/")
-        if not has_separator:
-            raise ValueError(f'"{shortened(first)}" is not I/N, such as 1/4')
+        text = given if isinstance(given, str) else self._separator.join(map(str, given))
+        first, has_separator, second = text.partition(self._separator)
         try:
-            index, count = self.number.read(first), self.number.read(second)
+            if has_separator:
+                return self._number.read(first), self._number.read(second)
         except ValueError as error:
-            raise ValueError(f'"{shortened(first)}/{shortened(second)}" is not I/N, such as 1/4: {error}') from None
+            raise ValueError(f'"{shortened(text)}" is not {self._shape}: {error}') from None
+        raise ValueError(f'"{shortened(text)}" is not {self._shape}')
+
+
+class Shard(Pair):
+    """I/N, a part of a work divided into several."""
+
+    def __init__(self) -> None:
+        super().__init__("I/N, such as 1/4", "/", Number(0, 1_000_000, "shards", whole=True))
+
+    def read(self, given: Any) -> tuple[int, int]:
+        index, count = super().read(given)
         if not 1 <= index <= count:
             most = max(count, 1)
-            raise ValueError(f"{first}/{second}: shards count from 1/{most} to {most}/{most}")
+            raise ValueError(f"{index}/{count}: shards count from 1/{most} to {most}/{most}")
         return index, count
 
 
