@@ -58,7 +58,7 @@ def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> in
 
 
 def lost_filters(codes: Integers, filters: Sequence[int]) -> Integers:
-    """In how many filters, those of the channels being `filters` (channel), codes (code) have every channel saturated."""
+    """Return in how many filters, those of the channels being `filters` (channel), codes (code) have all saturated."""
     of_filter = [sum(1 << bit for bit, each in enumerate(filters) if each == one) for one in sorted(set(filters))]
     return np.sum([codes & mask == mask for mask in of_filter], axis=0)
 

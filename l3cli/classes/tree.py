@@ -122,7 +122,7 @@ def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
 
 
 def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
-    """Which numerators of a window as it lies are those of each test after it is read in orientation number `turn` of
+    """Return which numerators of a window as it lies are those of each test after it is read in orientation number `turn` of
     `orientations`, and with which sign."""
     transposed, across, down = turned_axes(turn)
     straight, diagonal = (-1 if transposed else 1), across * down

@@ -70,7 +70,7 @@ BAND_FIGURES = ("psnr", "output_psnr", "ssim")
 
 
 def print_tables(document: dict[str, Any]) -> None:
-    """Frames, means, light levels, illuminants, classes and the worst of them; with the main figure of each baseline."""
+    """Print frames, means, light levels, illuminants, classes, the worst of them; with the main figure of each baseline."""
     width = terminal.width()
     wide = width is None or width >= WIDE
     figures = [figure for figure in document["frames"][0]["ours"] if wide or figure not in LESS_NEEDED]
@@ -99,7 +99,7 @@ def print_tables(document: dict[str, Any]) -> None:
 
 
 def _print_patches(document: dict[str, Any]) -> None:
-    """Blotches in plain patches, by their kind and the level of their frames."""
+    """Print blotches in plain patches, by their kind and the level of their frames."""
     named = ["level", "kind", "patches", *(f"{owner}\nmottle" for owner in document["pipelines"])]
     rows = [
         [f"{e['from']:.3f}–{e['to']:.3f}", e["kind"], str(e["patches"])]
@@ -111,7 +111,7 @@ def _print_patches(document: dict[str, Any]) -> None:
 
 
 def _print_bands(document: dict[str, Any]) -> None:
-    """Outputs that are not XYZ, one by one."""
+    """Print outputs that are not XYZ, one by one."""
     if not document["by_band"]:
         return
     owners = document["pipelines"]
@@ -142,7 +142,7 @@ def _print_classes(document: dict[str, Any], figure: str) -> None:
 
 
 def print_sequence(figures: "SequenceFigures") -> None:
-    """Frames of a sequence one by one, and figures of the whole."""
+    """Print frames of a sequence one by one, and figures of the whole."""
     named = ["frame", "mean L*", "jump", "step σ", "warped\nerror", "PSNR dB", "ΔE00 mean"]
     rows = [
         [

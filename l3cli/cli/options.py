@@ -108,8 +108,8 @@ def _option(name: str, declared: Declaration) -> Callable[[F], F]:
 
 
 def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]:
-    """All options of a command as its parameter `options`: the declared ones, `modes`, and how the command speaks (--quiet,
-    --log FILE, --json)."""
+    """Add all options of a command as its parameter `options`: the declared ones, `modes`, and how the command speaks
+    (--quiet, --log FILE, --json)."""
     declared = declarations(options)
 
     def decorated(command: Callable[..., Any]) -> Any:
@@ -125,7 +125,7 @@ def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]
 
 
 def output(what: str, required: bool = True, metavar: str = "FILE") -> Callable[[F], F]:
-    """-o/--output FILE."""
+    """Add -o/--output FILE."""
     return click.option("-o", "--output", type=FILE, required=required, metavar=metavar, help=f"{what}.")
 
 
@@ -159,7 +159,7 @@ _JSON = click.option(  # results.begin has seen it already
 
 
 def _mode(name: str, module: str, what: str) -> Callable[[F], F]:
-    """A flag under which the whole command runs within the block that `module` has of its name."""
+    """Add a flag under which the whole command runs within the block that `module` has of its name."""
 
     def enter(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
         if wanted:

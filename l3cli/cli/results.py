@@ -54,7 +54,7 @@ class Record:
             self.left_out += 1
 
     def fail(self, message: str, code: int) -> None:
-        """The error that ends the command."""
+        """Note the error that ends the command."""
         self.error = {"kind": KINDS.get(code, "failure"), "message": with_options(message)}
 
     def show(self, result: Result | None, code: int) -> None:
@@ -115,7 +115,7 @@ class Recorded(Passing):
         self._record = record
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """As the other console shows it; steps of one name count together."""
+        """Show progress as the other console; steps of one name count together."""
         start = time.monotonic()
         done, before = self._record.steps.get(what, (0, 0.0))
         for item in self._console.progress(items, total, what):
@@ -128,5 +128,5 @@ class Recorded(Passing):
 
 
 def recorded(console: Console) -> Console:
-    """The console, and the record hears of all that is said to it, if there is one."""
+    """Return the console, and the record hears of all that is said to it, if there is one."""
     return console if Record.current is None else Recorded(console, Record.current)

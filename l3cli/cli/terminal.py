@@ -24,17 +24,17 @@ PARAMETER = re.compile("‹([a-z_]+)›")  # as messages from below the command 
 
 
 def show(*lines: str) -> None:
-    """Lines of a result on stdout."""
+    """Print lines of a result on stdout."""
     click.echo("\n".join(map(printable, lines)))
 
 
 def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Sequence[str]], *notes: str) -> None:
-    """A table on stdout, as wide as that is, between the lines of its title and notes."""
+    """Print a table on stdout, as wide as that is, between the lines of its title and notes."""
     show(*title, *columns(headings, rows, width()), *notes)
 
 
 def show_json(document: Any) -> None:
-    """A document as JSON on stdout: in ASCII, so that it works in every encoding and with every file name."""
+    """Print a document as JSON on stdout: in ASCII, so that it works in every encoding and with every file name."""
     click.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
@@ -66,7 +66,7 @@ def with_options(message: str) -> str:
 
 
 def to_stderr(message: str) -> None:
-    """One message on stderr. If it cannot be written, on a full disk or to a closed pipe, the work continues."""
+    """Print one message on stderr. If it cannot be written, on a full disk or to a closed pipe, the work continues."""
     try:
         click.echo(printable(with_options(message)), err=True)
     except OSError:
@@ -123,7 +123,7 @@ class Terminal:
     """The console of a command: everything on stderr."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """As a bar on a terminal, elsewhere as plain lines, one every tenth; with share, time passed, rate and time left."""
+        """Show a bar on a terminal, elsewhere plain lines, one every tenth; with share, time passed, rate, time left."""
         interactive = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         return (_with_bar if interactive else _with_lines)(items, total, what)
 

@@ -159,7 +159,7 @@ def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
 
 
 def verdict(one: Curve, other: Curve, figure: str) -> str:
-    """Which of two curves is the better where, and by how much at most."""
+    """Return which of two curves is the better where, and by how much at most."""
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     if not lead.any():
         return f"{figure}: {one.name} and {other.name} are equal at every luminance."
@@ -181,8 +181,8 @@ def _range(low: float, high: float) -> str:
 
 
 def clipping(curve: Curve) -> str | None:
-    """From which luminance on a camera clips, at least CLIPPING of its pixels at each; None if it does not, or if that is
-    not known."""
+    """Return from which luminance on a camera clips, at least CLIPPING of its pixels at each; None if it does not, or if
+    that is not known."""
     some = [share >= CLIPPING for share in curve.clipped]
     if not some or not some[-1]:
         return None

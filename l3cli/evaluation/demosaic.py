@@ -51,12 +51,12 @@ def interpolate(mosaic: Array, cfa: CFA) -> Array:
 
 
 def malvar(mosaic: Array, cfa: CFA) -> Array:
-    """As `interpolate`, for a Bayer CFA: Malvar, He and Cutler 2004, by colour-demosaicing."""
+    """Interpolate, as `interpolate`, a Bayer CFA: Malvar, He and Cutler 2004, by colour-demosaicing."""
     return _by_colour_demosaicing("demosaicing_CFA_Bayer_Malvar2004", mosaic, cfa)
 
 
 def menon(mosaic: Array, cfa: CFA) -> Array:
-    """As `interpolate`, for a Bayer CFA: Menon, Andriani and Calvagno 2007, by colour-demosaicing."""
+    """Interpolate, as `interpolate`, a Bayer CFA: Menon, Andriani and Calvagno 2007, by colour-demosaicing."""
     return _by_colour_demosaicing("demosaicing_CFA_Bayer_Menon2007", mosaic, cfa)
 
 
@@ -66,8 +66,8 @@ def baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """As `baselines`, for the camera's own bands at every pixel: "bilinear" where it is a method of the field, with "sd" and
-    "ppid" where every band occurs once a period; else "basic"."""
+    """Return, as `baselines`, for the camera's own bands at every pixel: "bilinear" where it is a method of the field, with
+    "sd" and "ppid" where every band occurs once a period; else "basic"."""
     if occurs_once(cfa):
         return _with_plugins({"bilinear": bilinear, "sd": spectral_difference, "ppid": ppi_difference}, cfa)
     if bayer_roles(cfa) is not None:
@@ -76,7 +76,7 @@ def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def bayer_roles(cfa: CFA) -> tuple[int, int, int] | None:
-    """Which channels of a Bayer CFA play red, green, blue: green is the one on a diagonal; None if it is no such CFA."""
+    """Return which channels of a Bayer CFA play red, green, blue: green is on a diagonal; None if it is no such CFA."""
     if cfa.shape != (2, 2) or sorted(np.bincount(cfa.ravel()).tolist()) != [1, 1, 2]:
         return None
     for one, other in (((0, 0), (1, 1)), ((0, 1), (1, 0))):
@@ -202,8 +202,8 @@ def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direc
 
 
 def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Array]:
-    """By direction the weight (row, col) of what lies there: small where samples of the same band, a period apart, differ
-    (equations 25 to 27); 1 of the pixel itself."""
+    """Return by direction the weight (row, col) of what lies there: small where samples of the same band, a period apart,
+    differ (equations 25 to 27); 1 of the pixel itself."""
     weights: dict[Direction, Array] = {(0, 0): np.ones(values.shape)}
     for down, right in DIRECTIONS:
         change = np.abs(values - _moved(values, _step((down, right), period)))
@@ -261,7 +261,7 @@ def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)
 
 
 def _moved(plane: Array, by: tuple[int, ...]) -> Array:
-    """At every pixel what lies at an offset from it."""
+    """Return at every pixel what lies at an offset from it."""
     return np.roll(plane, tuple(-each for each in by), (0, 1))
 
 

@@ -126,7 +126,7 @@ def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> I
 
 
 def _clean(values: Array) -> NDArray[np.bool_]:
-    """Which values are no dust, scratch or hot pixel."""
+    """Return which values are no dust, scratch or hot pixel."""
     middle = np.median(values)
     spread = max(MAD * float(np.median(np.abs(values - middle))), 0.5)
     return np.asarray(np.abs(values - middle) <= FAR * spread)

@@ -161,7 +161,7 @@ class HotTest:
 
     @classmethod
     def of(cls, camera: CameraModel) -> "HotTest":
-        """By the noise model of a camera."""
+        """Return the test by the noise model of a camera."""
         rows, cols = camera.cfa.shape
         constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
         noisiest = float(np.max(constant)), float(np.max(linear))  # of channels of different gains
@@ -347,7 +347,7 @@ def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
 
 @functools.lru_cache(1)
 def correction_again(file: CameraFile) -> Correction:
-    """In a worker: the correction of a run, made once."""
+    """Return, in a worker, the correction of a run, made once."""
     require_same(file.path, file.digest)
     return correction_of(_camera_of(file))
 
@@ -368,7 +368,7 @@ def _camera_of(file: CameraFile) -> CameraModel:
 
 
 def hot_test(table: "TransformTable") -> HotTest:
-    """By the noise of the table's camera; RecipeError if an older table does not have it."""
+    """Return the test by the noise of the table's camera; RecipeError if an older table does not have it."""
     if table.camera is None:
         raise RecipeError(
             "‹hot› needs the camera's noise, which tables of older versions do not hold; train the table again"

@@ -24,7 +24,7 @@ def magnification(focal_length: float, object_distance: float) -> float:
 
 
 def irradiance_per_radiance(f_number: float, magnification: float) -> float:
-    """Camera equation, sr: sensor irradiance / scene radiance on the axis, π / (1 + 4 N² (1 + |m|)²)."""
+    """Return, in sr, the camera equation: sensor irradiance / scene radiance on the axis, π / (1 + 4 N² (1 + |m|)²)."""
     return float(np.pi / (1.0 + 4.0 * f_number**2 * (1.0 + magnification) ** 2))
 
 

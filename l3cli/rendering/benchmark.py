@@ -27,8 +27,8 @@ from l3cli.rendering.opencl.layout import VARIANTS
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 
-SIDE = 5  # of the windows of the second layer …
-TWO_LAYERS = ("default",)  # … that these have
+SIDE = 5  # of the windows of the second layer
+TWO_LAYERS = ("default",)  # classes with a second layer
 STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0), 31, 2.0  # as configs/classes/default.toml has them
 BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
 FRAMES = 40  # timed frames of each case, after WARM_UP more

@@ -28,26 +28,26 @@ class ReferenceRenderer:
         self.table, self._sets = table, NoiseSets(table, by_noise)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> Integers:
-        """Class (row, col) of every pixel in a layer of the table."""
+        """Return class (row, col) of every pixel in a layer of the table."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
         return self._refine(levelled, labels, layer)[1] if layer else labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Outputs of the table, (output, row, col)."""
+        """Return outputs of the table, (output, row, col)."""
         return self.exact_outputs(frame).astype(np.float32)
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """The frame as sRGB (row, col, 3); RecipeError unless the table's outputs are X, Y, Z."""
+        """Return the frame as sRGB (row, col, 3); RecipeError unless the table's outputs are X, Y, Z."""
         require_xyz(self.table.outputs)
         return encode(self.exact_outputs(frame), display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """The picture of each frame, in order."""
+        """Return the picture of each frame, in order."""
         return (self.picture(frame, display) for frame, display in frames)
 
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
-        """`outputs` before rounding to float32."""
+        """Return `outputs` before rounding to float32."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
         gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
@@ -70,7 +70,7 @@ class ReferenceRenderer:
         return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:
-        """Class (row, col) in the first layer of every pixel of a frame at the table's levels, among those of all sets."""
+        """Return class (row, col) in the first layer of every pixel of a frame at the table's levels, of all sets."""
         usual, *others = (
             label_mosaic(levelled.values, table.first.rule, table.cfa, len(table.channels), levelled.phase)
             for table in self._sets.tables
@@ -92,39 +92,39 @@ class ReferenceRenderer:
         return planes, labels
 
     def _refined_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
-        """Class (row, col) in refinement layer `place`, from 0, of every pixel."""
+        """Return class (row, col) in refinement layer `place`, from 0, of every pixel."""
         rule, *others = self._sets.refinement_rules(place)
         return label_planes(planes, first_labels, rule, self.table.first.rule, *others)
 
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
-    """The frame on the black level, white level and depth that the table was trained for, its channels shaded alike."""
+    """Return the frame on the black level, white level and depth that the table is for, its channels shaded alike."""
     return frame.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
 
 
 def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, first: MosaicLayer) -> NDArray[np.float64]:
-    """Each pixel's transform of a first layer applied to its neighbourhood: (output, row, col) from a frame at the table's
-    levels and its classes (row, col)."""
+    """Return each pixel's transform of a first layer applied to its neighbourhood: (output, row, col) from a frame at the
+    table's levels and its classes (row, col)."""
     signal = (frame.values - frame.black_level) / (table.white_level - table.black_level)
     return _transformed(_mosaic_windows(signal, table), labels, first)
 
 
 def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Planes (plane, row, col) that the first layer makes of a frame at the table's levels, by its classes (row, col)."""
+    """Return planes (plane, row, col) of the first layer from a frame at the table's levels, by its classes (row, col)."""
     return _fixed_point_planes(_mosaic_windows(frame.values.astype(np.int64), table), labels, fixed)
 
 
 def refinement_planes(
     planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint
 ) -> NDArray[np.int32]:
-    """Planes (plane, row, col) that a layer makes of those of the layer before, by its classes (row, col)."""
+    """Return planes (plane, row, col) that a layer makes of those of the layer before, by its classes (row, col)."""
     return _fixed_point_planes(_windows(coarse(planes).astype(np.int64), layer), labels, fixed)
 
 
 def refinement_outputs(
     planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, share: float = 1.0
 ) -> NDArray[np.float64]:
-    """Outputs (output, row, col) of a plane layer from what it reads and its classes (row, col); `share`: of the noise."""
+    """Return outputs (output, row, col) of a plane layer by its classes (row, col); `share`: of the noise."""
     ratios = np.moveaxis(shaded_chroma(planes, layer.side), 0, -1)[..., : layer.ratio_taps] * PLANE_STEP
     made = _transformed(_windows(planes.astype(np.float64) * PLANE_STEP, layer), labels, layer, ratios)
     if layer.coarse_chroma:
@@ -135,24 +135,24 @@ def refinement_outputs(
 
 
 def _mosaic_windows(values: NDArray, table: TransformTable) -> NDArray:
-    """Windows (1, row, col, window row, window col) of a mosaic (row, col)."""
+    """Return windows (1, row, col, window row, window col) of a mosaic (row, col)."""
     patch = table.first.rule.patch
     padded = pad_mosaic(values, table.first.rule.radius, table.cfa.shape)
     return np.lib.stride_tricks.sliding_window_view(padded[None], (patch, patch), (1, 2))
 
 
 def _windows(planes: NDArray, layer: PlaneLayer) -> NDArray:
-    """Windows (plane, row, col, window row, window col) of planes (plane, row, col)."""
+    """Return windows (plane, row, col, window row, window col) of planes (plane, row, col)."""
     return np.lib.stride_tricks.sliding_window_view(mirrored(planes, layer.radius), (layer.side, layer.side), (1, 2))
 
 
 def _patches(windows: NDArray, row: int) -> NDArray:
-    """The patches (col, tap) of a row of windows, planes one behind the other."""
+    """Return the patches (col, tap) of a row of windows, planes one behind the other."""
     return np.moveaxis(windows[:, row], 0, 1).reshape(windows.shape[2], -1)
 
 
 def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Planes (plane, row, col) of windows (plane, row, col, …) by the transforms of their classes (row, col)."""
+    """Return planes (plane, row, col) of windows (plane, row, col, …) by the transforms of their classes (row, col)."""
     made = np.empty((fixed.weights.shape[1], *labels.shape), np.int32)
     for row, label in enumerate(labels):
         sums = (fixed.weights[label] * _patches(windows, row)[:, None]).sum(axis=-1) + fixed.intercept[label]
@@ -163,8 +163,8 @@ def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -
 def _transformed(
     windows: NDArray, labels: Integers, layer: MosaicLayer | PlaneLayer, ratios: NDArray | None = None
 ) -> NDArray[np.float64]:
-    """Outputs (output, row, col) of windows (plane, row, col, …) and `ratios` (row, col, tap) by the transforms of their
-    classes (row, col)."""
+    """Return outputs (output, row, col) of windows (plane, row, col, …) and `ratios` (row, col, tap) by the transforms of
+    their classes (row, col)."""
     outputs = np.empty((layer.weights.shape[1], *labels.shape))
     for row, label in enumerate(labels):  # a row at a time: the chosen transforms of a whole frame would fill gigabytes
         patches = _patches(windows, row)
@@ -176,7 +176,7 @@ def _transformed(
 
 
 def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) -> NDArray[np.float64]:
-    """Outputs (output, row, col) whose spectra are smoothed; at the borders planes are mirrored about the outermost pixels.
+    """Return outputs (output, row, col) of smoothed spectra; at the borders planes are mirrored about the outermost pixels.
 
         w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))²)²        Y: mean of the outputs, q: pixels of the window, p too
         o_p ← ō_p · Y_p / Ȳ_p                                    ō, Ȳ: means weighed by w

@@ -103,7 +103,7 @@ class Logged(Passing):
         Logged.current = self
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """As the other console shows it; the log gets its beginning and its end."""
+        """Show progress as the other console; the log gets its beginning and its end."""
         self.heard("info", what if total is None else f"{what}: {total} to do")
         done, start = 0, time.monotonic()
         for item in self._console.progress(items, total, what):

@@ -29,7 +29,7 @@ class OutputGuard(contextlib.ExitStack):
             _refuse_protected(path, globs)
 
     def guard_file(self, path: Path, force: bool, recipe: bool = False) -> None:
-        """`hold_file`, and refuse an output that is there already."""
+        """Call `hold_file`, and refuse an output that is there already."""
         self.hold_file(path, recipe)  # first: the run that holds it may be about to end
         refuse_existing(path, force)
 
@@ -44,7 +44,7 @@ class OutputGuard(contextlib.ExitStack):
         self.hold(sole_writer_of_file(path), path)
 
     def guard_folder(self, path: Path, force: bool, *globs: str) -> None:
-        """`hold_folder`, and refuse a folder that holds something."""
+        """Call `hold_folder`, and refuse a folder that holds something."""
         self.hold_folder(path, *globs)
         refuse_filled_folder(path, force)
 

@@ -63,7 +63,7 @@ def is_dry() -> bool:
 
 
 def before_work(reads: Mapping[str, Iterable[Path]], *makes: Made) -> None:
-    """The files that are read, by their role, and what is made of them, are known: in a dry run Planned, else noted."""
+    """Note the files that are read, by their role, and what is made of them; in a dry run raise Planned."""
     if is_dry():
         raise Planned(reads, makes)
     note_inputs(reads)

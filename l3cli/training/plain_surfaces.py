@@ -146,7 +146,7 @@ class PlainSurfaces:
         return np.asarray(np.exp(-(distance**2).sum(axis=1)))
 
     def moments_of_stripes(self, rule: ClassRule, window: NDArray[np.int64]) -> dict[int, Array]:
-        """As `moments`, of stripes and what else has their colours, by chroma: those that stripes have for themselves."""
+        """Return, as `moments`, of stripes and what else has their colours, by chroma: those of stripes alone."""
         if rule.chromas == 1:
             return {}
         chroma = _nearest(self.beyond, chroma_centres(rule))

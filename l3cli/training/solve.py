@@ -333,8 +333,8 @@ def _opponent_basis(goal: Goal) -> Array:
 
 
 def _nearest(filled: NDArray[np.bool_], rule: ClassRule) -> NDArray[np.int64]:
-    """For every class the filled class it takes its transform from: itself, else the same kind at the nearest level and
-    contrast, one of the same further features before others, else the nearest of any kind."""
+    """Return for every class the filled class it takes its transform from: itself, else the same kind at the nearest level
+    and contrast, one of the same further features before others, else the nearest of any kind."""
     _, level, contrast, further, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
     source = np.arange(filled.size)

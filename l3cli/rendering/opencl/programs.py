@@ -31,7 +31,7 @@ class Compiler:
         self._built: dict[tuple[str, ...], Any] = {}  # by source and options
 
     def build(self, source: str, macros: layout.Macros) -> Any:
-        """A program."""
+        """Build a program."""
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
         if name := compiled_for(self._device):  # by its own name PoCL would take kernels of another processor
             options.append(f"-DCOMPILED_FOR={name}")
@@ -45,12 +45,12 @@ class Compiler:
 
 @functools.cache
 def compiler_of(device: Any) -> Compiler:
-    """The one of a device in this process: what a renderer has built is there for the next."""
+    """Return the one of a device in this process: what a renderer has built is there for the next."""
     return Compiler(pyopencl().Context([device]), device)
 
 
 def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
-    """Device and variant of a renderer that is asked for them (OpenCLRenderer). DeviceError, RecipeError if none is."""
+    """Return device and variant of a renderer asked for them (OpenCLRenderer); DeviceError, RecipeError if none is."""
     found = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
     name = variant or ("graphics" if found.type & pyopencl().device_type.GPU else "processor")
     if name not in layout.VARIANTS:
@@ -97,11 +97,11 @@ class Programs:
         self.cut = made_for.cut(table, lanes or usual_encoder(compiler, variant))
 
     def transforms(self, ending: layout.Macros, joined: bool = False) -> Any:
-        """The kernel of the last layer's transforms, which if it is the only one may find its classes, too."""
+        """Return the kernel of the last layer's transforms, which if it is the only one may find its classes, too."""
         return self._transforms(self._last, ending, joined)
 
     def planes(self, layer: int, joined: bool = False) -> Any:
-        """The kernel that makes what layer `layer` + 1 reads, which for the first may find its classes, too."""
+        """Return the kernel that makes what layer `layer` + 1 reads, which for the first may find its classes, too."""
         return self._transforms(layer, layout.TO_PLANES, joined)
 
     def _transforms(self, layer: int, ending: layout.Macros, joined: bool) -> Any:
@@ -110,7 +110,7 @@ class Programs:
         return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
 
     def classes(self, layer: int) -> Any:
-        """The kernel that finds a layer's classes, out of whichever program of it there is."""
+        """Return the kernel that finds a layer's classes, out of whichever program of it there is."""
         usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
         if self.joins and not layer:
             return self._kernel(self._built(layer, {**usual, **CLASSES_ONLY}), "classes")
@@ -118,7 +118,7 @@ class Programs:
         return self._kernel(key, "structures" if layer else "classes")
 
     def encoder(self, ending: layout.Macros) -> Any:
-        """The kernel that makes pictures of outputs."""
+        """Return the kernel that makes pictures of outputs."""
         key = self._built(-1, ending)
         return self._kernel(key, self._programs[key].kernel_names)
 
@@ -128,14 +128,14 @@ class Programs:
         return self._kernels[*key, name]
 
     def _built(self, layer: int, ending: layout.Macros) -> Key:
-        """The key of a program, which is built now if it has not been before."""
+        """Return the key of a program, which is built now if it has not been before."""
         key = (layer, *ending.items())
         if key not in self._programs:
             self._programs[key] = self._compiler.build(*self._program(layer, ending))
         return key
 
     def _program(self, layer: int, ending: layout.Macros) -> tuple[str, layout.Macros]:
-        """Source and macros."""
+        """Return source and macros."""
         if layer < 0:
             return layout.encoder_source(self._variant), {**ending, **self.encoder_cut.macros}
         if layer == 0:

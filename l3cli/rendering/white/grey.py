@@ -35,7 +35,7 @@ class Grey:
 class Square:
     """A square of the upright picture."""
 
-    row: int  # of its centre, …
+    row: int  # of its centre
     col: int
     size: int  # pixels
 

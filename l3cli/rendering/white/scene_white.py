@@ -55,7 +55,7 @@ def balanced(frame: RawFrame, table: TransformTable, gains: Array) -> RawFrame:
 
 
 def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Array) -> RawFrame:
-    """As `balanced`, of patches (patch, tap) whose taps are of the channels `channel` (tap)."""
+    """Return, as `balanced`, patches (patch, tap) whose taps are of the channels `channel` (tap)."""
     if (gains == 1).all():
         return patches
     curves = _curves(patches.black_level + patches.dark, patches.white_level, tuple(gains.tolist()))

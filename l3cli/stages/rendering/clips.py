@@ -261,7 +261,7 @@ class Summary:
 
 
 def alone(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions) -> Summary:
-    """One clip, or several files of one frame each, whose errors are those of `render`."""
+    """Render one clip, or several files of one frame each, whose errors are those of `render`."""
     heard, summary = Gathering(options.console, MOST_WARNINGS), Summary()
     tally = render(table, inputs, output, replace(options, console=heard))
     named = str(inputs[0]) if len(inputs) == 1 else f"{inputs[0]} and {len(inputs) - 1} more"
@@ -279,7 +279,7 @@ class ClipJob:
     """Clips that go into a folder, each to a file or folder of its name."""
 
     def __init__(self, table: Path, folder: Path, options: RenderOptions) -> None:
-        """RecipeError if the output is no folder or cannot hold videos or pictures of the options' format."""
+        """Raise RecipeError if the output is no folder or cannot hold videos or pictures of the options' format."""
         if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
             raise RecipeError(f"{folder} is for one clip; name a folder, and the kind of its files with ‹format›")
         self.folder, self.console, self.summary = folder, options.console, Summary()
@@ -341,7 +341,7 @@ class ClipJob:
         self._checkpoint.add(output.name, asdict(entry))
 
     def _plan(self, standings: Sequence[Standing]) -> None:
-        """In a dry run Planned for all clips; what is wrong with the first one is raised."""
+        """Raise, in a dry run, Planned for all clips; what is wrong with the first one is raised."""
         reads: dict[str, list[Path]] = {}
         makes = []
         for standing in standings:

@@ -152,7 +152,7 @@ def picture_of(
 
 
 def _rendered(job: RenderJob) -> Any:
-    """In a worker: the picture of a frame, or what is wrong with its file."""
+    """Return, in a worker, the picture of a frame, or what is wrong with its file."""
     setup = job.setup
     pictures = setup.rendition.balance is not None
     about = (setup.table, setup.digest, setup.backend, tuple(setup.engine.items()), pictures, setup.mix)
@@ -223,7 +223,7 @@ class Renderers:
         return self._renderers[key]
 
     def forget(self) -> None:
-        """After an error: it may be in the middle of a frame."""
+        """Drop all after an error: one may be in the middle of a frame."""
         self._renderers = {}
 
 

@@ -127,7 +127,7 @@ class WhiteReport:
                 self._console.warn(doubt)
 
     def report(self) -> None:
-        """At the end."""
+        """Report at the end."""
         if self._last and self._last[1] is not self._reported:
             self._report(*self._last)
 

@@ -94,7 +94,7 @@ def _plan(
     run: SimulationRun, files: list[list[Path]], recipes: tuple[Path, Path], sets: list[Path], folders: list[Path],
     going_on: bool,
 ) -> None:  # fmt: skip
-    """In a dry run, what would be read and made: training sets and folders of pictures."""
+    """State, in a dry run, what would be read and made: training sets and folders of pictures."""
     total = sum(len(each) for _, each in shots(run.recipe, files)) if run.recipe.scene else 0
     frames = f"{total + len(run.recipe.pair)} frames of {run.camera.rows}×{run.camera.cols}"
     how = ", some of which are stored" if going_on else ""
@@ -127,7 +127,7 @@ def _simulate_frames(
 
 
 def _assemble(stored: StoredFrames, head: TrainingSet, output: Path, console: Console) -> None:
-    """The training set from its stored frames; what the scene that covers least of the light lacks is said."""
+    """Write the training set from its stored frames; what the scene that covers least of the light lacks is said."""
     with write_training_set(output, head) as writer:
         worst = max(stored.append_to(writer), key=lambda scene: scene.uncovered)
     if worst.uncovered > NEGLIGIBLE:
@@ -142,8 +142,8 @@ WRITTEN = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # into
 def write_pictures(
     run: SimulationRun, files: list[list[Path]], frames: Iterable[TrainingPair], options: SimulateOptions
 ) -> None:
-    """The pictures and DNGs of all `frames`, as far as they are asked for; `files` are those of each source. Of clips it is
-    said how they are rendered as bright as the ideal pictures."""
+    """Write the pictures and DNGs of all `frames`, as far as they are asked for; `files` are those of each source. Of clips
+    it is said how they are rendered as bright as the ideal pictures."""
     if options.pictures:
         lengths = _write_motion(run, files, options.pictures)
         for index, scale in _write_pictures(run, frames, options.pictures).items():
@@ -201,7 +201,7 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> 
 
 
 def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> None:
-    """Each raw frame as DNG, with the white balance of its light where that is known."""
+    """Write each raw frame as DNG, with the white balance of its light where that is known."""
     from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
     from l3cli.simulation.light import colour_matrix, make_light, neutral
 

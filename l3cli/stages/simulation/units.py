@@ -65,7 +65,7 @@ class StoredFrames:
         return state is not None and self._checkpoint.items.get(self.path(index).name) == list(state)
 
     def close(self, total: int) -> None:
-        """All frames, `total` of them, are stored, some by other processes."""
+        """Note that all frames, `total` of them, are stored, some by other processes."""
         self._total = total
         self._checkpoint.take_over()
 
@@ -231,7 +231,7 @@ def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, diges
 
 
 def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
-    """On another machine: the unit's frames, each with the content of its file."""
+    """Return, on another machine, the unit's frames, each with the content of its file."""
     for path, digest in unit.digests.items():
         require_same(path, digest)
     with scratch_folder() as folder:

@@ -75,7 +75,7 @@ class LayerPass:
         return 2 + len(self.before)
 
     def rng(self, frame: int, purpose: int) -> np.random.Generator:
-        """The generator of a frame of the training run, for one purpose."""
+        """Return the generator of a frame of the training run, for one purpose."""
         return np.random.default_rng([self.seed, self.number + 1, frame, purpose])
 
     def seer(self) -> Callable[[Mosaics], Seen]:
@@ -99,7 +99,7 @@ class LayerPass:
         return RATIO_TAPS if self.recipe.colour_ratios else 0
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
-        """Grid steps of the moments (level, pair)."""
+        """Return grid steps of the moments (level, pair)."""
         return grid_steps(rule, self.rule, self.camera, self.reading(self.recipe.side).taps, 3)
 
     @property
@@ -140,7 +140,7 @@ def sum_layer(
 
 
 def drawn_mosaics(layer: LayerPass, frames: Iterable[TrainingPair], first: int, purpose: int) -> Iterator[Mosaics]:
-    """The mosaics of frames, of which `first` is the index of the first."""
+    """Yield the mosaics of frames, of which `first` is the index of the first."""
     for index, frame in enumerate(frames, first):
         yield from mosaics_of(frame, layer.mosaics[index], layer.exposed, layer.rng(index, purpose))
 
@@ -154,7 +154,7 @@ def add_sums(sums: dict[int, LayerSums], more: dict[int, LayerSums]) -> None:
 
 
 def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -> PlaneLayer:
-    """The layer from the sums of all canonical sites; L3Error if they have become too large to be exact."""
+    """Return the layer from the sums of all canonical sites; L3Error if they have become too large to be exact."""
     for one in sums.values():
         require_exact(one, rule, layer.grid_steps(rule))
     recipe, reading = layer.recipe, layer.reading(layer.recipe.side)

@@ -145,8 +145,8 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
 
 
 def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
-    """For every class the solved one it takes its transform from: itself, the same kind at the nearest level, else a flat
-    one of the nearest level."""
+    """Return for every class the solved one it takes its transform from: itself, the same kind at the nearest level, else a
+    flat one of the nearest level."""
     _, level, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
     source = np.arange(filled.size)
