@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 
 DARKEST, BRIGHTEST, STEP = 0.3, 1.6, 1.02  # greys, of those that just clip the first and the last channel: paper is brighter
 NEARLY = (0.94, 0.97, 1.0)  # of the saturation threshold: noise lets greys this bright clip
-ODDS = 4.0  # greys a patch of the class, times clipped channels per one that is not; 1 leaves seams between classes …
-SUREST = 30.0  # … and this many where every channel clips
+ODDS = 4.0  # greys a patch of the class, times clipped channels per one that is not; 1 leaves seams between classes
+SUREST = 30.0  # greys a patch where every channel clips
 NOTHING_LOST = 0.2  # share of clipped filters that stands for none: a grey a patch, so that they have no cast
 FARTHEST = 0.1  # white's signals from what patches make likely, or as far as measured surfaces mislead about them
 FAINTEST = 1e-6  # of the largest: directions in which the outputs vary less are not followed

@@ -95,8 +95,8 @@ def optimal_reflectances(wavelength: Array) -> Array:
 SATURATIONS = (0.2, 0.4, 0.6, 0.8, 1.0)  # of measured surfaces: what is made of them is mostly paler
 EDGES, WIDTHS = (0.1, 0.2, 0.4), (6.5, 9.5)  # of titanium white, K/S at 405 nm and nm, as the training scenes have them
 BARE = 2  # times each surface counts without titanium white, which three quarters of the surfaces have
-GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of paints without dye …
-GREY_SHARE = 6.0  # … which together count as much as so many times the other surfaces of their chroma
+GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of paints without dye
+GREY_SHARE = 6.0  # times the other surfaces of their chroma that GREYS together count as
 OF_WHITE = 3.0  # times more is taught of white's own chroma, where a cast is seen first
 NEAR_WHITE = 0.2  # distance of channel shares, of their mean, at which a chroma is as near as noise brings dark greys
 FEWEST = 4  # surfaces a channel, that tell what a chroma is

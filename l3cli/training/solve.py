@@ -19,8 +19,8 @@ from l3cli.training.sums import moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import Turn
 
 Array = NDArray[np.float64]
-CASE_SHARE = 0.1  # of the pseudo-patches come from all levels of a case …
-THIN_PARENT = 100.0  # … and half of the others, where a level of the case has so few patches
+CASE_SHARE = 0.1  # of the pseudo-patches that come from all levels of a case
+THIN_PARENT = 100.0  # patches of a level of a case at which half of the other pseudo-patches do, too
 
 
 def shrunk(
@@ -76,8 +76,8 @@ def parent_of(index: Any, rule: ClassRule) -> Any:
 
 
 PLAIN = 0.2  # plain patches, a patch of a textured class, on which a difference between sites counts as an error
-NOISE_FADES = 1000.0  # what plain areas are taught fades with noise over signal, in power: it hides what a surface is …
-WHITE_FADES = 2000.0  # … and with its square for what may be a grey, as the chromas nearest to white
+NOISE_FADES = 1000.0  # by which what plain areas are taught fades with noise over signal, in power: it hides surfaces
+WHITE_FADES = 2000.0  # with the square of that, for what may be a grey, as the chromas nearest to white
 AT_ONCE = 64  # classes that are solved together
 
 

@@ -36,7 +36,7 @@ class Square:
     """A square of the upright picture."""
 
     row: int  # of its centre
-    col: int
+    col: int  # of its centre
     size: int  # pixels
 
     def within(self, frame: RawFrame) -> Grey:

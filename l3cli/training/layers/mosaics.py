@@ -52,8 +52,8 @@ class Exposed:
     dark: float  # DN of dark current in frames that the table is for
     achromatic: float  # share of the mosaics that show their scene without colour
     noisy: bool  # whether the camera's noise is added
-    inner: int  # pixels, side of the square that is learned from, in frames that are large enough …
-    margin: int  # … and of what is read beyond it
+    inner: int  # pixels, side of the square that is learned from, in frames that are large enough
+    margin: int  # pixels that are read beyond that square
 
     def shape(self, frame: tuple[int, int]) -> tuple[int, int]:
         """Return rows and columns of the mosaics of a frame: periods of the array, unless the frame has less than one."""
