@@ -1,7 +1,7 @@
 """The camera model: what calibration finds out and simulation needs (docs/method.md#camera-model)."""
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -121,17 +121,48 @@ class Noise:
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """Noise that varies in time over the camera's, as another analog gain makes it, or a filter in time leaves it."""
+    """Noise that varies in time over the camera's: as another analog gain makes it, and a filter in time leaves it."""
 
-    shot: float = data("float64", doc="variance of shot noise over the camera's", formerly="noise_left")
-    read: float = data("float64", doc="variance of read noise over the camera's", formerly="noise_left")
+    gain: float = data("float64", doc="analog gain over the camera's", default=1.0)
+    noise_left: float = data(
+        "float64", doc="share of the noise variance over time that a filter has left", default=1.0, formerly="shot"
+    )
 
     def __post_init__(self) -> None:
-        if not min(self.shot, self.read) > 0:
-            raise ValueError(f"a scale of the noise is {min(self.shot, self.read):g}, not above zero")
+        if not self.gain > 0:
+            raise ValueError(f"analog gain is {self.gain:g}, not above zero")
+        if not self.noise_left > 0:
+            raise ValueError(f"a share of the noise is {self.noise_left:g}, not above zero")
+
+    @property
+    def shot(self) -> float:
+        """Variance of the shot noise in DN² over the camera's."""
+        return self.gain * self.noise_left
+
+    def __str__(self) -> str:
+        at = [f"gain {self.gain:g}"] if self.gain != 1 else []
+        left = [f"{self.noise_left:.3g} of the noise over time"] if self.noise_left != 1 else []
+        return ", ".join(at + left) or "the camera's noise"
 
 
-CAMERA_NOISE = NoiseScale(1.0, 1.0)
+@dataclass(frozen=True)
+class AnalogGains:
+    """Read noise of a camera at other analog gains than that of its figures (docs/method.md#gains)."""
+
+    analog_gain: NDArray[np.float64] = data(
+        "float64", "analog_gain", doc="DN an electron over those at the camera's gain", coordinate=True
+    )
+    gain_read_noise: NDArray[np.float64] = data("float64", "analog_gain", unit="e-", doc="read noise at each")
+    iso: float = data("float64", unit="1", doc="ISO speed of the camera's gain; 0: not known", default=0.0)
+
+    def __post_init__(self) -> None:
+        gain = self.analog_gain
+        if not ((gain > 0).all() and (np.diff(gain) > 0).all() and (gain != 1).all()):
+            raise ValueError("analog gains must be above zero, increase, and not be 1, whose read noise the camera's is")
+        if not (self.gain_read_noise >= 0).all():
+            raise ValueError("read noise at an analog gain must not be negative")
+        if not self.iso >= 0:
+            raise ValueError(f"the ISO speed is {self.iso:g}, below zero")
 
 
 @dataclass(frozen=True)
@@ -225,7 +256,8 @@ class CameraModel(Artifact):
     defects: DefectMap | None = group(default=None)  # None: nobody has searched for any
     flat_field: FlatField | None = group(default=None)  # None: not measured
     readout: Readout | None = group(default=None)  # None: all channels are exposed and amplified alike
-    noise_scale: NoiseScale = CAMERA_NOISE  # of the noise of its frames, while a condition is learned; not stored
+    gains: AnalogGains | None = group(default=None)  # None: read noise is taken to be the same at all
+    noise_left: float = 1.0  # share of the noise over time that frames have, while that is looked at; not stored
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -249,6 +281,35 @@ class CameraModel(Artifact):
     def full_scale(self) -> float:
         """Electrons between black and white level."""
         return (self.white_level - self.black_level) / self.gain
+
+    def at_gain(self, gain: float) -> "CameraModel":
+        """Return the camera at an analog gain over its own: more DN an electron, levels as they are. Its read noise there is
+        that of `gains`, between which squares are linear in 1/gain² (docs/method.md#gains)."""
+        if gain == 1:
+            return self
+        known, further = self.gains, {1.0: self.noise.read_noise}
+        if known is not None:
+            further |= dict(zip(known.analog_gain.tolist(), known.gain_read_noise.tolist(), strict=True))
+        places = sorted(further, reverse=True)
+        squares = [further[each] ** 2 for each in places]
+        read_noise = float(np.sqrt(np.interp(gain**-2, [each**-2 for each in places], squares)))
+        others = sorted(each for each in further if each != gain)
+        gains, readout, own = None, self.readout, self.noise.read_noise
+        if known is not None:
+            over, noises = np.array(others) / gain, np.array([further[each] for each in others])
+            gains = AnalogGains(over, noises, known.iso * gain)
+        if readout is not None and own > 0:
+            readout = replace(readout, channel_read_noise=readout.channel_read_noise * (read_noise / own))
+        noise = replace(self.noise, read_noise=read_noise)
+        return replace(self, gain=self.gain * gain, noise=noise, readout=readout, gains=gains)
+
+    def gain_at(self, iso: float) -> float | None:
+        """Return the analog gain over the camera's at an ISO speed; None: the speed, or that of the camera, is not known."""
+        return iso / self.gains.iso if iso > 0 and self.gains and self.gains.iso > 0 else None
+
+    def under(self, noise: NoiseScale) -> "CameraModel":
+        """Return the camera whose frames have such noise."""
+        return replace(self.at_gain(noise.gain), noise_left=noise.noise_left)
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
         """Return the channel (row, col) of the pixels of a frame of that shape, CFA phase (0, 0)."""
@@ -324,10 +385,10 @@ class CameraModel(Artifact):
         Of `dark` DN the mean has been taken off, and the light that is left stretched to full scale; the shot noise of the
         dark electrons, and what pixels differ in them, stays. ValueError if dark current alone fills a pixel. `dark` is that
         of a channel of the whole exposure and of `gain`. The terms are those of such a channel, or, where `channel` says
-        which pixels are of which and these differ, arrays of its shape. `noise_scale` is that of the variance over
+        which pixels are of which and these differ, arrays of its shape. `noise_left` is that of the variance over
         time, before values are rounded.
         """
-        noise, scale, span = self.noise, self.noise_scale, self.white_level - self.black_level
+        noise, left, span = self.noise, self.noise_left, self.white_level - self.black_level
         if not dark < span:
             raise ValueError(f"dark current alone fills a pixel of camera {self.name}: {dark:.4g} DN of {span:.4g}")
         stretch, prnu = span / (span - dark), noise.prnu**2
@@ -338,6 +399,6 @@ class CameraModel(Artifact):
             gain = self.gain * self.readout.channel_gain[channel]
             read_noise = self.readout.channel_read_noise[channel]
             channel_dark = dark * (self.readout.channel_exposure * self.readout.channel_gain)[channel]
-        constant = gain**2 * (scale.read * read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
-        constant += (scale.shot * gain + prnu * channel_dark) * channel_dark
-        return stretch**2 * constant, stretch * (scale.shot * gain + 2 * prnu * channel_dark), prnu
+        constant = gain**2 * (left * read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
+        constant += (left * gain + prnu * channel_dark) * channel_dark
+        return stretch**2 * constant, stretch * (left * gain + 2 * prnu * channel_dark), prnu

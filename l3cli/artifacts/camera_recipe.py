@@ -14,6 +14,7 @@ from l3cli.artifacts.camera import (
     MAX_CHANNELS,
     MOST_GAIN,
     SHORTEST,
+    AnalogGains,
     CameraModel,
     Noise,
     Optics,
@@ -27,6 +28,7 @@ from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import CountOrNone, Recipe, Seed, load_recipe, parse_recipe, parse_toml, read_text
 
 MOST_NOISE = 1e4  # e-
+MOST_ISO = 1e7  # of any camera's base
 PITCHES_UM, LEAST_F_NUMBER, LEAST_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # beyond, a length was given in another unit
 PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # of a camera of which only a raw file is known
 MOST_PRNU = 0.2  # of any sensor that can be corrected
@@ -133,6 +135,59 @@ class NoiseRecipe(Recipe):
     column_noise_e: float = 0.0
 
 
+class GainRecipe(Recipe):
+    """Analog gains beside that of [sensor] (docs/method.md#gains)."""
+
+    iso: float = 0.0  # ISO speed of sensor.gain_dn_per_e; 0: not known
+    gains: tuple[float, ...] = ()  # over sensor.gain_dn_per_e, at which read noise is known beside it …
+    read_noise_e: tuple[float, ...] = ()  # … at each, or …
+    read_noise_before_e: float | None = (
+        None  # … that before the amplifier: the rest of noise.read_noise_e is the converter's
+    )
+
+
+def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None:
+    """Return the gains of a recipe without `gain_faults`, `read_noise` (e-) being that at sensor.gain_dn_per_e."""
+    if recipe is None:
+        return None
+    known = dict(zip(recipe.gains, recipe.read_noise_e, strict=True))
+    if recipe.read_noise_before_e is not None:
+        known = {
+            gain: np.hypot(recipe.read_noise_before_e, np.sqrt(read_noise**2 - recipe.read_noise_before_e**2) / gain)
+            for gain in (1 / MOST_GAIN, MOST_GAIN)
+        }
+    each = sorted(known)
+    return AnalogGains(np.array(each, np.float64), np.array([known[gain] for gain in each], np.float64), recipe.iso)
+
+
+def gain_faults(recipe: GainRecipe, read_noise: float) -> Iterator[Fault]:
+    """Yield the faults of [gain] of a camera of such read noise."""
+    if not 0 <= recipe.iso <= MOST_ISO:
+        yield fault(f"gain.iso is {recipe.iso:g}, and must lie in 0…{MOST_ISO:g}", "gain.iso")
+    if len(recipe.gains) != len(recipe.read_noise_e):
+        message = (
+            f"gain.gains names {len(recipe.gains)} gains, gain.read_noise_e {len(recipe.read_noise_e)}; give one of each"
+        )
+        yield fault(message, "gain.read_noise_e", "gain.gains")
+    for gain in recipe.gains:
+        if not 1 / MOST_GAIN <= gain <= MOST_GAIN or gain == 1 or recipe.gains.count(gain) > 1:
+            message = (
+                f"gain.gains: {gain:g} must lie in {1 / MOST_GAIN:g}…{MOST_GAIN:g}, once, and not be 1, of which "
+                "noise.read_noise_e tells"
+            )
+            yield fault(message, "gain.gains")
+    for noise in recipe.read_noise_e:
+        if not 0 <= noise <= MOST_NOISE:
+            yield fault(f"gain.read_noise_e: {noise:g} must lie in 0…{MOST_NOISE:g} e-", "gain.read_noise_e")
+    before = recipe.read_noise_before_e
+    if before is not None and recipe.gains:
+        message = "gain: give read_noise_before_e, or gains with read_noise_e"
+        yield fault(message, "gain.read_noise_before_e", "gain.gains")
+    elif before is not None and not 0 <= before <= read_noise:
+        message = f"gain.read_noise_before_e is {before:g}, and must lie in 0…{read_noise:g}, noise.read_noise_e"
+        yield fault(message, "gain.read_noise_before_e")
+
+
 class OpticsRecipe(Recipe):
     focal_length_mm: float
     f_number: float
@@ -151,6 +206,7 @@ class CameraRecipe(Recipe):
     noise: NoiseRecipe
     optics: OpticsRecipe
     channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # those that are read in another way
+    gain: GainRecipe | None = None  # others of the whole sensor
 
 
 class PhaseRecipe(Recipe):
@@ -245,6 +301,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
             ),
             optics=Optics(recipe.optics.focal_length_mm * 1e-3, recipe.optics.f_number, recipe.optics.object_distance_m),
             readout=readout_of(recipe.channel, recipe.cfa.channels, noise.read_noise_e),
+            gains=gains_of(recipe.gain, noise.read_noise_e),
         )
     except ValueError as error:
         raise RecipeError(f"{path}: {error}") from error
@@ -279,6 +336,8 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
             yield fault(f"{key} is {value:g}, and must not be negative", key)
     if recipe.responsivity.peak_efficiency is not None:
         yield from share_faults(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0)
+    if recipe.gain is not None:
+        yield from gain_faults(recipe.gain, noise.read_noise_e)
     yield from share_faults(noise.prnu, "noise.prnu", MOST_PRNU)
     yield from length_faults(sensor.pixel_pitch_um, optics)
     yield from cfa_faults(recipe.cfa)

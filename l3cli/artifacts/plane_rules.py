@@ -33,6 +33,13 @@ class GradientScale:
         if self.gradient_factor.max(initial=0) > FACTORS[1] or self.gradient_shift.max(initial=0) > MOST_SHIFT:
             raise ValueError(f"gradient_factor exceeds {FACTORS[1]}, or gradient_shift {MOST_SHIFT}")
 
+    @staticmethod
+    def of(scale: NDArray[np.float64]) -> "GradientScale":
+        """Return a scale (level) as factor / 2^shift, with a factor of 7 bits."""
+        shift = np.clip(np.ceil(np.log2(FACTORS[0] / scale)), 0, MOST_SHIFT)
+        factor = np.clip(np.rint(scale * 2**shift), 1, FACTORS[1])
+        return GradientScale(factor.astype(np.uint8), shift.astype(np.uint8))
+
     @property
     def scale(self) -> "GradientScale":
         """The scale alone, of a rule that has one."""

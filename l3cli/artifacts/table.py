@@ -158,22 +158,29 @@ class SceneLight:
 
 @dataclass(frozen=True)
 class NoiseEdges:
-    """Edges of classes that follow the noise."""
+    """Edges of classes, and noise of what coarse chroma compares, which follow the noise."""
 
     contrast_edges: NDArray[np.uint32] = data("uint32", "contrast_edge", "level", doc="as in first/rule/")
     constants: NDArray[np.int32] = data("int32", "constant", doc="as in first/rule/features/; none without features")
     gradients: tuple[GradientScale, ...] = group(default=())  # of each refinement layer
+    coarse_chroma: CoarseChroma | None = group(default=None)  # of the last one; None: that of the table
 
     @classmethod
-    def of(cls, rule: ClassRule, gradients: Sequence[GradientScale]) -> "NoiseEdges":
-        """Return the edges of a rule of the first layer, and the scales of gradients of the layers after it."""
-        constants = rule.features.constants if rule.features else np.zeros(0, np.int32)
-        return cls(rule.contrast_edges, constants, tuple(gradients))
+    def of(cls, first: MosaicLayer, later: Sequence[PlaneLayer]) -> "NoiseEdges":
+        """Return the edges of layers."""
+        constants = first.rule.features.constants if first.rule.features else np.zeros(0, np.int32)
+        coarse = later[-1].coarse_chroma if later else None
+        return cls(first.rule.contrast_edges, constants, tuple(layer.rule.scale for layer in later), coarse)
 
-    def rule(self, usual: ClassRule) -> ClassRule:
-        """Return the rule of a first layer with these edges."""
+    def within(self, table: "TransformTable") -> "TransformTable":
+        """Return a table with these edges."""
+        usual = table.first.rule
         features = usual.features and replace(usual.features, constants=self.constants)
-        return replace(usual, contrast_edges=self.contrast_edges, features=features)
+        rule = replace(usual, contrast_edges=self.contrast_edges, features=features)
+        later = list(map(PlaneLayer.scaled_as, table.later, self.gradients))
+        if later and self.coarse_chroma:
+            later[-1] = replace(later[-1], coarse_chroma=self.coarse_chroma)
+        return replace(table, first=replace(table.first, rule=rule), later=tuple(later), conditions=())
 
 
 @dataclass(frozen=True)
@@ -219,7 +226,7 @@ class Condition:
             tuple(PlaneTransforms(layer.weights, layer.intercept, layer.samples) for layer in later),
             light,
             noise,
-            NoiseEdges.of(first.rule, [layer.rule.scale for layer in later]) if noise else None,
+            NoiseEdges.of(first, later) if noise else None,
         )
 
     def check_fits(self, place: str, later: Sequence[PlaneLayer], levels: int) -> None:
@@ -241,8 +248,9 @@ class Condition:
 
 # Format version 4 and before.
 @dataclass(frozen=True)
-class _LowNoise(NoiseScale):
-    first: MosaicLayer = group(kw_only=True)
+class _LowNoise:
+    noise_left: float = data("float64")
+    first: MosaicLayer = group()
     later: tuple[PlaneLayer, ...] = group(default=())
 
 
@@ -265,7 +273,7 @@ def older_conditions(table: h5py.Group, path: Path) -> tuple[Condition, ...]:
     """Read the conditions of a table of format version 4 or before: low-noise transforms, and those of lights."""
     older: _Older = read_fields(table, _Older, path)
     low = older.quiet
-    noise = () if low is None else (Condition.of(low.first, low.later, None, NoiseScale(low.shot, low.read)),)
+    noise = () if low is None else (Condition.of(low.first, low.later, None, NoiseScale(noise_left=low.noise_left)),)
     lights = (
         Condition(each.first, each.later, SceneLight(each.name, each.white_point, each.light)) for each in older.lights
     )
@@ -403,19 +411,23 @@ class TransformTable(Artifact):
 
     def under(self, condition: Condition) -> "TransformTable":
         """Return the table of the transforms of one of its conditions alone."""
-        first, later, edges, light = self.first, self.later, condition.edges, condition.light
-        if edges:
-            first = replace(first, rule=edges.rule(first.rule))
-            later = tuple(map(PlaneLayer.scaled_as, later, edges.gradients))
+        light, noise = condition.light, condition.noise or NoiseScale()
+        table = condition.edges.within(self) if condition.edges else self
         return replace(
-            self,
-            first=replace(first, **vars(condition.first)),
-            later=tuple(replace(layer, **vars(each)) for layer, each in zip(later, condition.later, strict=True)),
+            table,
+            first=replace(table.first, **vars(condition.first)),
+            later=tuple(replace(layer, **vars(each)) for layer, each in zip(table.later, condition.later, strict=True)),
             white_point=self.white_point if light is None else light.white_point,
             light=self.light if light is None else light.spectrum,
-            camera=self.camera and replace(self.camera, noise_scale=condition.noise or self.camera.noise_scale),
+            output_unit=self.output_unit / noise.gain,
+            exposure=self.exposure / noise.gain,
+            camera=self.camera and self.camera.under(noise),
             conditions=(),
         )
+
+    def gain_at(self, iso: float) -> float | None:
+        """Return the analog gain at an ISO speed over that of the table's camera; None: not known."""
+        return self.camera.gain_at(iso) if self.camera else None
 
     def dark_signal(self, exposure: float | None) -> float:
         """Return DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of

@@ -54,6 +54,7 @@ class RawFrame:
     taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, where the file has them
     shot: Shot = Shot()
     shading: Shading | None = None  # what the lens takes, which is still in the values
+    gain: float = 1.0  # analog gain over its camera's
     noise_share: float = 1.0  # of its camera's noise variance: less where a filter in time has taken some out
     noise_left: NoiseLeft | None = None  # the same cell by cell; None: nowhere
     notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does

@@ -130,6 +130,12 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         Number(0, 1e5, "s"),
         metavar="SECONDS",
     )
+    gain: float | None = option(
+        None,
+        "Analog gain of the inputs over that of the table's camera [default: by the file's ISO speed, else 1].",
+        Number(1 / 1024, 1024, "times"),
+        metavar="TIMES",
+    )
     dark: Given[Name | Sequence[Name], tuple[Path, ...]] = option(
         (),
         "Dark frames of the same exposure time, files or a sequence; their mean is subtracted. May be repeated.",

@@ -1,5 +1,6 @@
 """Selection of a table's transforms by the conditions of what is rendered: a frame's light, or a mixture of two
-(docs/method.md#several-lights), and the noise that a filter in time has left in each pixel (docs/method.md#noise-sets)."""
+(docs/method.md#several-lights), its analog gain (docs/method.md#gains), and the noise that a filter in time has left in
+each pixel (docs/method.md#noise-sets)."""
 
 import functools
 import itertools
@@ -10,16 +11,24 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CAMERA_NOISE, NoiseScale
+from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.class_rule import FurtherFeatures
-from l3cli.artifacts.table import Condition, MosaicLayer, PlaneLayer, PlaneRule, TransformTable
+from l3cli.artifacts.plane_rules import GradientScale
+from l3cli.artifacts.table import CoarseChroma, Condition, MosaicLayer, NoiseEdges, PlaneLayer, PlaneRule, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
+from l3cli.classes import contrast, level
 from l3cli.classes.features import further_features
 from l3cli.classes.plane_kernel import kernel_macros
 from l3cli.classes.planes import FixedPoint, fixed_point
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.correlated_lights import mired_of
+
+DETAIL = 0.25  # of a level, relative: amplitude of what a filter is to pass
+STEPS = 12  # of gains that frames are rendered at, to a doubling
+SAME_GAIN = 0.01  # relative difference
+FAR = 1.5  # times an analog gain beyond those that there are transforms for: noise is then another by what is seen
+CLEARLY_LESS = 0.75  # of a noise: transforms for hardly less are not worth a set
 
 Layers = TypeVar("Layers", TransformTable, Condition)
 Float = TypeVar("Float", np.float32, np.float64)
@@ -69,10 +78,10 @@ def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
 
     pairs = zip(common.conditions, warm.conditions, cool.conditions, strict=True)
     return replace(
-        _mixed_layers(common, warm, cool, share),
+        _mixed_layers(common, warm, cool, [share] * len(table.layers)),
         white_point=_between(warm.white_point, cool.white_point, share),
         light=light,
-        conditions=tuple(_mixed_layers(*pair, share) for pair in pairs),
+        conditions=tuple(_mixed_layers(*pair, [share] * len(table.layers)) for pair in pairs),
     )
 
 
@@ -84,19 +93,130 @@ def described(table: TransformTable, mix: Mix) -> str:
     return f"{100 - percent} % {warm}, {percent} % {cool}"
 
 
-def _mixed_layers(common: Layers, warm: Layers, cool: Layers, share: float) -> Layers:
-    def layer(of: Any, one: Any, other: Any) -> Any:
+def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[NDArray[np.float64] | float]) -> Layers:
+    """The transforms between those of two, by a share of each layer, or one of each class of it."""
+
+    def layer(of: Any, one: Any, other: Any, share: NDArray[np.float64] | float) -> Any:
         names = ("weights", "intercept")
         return replace(of, **{name: _between(getattr(one, name), getattr(other, name), share) for name in names})
 
-    later = tuple(map(layer, common.later, warm.later, cool.later))
-    return replace(common, first=layer(common.first, warm.first, cool.first), later=later)
+    later = tuple(map(layer, common.later, warm.later, cool.later, shares[1:]))
+    return replace(common, first=layer(common.first, warm.first, cool.first, shares[0]), later=later)
 
 
-def _between(warm: NDArray[Float], cool: NDArray[Float], share: float) -> NDArray[Float]:
-    """Equal ones stay what they are; shares of 0 and 1 give one of the two."""
+def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float64] | float) -> NDArray[Float]:
+    """Equal ones stay what they are; shares, of all or of each along the first axis, of 0 and 1 give one of the two."""
     one, other = warm.astype(np.float64), cool.astype(np.float64)
+    share = np.asarray(share).reshape(-1, *[1] * (one.ndim - 1))
     return np.where(one == other, one, (1 - share) * one + share * other).astype(warm.dtype)
+
+
+# ------------------------------------------------------------------------------------------ analog gain, by the frame
+
+
+def gains_of(table: TransformTable) -> list[float]:
+    """Return the analog gains that a table has transforms for, increasing, that of its camera (1) among them."""
+    return sorted({1.0, *(each.noise.gain for each in table.noises if each.noise and each.noise.noise_left == 1)})
+
+
+def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
+    """Return the analog gain of a camera's frames over that of the table's camera, both brought to the same levels; 1 of a
+    table of before, which does not know its camera."""
+    gain = table.camera.full_scale / camera.full_scale if table.camera else 1.0
+    return 1.0 if abs(gain - 1) < SAME_GAIN else gain
+
+
+def nearest_step(gain: float) -> float:
+    """Return the nearest of the gains that frames are rendered at, STEPS to a doubling: of a gain that drifts few renderers
+    are made, and noise is that of transforms within 3 %."""
+    return float(2.0 ** (round(STEPS * np.log2(gain)) / STEPS))
+
+
+def at_gain(table: TransformTable, gain: float) -> TransformTable:
+    """Return the table for frames at an analog gain over its camera's: transforms and class edges between those for the
+    gains next to it, or the outermost ones. Those for less noise than at that gain, as for lower gains, are its
+    conditions."""
+    if gain == 1 or table.camera is None:
+        return table
+    common, *lit = (_at_gain(table.of_light(light), gain) for light in (None, *table.lights))
+    conditions = list(common.conditions)
+    for light, each in zip(table.lights, lit, strict=True):
+        conditions.append(Condition.of(each.first, each.later, light, None))
+        conditions += [replace(condition, light=light) for condition in each.conditions]
+    return replace(common, conditions=tuple(conditions))
+
+
+def _at_gain(table: TransformTable, gain: float) -> TransformTable:
+    """The same of a table of no single lights."""
+    conditions = [(each.noise, each) for each in table.noises if each.noise]
+    sets = {1.0: replace(table, conditions=())}
+    sets |= {noise.gain: table.under(each) for noise, each in conditions if noise.noise_left == 1}
+    lower = max((each for each in sets if each <= gain), default=min(sets))
+    upper = min((each for each in sets if each >= gain), default=max(sets))
+    made = _between_gains(sets[lower], sets[upper], replace(table, conditions=()), gain)
+    if not lower <= gain <= upper:
+        made = with_edges_for(made, gain / lower)
+    less = [
+        Condition.of(each.first, each.later, None, NoiseScale(noise_left=at / gain))
+        for at, each in sets.items()
+        if at < CLEARLY_LESS * gain
+    ]
+    filtered = ((noise.noise_left / gain, each) for noise, each in conditions if noise.noise_left < min(1, gain))
+    less += [replace(each, noise=NoiseScale(noise_left=left)) for left, each in filtered]
+    assert table.camera is not None
+    return replace(
+        made,
+        camera=table.camera.at_gain(gain),
+        output_unit=table.output_unit / gain,
+        exposure=table.exposure / gain,
+        conditions=tuple(less),
+    )
+
+
+def _between_gains(lower: TransformTable, upper: TransformTable, table: TransformTable, gain: float) -> TransformTable:
+    """The transforms and class edges of a table between its sets for two gains, which may be one."""
+    if lower is upper:
+        return lower
+    made = _mixed_layers(lower, lower, upper, _shares(lower, upper, table, gain))
+    steps = [np.log(each) for each in (lower.output_unit * gain / table.output_unit, lower.output_unit / upper.output_unit)]
+    share = float(steps[0] / steps[1])
+
+    def between(one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the values between in logarithms where both are above zero; elsewhere the first."""
+        known = (one > 0) & (other > 0)
+        logs = [np.log(np.where(known, each, 1).astype(np.float64)) for each in (one, other)]
+        return np.where(known, np.exp((1 - share) * logs[0] + share * logs[1]), one)
+
+    edges = [NoiseEdges.of(each.first, each.later) for each in (lower, upper)]
+    scales = [[each.gradient_factor / 2.0**each.gradient_shift for each in every.gradients] for every in edges]
+    coarse = [each.coarse_chroma.variance for each in edges if each.coarse_chroma]
+    return NoiseEdges(
+        np.rint(between(*(each.contrast_edges for each in edges))).astype(np.uint32),
+        np.rint(between(*(each.constants for each in edges))).astype(np.int32),
+        tuple(GradientScale.of(between(*pair)) for pair in zip(*scales, strict=True)),
+        CoarseChroma(between(*coarse)) if coarse else None,
+    ).within(made)
+
+
+def _shares(lower: TransformTable, upper: TransformTable, table: TransformTable, gain: float) -> list[NDArray[np.float64]]:
+    """Return the share of the upper of two sets in the transforms of each class (layer, class): where a gain lies between
+    theirs by the share of detail that a Wiener filter passes at the class's level (docs/method.md#gains)."""
+    assert table.camera is not None
+    span = table.white_level - table.black_level
+    levels = level.centres(level.inner_bounds(table.first.rule, table.black_level, table.white_level))
+    passed = []
+    for camera, exposure in (
+        (lower.camera, lower.exposure), (upper.camera, upper.exposure), (table.camera.at_gain(gain), table.exposure / gain)
+    ):  # fmt: skip
+        assert camera is not None
+        noise = contrast.noise_of_grey(levels, camera, camera.dark_signal(exposure))
+        passed.append(1 / (1 + noise / (DETAIL * levels * span) ** 2))
+    share = np.clip((passed[0] - passed[2]) / np.maximum(passed[0] - passed[1], 1e-12), 0.0, 1.0)
+    made = []
+    for layer in table.layers:
+        of_class = layer.rule.split(np.arange(len(layer.weights))).level
+        made.append(share[of_class * getattr(layer.rule, "level_step", 1)])
+    return made
 
 
 # ---------------------------------------------------------------------------------------------- noise, by the pixel
@@ -106,7 +226,7 @@ def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
     """Return for each noise below the camera's that a table has transforms for, the largest first, the share of the noise up
     to which a pixel is rendered by these: a quarter of the way, in logarithms, to the next larger noise."""
     lower = sorted((each.noise for each in table.noises if each.noise and each.noise.shot < 1), key=lambda each: -each.shot)
-    return {each: each.shot**0.75 * above.shot**0.25 for above, each in itertools.pairwise([CAMERA_NOISE, *lower])}
+    return {each: each.shot**0.75 * above.shot**0.25 for above, each in itertools.pairwise([NoiseScale(), *lower])}
 
 
 class NoiseSets:

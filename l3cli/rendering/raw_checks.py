@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.rendering.conditions import FAR, gains_of
 from l3cli.rendering.exposure import RangeMeter
 
 BEYOND = 1.5  # times the white level: no saturated pixel lies so far above it …
@@ -61,7 +62,8 @@ class FrameWarnings:
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
-        for text in (other_camera(frame, self.table), other_phase(frame, self.table), *value_warnings(frame, self.table)):
+        of_camera = other_camera(frame, self.table), other_phase(frame, self.table), other_gain(frame, self.table)
+        for text in (*of_camera, *value_warnings(frame, self.table)):
             self._note(text, frame.name)
         for note in frame.notes:
             self._notes.setdefault(note, frame.name)
@@ -148,6 +150,19 @@ def other_phase(frame: RawFrame, table: TransformTable) -> str:
     return (
         f"sites of one channel differ by {now:.0%} on average, its colour filter array begins elsewhere than it says; "
         f"‹phase› {fitting} leaves {least:.1%}"
+    )
+
+
+def other_gain(frame: RawFrame, table: TransformTable) -> str:
+    """Return a warning of an analog gain that a table has no transforms near to; else ""."""
+    gains = gains_of(table)
+    beyond = max(frame.gain / gains[-1], gains[0] / frame.gain)
+    if beyond < FAR:
+        return ""
+    there = f"gains {gains[0]:g} to {gains[-1]:g}" if len(gains) > 1 else "the gain of its camera alone"
+    return (
+        f"its analog gain is {frame.gain:.3g} times that of the table's camera; the table has transforms for {there}, "
+        f"which take noise for {1 / beyond:.2g} of what it is; name it among learning.gains and train again"
     )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
 from l3cli.frames.frame import RawFrame
-from l3cli.rendering.conditions import with_edges_for
+from l3cli.rendering.conditions import at_gain, nearest_step, with_edges_for
 from l3cli.rendering.display import Display
 
 # A new backend is one class, made from a TransformTable, and one line here; its module is imported when it is asked for.
@@ -20,6 +20,8 @@ BACKENDS = {
     "opencl": "l3cli.rendering.opencl.renderer:OpenCLRenderer",
     "reference": "l3cli.rendering.reference:ReferenceRenderer",
 }
+
+MOST_HELD = 16  # renderers, each with its transforms on the device: gains that a sequence goes through
 
 
 class Renderer(Protocol):
@@ -70,37 +72,43 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
 class NoiseRenderer:
     """Renderer of a backend (`make_renderer`) for frames of any noise.
 
-    A frame of all its camera's noise is rendered as if there were no other transforms; one that a filter in time has left
-    less by those that the noise of each pixel asks for or, of a table that has none for less, with class edges that its
-    share of noise asks for.
+    A frame is rendered by the transforms for its analog gain. One that a filter in time has left less noise is so by those
+    that the noise of each pixel asks for or, of a table that has none for less, with class edges that its share of noise
+    asks for.
     """
 
     def __init__(self, backend: str, table: TransformTable, **options: str | None) -> None:
         self.table, self._backend, self._options = table, backend, options
-        self._renderers: dict[float | None, Renderer] = {}  # by share of noise; None: by pixel
-        self._of(1.0)
+        self._renderers: dict[tuple[float, float | None], Renderer] = {}  # by gain and share of noise; None: by pixel
+        self._of((1.0, 1.0))
 
-    def _of(self, share: float | None) -> Renderer:
-        if share not in self._renderers:
-            table = self.table if share in (None, 1.0) else with_edges_for(self.table, share)
-            self._renderers[share] = make_renderer(self._backend, table, share is None, **self._options)
-        return self._renderers[share]
+    def _of(self, noise: tuple[float, float | None]) -> Renderer:
+        if noise not in self._renderers:
+            gain, share = noise
+            table = at_gain(self.table, gain)
+            table = table if share in (None, 1.0) else with_edges_for(table, share)
+            if len(self._renderers) == MOST_HELD:
+                del self._renderers[next(iter(self._renderers))]  # the oldest
+            self._renderers[noise] = make_renderer(self._backend, table, share is None, **self._options)
+        return self._renderers[noise]
 
-    def _share(self, frame: RawFrame) -> float | None:
+    def _noise(self, frame: RawFrame) -> tuple[float, float | None]:
         """Return what a frame is rendered by."""
-        return None if self.table.noises and frame.noise_left is not None else frame.noise_share
+        gain = nearest_step(frame.gain)
+        by_pixel = frame.noise_left is not None and any(each.noise and each.noise.shot < gain for each in self.table.noises)
+        return gain, None if by_pixel else frame.noise_share
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
-        return self._of(self._share(frame)).labels(frame, layer)
+        return self._of(self._noise(frame)).labels(frame, layer)
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        return self._of(self._share(frame)).outputs(frame)
+        return self._of(self._noise(frame)).outputs(frame)
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        return self._of(self._share(frame)).picture(frame, display)
+        return self._of(self._noise(frame)).picture(frame, display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
         """The picture of each frame; those that follow one another with the same noise overlap on the device."""
-        shared = ((self._share(frame), (frame, display)) for frame, display in frames)
-        for share, run in itertools.groupby(shared, key=itemgetter(0)):
-            yield from self._of(share).pictures(each for _, each in run)
+        shared = ((self._noise(frame), (frame, display)) for frame, display in frames)
+        for noise, run in itertools.groupby(shared, key=itemgetter(0)):
+            yield from self._of(noise).pictures(each for _, each in run)

@@ -81,7 +81,7 @@ def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: 
 def with_analog_gain(camera: CameraModel, gain: float) -> CameraModel:
     """Return the camera with its analog gain turned up: more DN an electron, its top sooner reached, black level as is."""
     white_level = min(camera.black_level + gain * (camera.white_level - camera.black_level), 2.0**camera.bits - 1)
-    return replace(camera, gain=gain * camera.gain, white_level=white_level)
+    return replace(camera.at_gain(gain), white_level=white_level)
 
 
 def expose(

@@ -25,7 +25,7 @@ from l3cli.io.scenes import rgb
 from l3cli.io.sequences import PictureSequence, find_pictures, picture_files, read_motion
 from l3cli.options.commands import EvaluateOptions, SequenceOptions
 from l3cli.physics import spectra
-from l3cli.rendering.conditions import Mix, described, mix_for, mixed
+from l3cli.rendering.conditions import FAR, Mix, at_gain, described, gain_of_frames, gains_of, mix_for, mixed
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
@@ -57,6 +57,8 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
             guard.protect(table, frames, *itertools.chain(*(files for _, files in others.values())))
             guard.hold_folder(pictures, "*.png")
         with open_training_set(frames) as reader, contextlib.ExitStack() as unfinished:
+            warn_if_unlike((table, transforms), (frames, reader.head.camera), console)
+            transforms = at_gain(transforms, gain_of_frames(transforms, reader.head.camera))
             evaluation = Evaluation(transforms, reader.head, options.viewing, options.border, tuple(others))
             for path, files in others.values():
                 if len(files) != len(reader):
@@ -75,7 +77,6 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
             if any(sha256(frames) in digests for stage in transforms.history for digests in stage.inputs.values()):
                 text = "figures flatter it; simulate other scenes, or the same ones with another ‹seed›"
                 console.warn(f"{table} was trained on {frames}: {text}")
-            warn_if_unlike((table, transforms), (frames, reader.head.camera), console)
             renderers = FrameRenderers(options.backend, transforms, console)
             for index in console.progress(range(len(reader)), len(reader), "frames"):
                 shown = {name: files[index] for name, (_, files) in others.items()}
@@ -92,6 +93,9 @@ def warn_if_unlike(table: tuple[object, TransformTable], frames: tuple[object, C
     """Warn if a table is judged on frames of another camera than it was trained for; both with the name of their file.
     Return the warning, or ""."""
     (name, transforms), (other, camera) = table, frames
+    gain, gains = gain_of_frames(transforms, camera), gains_of(transforms)
+    if len(gains) > 1 and gains[0] / FAR < gain < gains[-1] * FAR:
+        transforms = at_gain(transforms, gain)
     if not (differences := unlike(transforms, camera)):
         return ""
     text = (

@@ -1,7 +1,8 @@
 """Class and learning recipes (configs/classes)."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import msgspec
@@ -23,6 +24,8 @@ LEAST_SENSITIVE = 1 / 16  # of channels, relative: beyond, planes do not hold bo
 LEAST_BETWEEN = 1 / 4  # the same where a layer between reads planes, in 16 bits (docs/method.md#planes)
 LEAST_STEP = 0.001  # between such edges, which are stored as integers
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+APART = 4.001  # times, of gains between which transforms are mixed (docs/method.md#gains)
+MOST_GAINS = (1 / 1024, 1024)  # over the camera's
 MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
 
 
@@ -46,6 +49,8 @@ class LearningRecipe(Recipe):
     # share of the noise over time for which a second set of transforms is learned, for pixels of which --temporal has left
     # little noise (docs/method.md#noise-sets); 0: none
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
+    # analog gains over the camera's for which transforms are learned, 1 among them (docs/method.md#gains)
+    gains: tuple[Positive, ...] = (1.0,)
     # transforms for each light of the training besides those of all, of which the white of a scene chooses
     # (docs/method.md#several-lights)
     per_light: bool = False
@@ -73,7 +78,21 @@ class LearningRecipe(Recipe):
     @property
     def noises(self) -> tuple[NoiseScale, ...]:
         """Noises, over the camera's, that further transforms are learned for."""
-        return (NoiseScale(self.noise_left, self.noise_left),) if self.noise_left else ()
+        gains = tuple(map(NoiseScale, learned_gains(self.gains)))
+        return (*gains, NoiseScale(noise_left=self.noise_left)) if self.noise_left else gains
+
+
+def learned_gains(gains: Sequence[float]) -> list[float]:
+    """Return those of `gains`, but 1, that transforms are learned for: as few as lie within APART of one another."""
+    made = []
+    for side in (sorted(gain for gain in gains if gain > 1), sorted((gain for gain in gains if gain < 1), reverse=True)):
+        last = 1.0
+        for number, gain in enumerate(side):
+            following = side[number + 1] if number + 1 < len(side) else None
+            if following is None or max(following / last, last / following) > APART:
+                made.append(gain)
+                last = gain
+    return sorted(made)
 
 
 class LayerRecipe(Recipe):
@@ -152,13 +171,18 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     return msgspec.structs.replace(recipe, learning=msgspec.structs.replace(learning, darkest=darkest))
 
 
+def for_noise(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
+    """The recipe `for_camera` at its analog gain; a filter in time does not change it."""
+    return for_camera(recipe, replace(camera, noise_left=1.0))
+
+
 def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
     """The recipe of a draft: a tenth of the patches, one layer that suppresses noise as the last does, no conditions."""
     learning = recipe.learning
     last = recipe.layer[-1] if recipe.layer else learning
     learning = msgspec.structs.replace(
         learning, patches=-(-learning.patches // 10), luminance_noise=last.luminance_noise, chroma_noise=last.chroma_noise,
-        noise_left=0.0, per_light=False,
+        noise_left=0.0, gains=(1.0,), per_light=False,
     )  # fmt: skip
     return msgspec.structs.replace(recipe, learning=learning, layer=())
 
@@ -179,6 +203,13 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
     weights["chroma_noise"] = recipe.chroma_noise >= 0
     if wrong := [f"learning.{key}" for key, right in weights.items() if not right]:
         yield fault("learning.ridge must be positive, the noise weights not negative", *wrong)
+    if not all(MOST_GAINS[0] <= gain <= MOST_GAINS[1] for gain in recipe.gains) or 1 not in recipe.gains:
+        least, most = MOST_GAINS
+        yield fault(
+            f"learning.gains must lie in {least:g}…{most:g} times the camera's, whose own, 1, is one", "learning.gains"
+        )
+    if learned_gains(recipe.gains) and recipe.noise == "none":
+        yield fault('learning.gains differ in noise, and learning.noise is "none"', "learning.gains", "learning.noise")
     if recipe.noise_left and recipe.noise == "none":
         yield fault('learning.noise_left has no noise to leave a share of where noise is "none"', "learning.noise_left")
     if recipe.spectral_window not in (0, *WINDOWS):

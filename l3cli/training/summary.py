@@ -227,7 +227,7 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     if camera is not None:
         sites = camera.cfa.size
         size = sum(each["classes_per_site"] * (OUTPUTS * (each["taps"] + 1) * WEIGHT + OTHERS) for each in layers)
-        sets = 2 if recipe.learning.noise_left else 1
+        sets = 1 + len(recipe.learning.noises)
         document |= {"camera": camera.name, "sites": sites, "table_bytes": sets * sites * size}
     return document
 

@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import NoiseScale
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
-from l3cli.classes.rule import ClassRecipe, make_rule
+from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods
 from l3cli.physics.display import XYZ
 from l3cli.training.goal import Goal, goal_of
-from l3cli.training.recipe import LearningRecipe
+from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_noise
 from l3cli.training.sums import empty_sums
 from l3cli.training.symmetry import site_maps, stabilisers
 
+FEW = 1 / 4  # of the patches and mosaics, that transforms for another gain are learned from (docs/method.md#gains)
 FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (docs/method.md#second-pass)
 
 
@@ -72,12 +73,21 @@ class TrainingPass:
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
 
 
-def at_noise(pass_: TrainingPass, noise: NoiseScale, recipe: ClassRecipe) -> TrainingPass:
+def at_noise(pass_: TrainingPass, noise: NoiseScale, recipe: TrainingRecipe) -> TrainingPass:
     """Return the pass for frames of other noise over time, by the class edges that follow it (docs/method.md#noise-sets)."""
-    camera = replace(pass_.head.camera, noise_scale=noise)
-    made = make_rule(recipe, camera, pass_.rule.case_of_code, dark=pass_.dark)
+    camera, exposure = pass_.head.camera.under(noise), pass_.exposure / noise.gain  # that gives as many DN
+    made = make_rule(recipe.classes, camera, pass_.rule.case_of_code, dark=camera.dark_signal(exposure))
     rule = replace(pass_.rule, contrast_edges=made.contrast_edges, features=made.features)
-    return replace(pass_, head=replace(pass_.head, camera=camera), rule=rule)
+    learning = for_noise(recipe, camera).learning
+    patches = tuple(few_of(each, noise) for each in pass_.patches)
+    return replace(
+        pass_, head=replace(pass_.head, camera=camera), rule=rule, recipe=learning, exposure=exposure, patches=patches
+    )
+
+
+def few_of(number: int, noise: NoiseScale) -> int:
+    """The part of a number of patches or mosaics that transforms for a noise are learned from."""
+    return number if noise.gain == 1 else math.ceil(number * FEW)
 
 
 def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fraction] | None) -> tuple[int, ...]:

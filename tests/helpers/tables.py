@@ -89,7 +89,7 @@ def with_low_noise(table: TransformTable, *shares: float, seed: int = 9) -> Tran
             dataclasses.replace(layer.scaled_as(scale), weights=rng.permutation(layer.weights))
             for layer, scale in zip(table.later, scales, strict=True)
         ]
-        made.append(Condition.of(first, later, None, NoiseScale(share, share)))
+        made.append(Condition.of(first, later, None, NoiseScale(noise_left=share)))
         edges = np.maximum(edges // 2, least)
     return dataclasses.replace(table, conditions=(*made, *table.conditions))
 

@@ -51,7 +51,7 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def at_noise(camera: CameraModel, share: float) -> CameraModel:
-    return dataclasses.replace(camera, noise_scale=NoiseScale(share, share))
+    return dataclasses.replace(camera, noise_left=share)
 
 
 def test_noise_over_time_falls_and_what_pixels_differ_by_stays(bayer: CameraModel) -> None:
@@ -70,7 +70,7 @@ def test_the_usual_set_is_what_it_would_be_alone(learned: dict[str, Path]) -> No
     one, two = (load(TransformTable, learned[f"{name}.h5"]) for name in ("one", "two"))
     assert equal(dataclasses.replace(two, conditions=()), one)
     assert not one.conditions
-    assert two.conditions[0].noise == NoiseScale(0.1, 0.1)
+    assert two.conditions[0].noise == NoiseScale(noise_left=0.1)
     usual, low = two.first.rule, two.under(two.conditions[0]).first.rule
     assert (low.contrast_edges <= usual.contrast_edges).all()
     assert (low.contrast_edges[:, :2] < 0.5 * usual.contrast_edges[:, :2]).all()  # darkest: noise that varies in time
@@ -116,7 +116,7 @@ def test_frames_without_a_filter_are_rendered_as_by_one_set(learned: dict[str, P
 
 def test_cells_up_to_the_limit_are_of_low_noise() -> None:
     left = NoiseLeft(np.array([[353, 354], [355, 1000]], np.uint16), 1000, (2, 3))
-    low, lower = NoiseScale(0.25, 0.25), NoiseScale(0.125, 0.125)
+    low, lower = NoiseScale(noise_left=0.25), NoiseScale(noise_left=0.125)
     limits = noise_limits(with_low_noise(random_table(BAYER), 0.125, 0.25))
     assert list(limits) == [low, lower]
     assert limits[low] == 0.25**0.75

@@ -284,7 +284,7 @@ def test_arrays_of_the_second_set_stand_next_to_the_usual_ones() -> None:
     usual, usual_arrays = read_folder(dataclasses.replace(table, conditions=()))
     other, other_arrays = read_folder(table.under(table.conditions[0]))
     (low,) = document.pop("conditions")["sets"]
-    assert low["noise"] == {"shot": 0.25, "read": 0.25, "limit": 0.25**0.75}
+    assert low["noise"] == {"gain": 1.0, "noise_left": 0.25, "limit": 0.25**0.75}
     assert (low["layers"], low["word_lengths"]) == (other["layers"], other["word_lengths"])
     after = {name: values for name, values in arrays.items() if not name.startswith("conditions/0/")}
     assert set(after) == set(usual_arrays)

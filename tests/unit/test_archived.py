@@ -143,7 +143,7 @@ def test_tables_of_version_4_open_with_their_conditions(l3: L3, tmp_path: Path) 
     with zipfile.ZipFile(ROOT / "tests/data/version4.zip") as packed:
         packed.extractall(tmp_path)
     low, lights = (load(TransformTable, tmp_path / f"{name}.h5") for name in ("low_noise", "lights"))
-    assert [(each.light, each.noise) for each in low.conditions] == [(None, NoiseScale(0.25, 0.25))]
+    assert [(each.light, each.noise) for each in low.conditions] == [(None, NoiseScale(noise_left=0.25))]
     assert [(each.name, each.spectrum is not None) for each in lights.lights] == [("A", True), ("D65", True)]
     assert [each.noise for each in lights.conditions] == [None, None]
     shares = np.where(np.arange(8 * 10).reshape(8, 10) % 2, 256, 1024).astype(np.uint16)

@@ -180,12 +180,14 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
 def test_three_layers_have_the_same_bytes_in_shards(
     bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A layer by structure and one by a tree, each in a pass of its own, with a second set of all of them: by one process,
+    """A layer by structure and one by a tree, each in a pass of its own, with sets for another gain and for less noise: by one process,
     by two, and in shards, more of them than frames; a shard takes only the table of the pass before."""
     monkeypatch.setattr(training_pass, "BATCH", 500)  # two blocks of frames, one for each shard …
     monkeypatch.setattr(learn, "LAYER_ROWS", 2000)  # … of the refinement layers, too
     training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
-    (tmp_path / "classes.toml").write_text(THREE_LAYERS.replace("draws = 2\n", "draws = 2\nnoise_left = 0.1\n"))
+    (tmp_path / "classes.toml").write_text(
+        THREE_LAYERS.replace("draws = 2\n", "draws = 2\ngains = [1, 8]\nnoise_left = 0.1\n")
+    )
     run = (training, "--classes", tmp_path / "classes.toml", "--seed", 5)
     for name, jobs in (("whole", 1), ("whole2", 2)):
         assert l3("train", *run, "-o", tmp_path / f"{name}.h5", "--jobs", jobs)[0] == 0

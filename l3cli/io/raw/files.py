@@ -37,6 +37,7 @@ class RawOverrides:
     packing: str | None = None  # one of packed.PACKINGS, of a headerless file
     stride: int | None = None  # bytes from row to row of a headerless file
     exposure: float | None = None  # s
+    gain: float | None = None  # analog gain over the camera's; None: by the ISO speed of the file
     dark: DarkFrame | None = None  # what the camera gives without light
     correction: Correction | None = None  # of its defects and shading
     hot: HotTest | None = None  # by which its hot pixels are found; None: they are left
@@ -118,7 +119,8 @@ def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
     rows, cols = table.cfa.shape
     recorded = frame.exposure if frame.exposure is not None and 0 < frame.exposure <= LONGEST else None
     exposure = recorded if known.exposure is None else known.exposure
-    dark = table.dark_signal(exposure) * (white_level - black_level) / (table.white_level - table.black_level)
+    gain = (table.gain_at(frame.shot.iso) or 1.0) if known.gain is None else known.gain
+    dark = gain * table.dark_signal(exposure) * (white_level - black_level) / (table.white_level - table.black_level)
     if not dark < white_level - black_level:
         raise InputFileError(
             f"{frame.name}: dark current alone fills a pixel with {dark:.4g} of {white_level - black_level:.4g} DN; "
@@ -131,6 +133,7 @@ def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
         phase=(phase[0] % rows, phase[1] % cols),
         exposure=exposure,
         dark=dark,
+        gain=gain,
     )
     corrected = corrected if known.dark is None else without_dark(corrected, known.dark)
     corrected = corrected if known.correction is None else known.correction.corrected(corrected)

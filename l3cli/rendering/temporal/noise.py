@@ -160,7 +160,7 @@ def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16
 
 def kind_of(frame: RawFrame) -> tuple[object, ...]:
     """Return the properties that frames must share to be blended."""
-    return frame.values.shape, frame.phase, frame.black_level, frame.white_level
+    return frame.values.shape, frame.phase, frame.black_level, frame.white_level, frame.gain
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:

@@ -153,7 +153,7 @@ class OpenCLFilter:
                 pair.reverse()
             rows, cols = frame.values.shape
             left = int(buffers.host_left.sum(dtype=np.int64)) / (int(np.prod(grid.cells)) * reference.ONE)
-            share = share_left(self._camera, frame, left)
+            share = share_left(self._camera.at_gain(frame.gain), frame, left)
             of_cells = NoiseLeft(buffers.host_left[1:-1, PADDING:-PADDING].copy(), reference.ONE, grid.cell)
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
@@ -166,7 +166,7 @@ class OpenCLFilter:
     def _begin(self, frame: RawFrame) -> None:
         self._kind, self._grid = kind_of(frame), Grid.of(frame.values.shape, self._period)
         sites = self._grid.period[0] * self._grid.period[1]
-        self._noise = noise_of(self._camera, frame.black_level, frame.white_level, sites)
+        self._noise = noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, sites)
         self._buffers = _Buffers(self._device, self._grid, self._noise)
 
     def _borders(self, work: Work, values: NDArray[np.uint16], made: NDArray[np.uint16]) -> tuple[Any, Any]:

@@ -129,7 +129,9 @@ class ReferenceFilter:
         """The next frame, blended with those before it, if they are of its size and levels."""
         kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)
-        noise = noise_of(self._camera, frame.black_level, frame.white_level, grid.period[0] * grid.period[1])
+        noise = noise_of(
+            self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, grid.period[0] * grid.period[1]
+        )
         values = grid.padded(to_units(frame.values, noise))
         if self.history is None or kind != self._kind:
             self._kind, self.history, self.vectors = kind, first_blend(values, grid), None
@@ -138,7 +140,9 @@ class ReferenceFilter:
             self.history = blended(values, self.history, self.vectors, grid, noise)
         rows, cols = frame.values.shape
         made = of_units(self.history.values[:rows, :cols], noise)
-        share = share_left(self._camera, frame, int(self.history.left.sum()) / (self.history.left.size * ONE))
+        share = share_left(
+            self._camera.at_gain(frame.gain), frame, int(self.history.left.sum()) / (self.history.left.size * ONE)
+        )
         left = NoiseLeft(self.history.left.astype(np.uint16), ONE, grid.cell)
         return replace(frame, values=made, noise_share=share, noise_left=left)
 

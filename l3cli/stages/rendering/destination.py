@@ -105,7 +105,7 @@ class Destination:
 def overrides(options: RenderOptions) -> RawOverrides:
     """Return what the options state about raw files."""
     levels = options.black_level, options.white_level, options.phase
-    return RawOverrides(*levels, options.size, options.packing, options.stride, options.exposure_time)
+    return RawOverrides(*levels, options.size, options.packing, options.stride, options.exposure_time, options.gain)
 
 
 def video_choice(options: RenderOptions) -> VideoChoice:

@@ -5,6 +5,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +20,7 @@ from l3cli.stages.training.refinement_layers import learn_refinement_layers
 from l3cli.stages.training.run import TrainingRun, TrainingSource
 from l3cli.system.console import Silent
 from l3cli.training.recipe import TrainingRecipe
-from l3cli.training.training_pass import TrainingPass, at_noise, spread_patches
+from l3cli.training.training_pass import TrainingPass, at_noise, few_of, spread_patches
 
 SAME_LIGHT = 1e-3  # relative difference of whites that are of one light, as spectra of one name give them
 
@@ -45,15 +46,23 @@ def _with_noises(
 ) -> TransformTable:
     """The usual table, which a run has learned, with transforms for each other noise that the recipe wants."""
     made = []
-    for each in passes_of(pass_, run.recipe)[1:]:
-        execution.console.info(f"transforms for {each.head.camera.noise_scale.shot:g} of the noise over time")
-        made.append(learn_refinement_layers(run, learn_first(run, each, execution), execution, like=like))
+    for noise, each in zip(run.recipe.learning.noises, passes_of(pass_, run.given)[1:], strict=True):
+        few = run_for(run, noise)
+        execution.console.info(f"transforms for {noise}")
+        made.append(learn_refinement_layers(few, learn_first(few, each, execution), execution, like=like))
     return with_noises(usual, made, run.recipe.learning.noises)
+
+
+def run_for(run: TrainingRun, noise: NoiseScale) -> TrainingRun:
+    """The run with as many mosaics as transforms for a noise are learned from: fewer for another gain (see at_noise)."""
+    layers = tuple(msgspec.structs.replace(each, mosaics=few_of(each.mosaics, noise)) for each in run.recipe.layer)
+    given, recipe = (msgspec.structs.replace(each, layer=layers) for each in (run.given, run.recipe))
+    return replace(run, given=given, recipe=recipe)
 
 
 def passes_of(usual: TrainingPass, recipe: TrainingRecipe) -> list[TrainingPass]:
     """The usual pass, and those beside it for each other noise that the recipe wants."""
-    return [usual, *(at_noise(usual, noise, recipe.classes) for noise in recipe.learning.noises)]
+    return [usual, *(at_noise(usual, noise, recipe) for noise in recipe.learning.noises)]
 
 
 def with_noises(usual: TransformTable, tables: Sequence[TransformTable], noises: Sequence[NoiseScale]) -> TransformTable:

@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CAMERA_NOISE
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import GradientScale
 from l3cli.artifacts.table import PlaneLayer, PlaneRule, TransformTable
@@ -30,7 +29,7 @@ from l3cli.training.layers.rules import (
     tree_rule,
 )
 from l3cli.training.patches import white_signal
-from l3cli.training.recipe import TrainingRecipe
+from l3cli.training.recipe import TrainingRecipe, for_noise
 from l3cli.training.training_pass import spread_patches
 
 UNITS = 8  # a process: more tell progress better, but every one hands on its own sums
@@ -45,7 +44,7 @@ def learn_refinement_layers(
             warn_of_left_out_layers(run, execution.console)
         return table
     while len(table.later) < len(run.recipe.layer):
-        layer = layer_pass(table, run.recipe, layer_mosaics(run, len(table.later)), run.seed)
+        layer = layer_pass(table, run.given, layer_mosaics(run, len(table.later)), run.seed)
         rule = layer_rule(run, layer, execution, like.later[len(table.later)].rule if like else None)
         sums = summed_layer(run, layer, rule, layer.blocks, execution)
         table = replace(table, later=(*table.later, finished_layer(layer, rule, sums)), history=run.history())
@@ -77,7 +76,8 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
     assert table.camera is not None  # tables have had one since there are layers
     own = recipe.layer[len(table.later)]
     powers = {"brightness_power": own.brightness_power, "error_power": own.error_power}
-    learning = msgspec.structs.replace(recipe.learning, **{name: each for name, each in powers.items() if each is not None})
+    learning = for_noise(recipe, table.camera).learning
+    learning = msgspec.structs.replace(learning, **{name: each for name, each in powers.items() if each is not None})
     return LayerPass(
         camera=table.camera,
         rule=table.first.rule,
@@ -109,7 +109,7 @@ class LayerUnit:
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
     """The layer's class rule, estimated from a pilot of all frames. With `like`, reuse that rule, but for other noise than
     the camera's its gradient scale."""
-    if like is not None and layer.camera.noise_scale == CAMERA_NOISE:
+    if like is not None and (layer.camera.gain, layer.camera.noise_left) == (run.head.camera.gain, 1):
         return like
     units = _units(run, layer, None, layer.blocks, execution)
     measured = execution.console.progress(execution.pool(_measure, units), len(units), f"layer {layer.number}, pilot")

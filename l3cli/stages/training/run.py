@@ -83,7 +83,8 @@ class TrainingRun:
     training: tuple[TrainingSource, ...]
     head: TrainingSet
     patches: tuple[int, ...]  # (frame)
-    recipe: TrainingRecipe
+    given: TrainingRecipe  # what its file says …
+    recipe: TrainingRecipe  # … with what that leaves to the camera
     shares: tuple[Fraction, ...] | None  # (set)
     seed: int
     stage: Stage
@@ -117,8 +118,7 @@ def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
     recipe = load_recipe(classes, TrainingRecipe)
     recipe = draft_of(recipe) if options.draft else recipe
     stamps = {path: stamp(path) for path in training}
-    head, frames = _common_head(training, noisy=not recipe.learning.noise_left)
-    recipe = for_camera(recipe, head.camera)
+    head, frames = _common_head(training, noisy=not recipe.learning.noises)
     chosen = options.chosen()
     if shares is not None:
         training, frames, shares = zip(
@@ -129,7 +129,7 @@ def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
     inputs = {"training set": [sha256(path) for path in training]}
     stage = Stage("train", chosen, read_text(classes), inputs)
     sources = tuple(map(TrainingSource, training, frames, inputs["training set"], map(stamps.__getitem__, training)))
-    return TrainingRun(sources, head, patches, recipe, shares, options.seed, stage)
+    return TrainingRun(sources, head, patches, recipe, for_camera(recipe, head.camera), shares, options.seed, stage)
 
 
 def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool) -> Iterator[TrainingPair]:
@@ -179,7 +179,7 @@ def _common_head(training: tuple[Path, ...], noisy: bool) -> tuple[TrainingSet, 
             frames.append(len(reader))
             if reader.has_pairs and not noisy:
                 raise InputFileError(
-                    f"{path} holds real pairs, whose noise no second set can be without; leave out learning.noise_left"
+                    f"{path} holds real pairs, whose noise is what it is; leave out learning.noise_left and learning.gains"
                 )
             if head is None:
                 head = reader.head

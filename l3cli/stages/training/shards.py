@@ -23,7 +23,7 @@ from l3cli.artifacts.table import PlaneRule, TransformTable, rule_fields
 from l3cli.errors import InputFileError
 from l3cli.options.commands import ShardOptions
 from l3cli.recipes.toml import parse_recipe
-from l3cli.stages.training.conditions import by_noise, passes_of, require_one_go, with_noises
+from l3cli.stages.training.conditions import by_noise, passes_of, require_one_go, run_for, with_noises
 from l3cli.stages.training.passes import Execution, first_pass, pass_of, sum_unit, summed
 from l3cli.stages.training.refinement_layers import (
     finished_layer,
@@ -37,7 +37,7 @@ from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun
 from l3cli.stages.training.whole import execution_of, report_table
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
-from l3cli.training.layers.learn import add_sums, no_sums
+from l3cli.training.layers.learn import LayerPass, add_sums, no_sums
 from l3cli.training.recipe import TrainingRecipe, check_layers, draft_of
 from l3cli.training.sums import empty_sums
 from l3cli.training.table import add_up, assemble, learn_site
@@ -68,11 +68,10 @@ def _write_shard(
     execution: Execution,
 ) -> None:  # fmt: skip
     index, count = shard
-    blocks = frame_blocks(pass_.patches)[index - 1 :: count]
     sites = list(pass_.divisors)
-    passes = passes_of(pass_, run.recipe)
+    passes = passes_of(pass_, run.given)
     tables = by_noise(table) if table else [None for _ in passes]
-    sets = [_sums(run, *each, blocks, sites, execution) for each in zip(passes, tables, strict=True)]
+    sets = [_sums(run, *each, shard, execution) for each in zip(passes, tables, strict=True)]
     head = PartialSums(
         history=run.history_of_pass(pass_.number),
         shard=index,
@@ -93,13 +92,14 @@ def _write_shard(
 
 
 def _sums(
-    run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, blocks: list[range], sites: list[int],
-    execution: Execution,
-) -> Iterator[ClassSums]:  # fmt: skip
+    run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, shard: tuple[int, int], execution: Execution
+) -> Iterator[ClassSums]:
     """Yield the sums of a shard's blocks, for each canonical site in order."""
+    index, count = shard
+    blocks = frame_blocks(pass_.patches)[index - 1 :: count]
     sums = summed(sum_unit, run, pass_, table, blocks, execution)
     if not blocks:  # more shards than blocks
-        sums = ((site, empty_sums(pass_.rule, len(run.head.outputs))) for site in sites)
+        sums = ((site, empty_sums(pass_.rule, len(run.head.outputs))) for site in pass_.divisors)
     return (add_up(pass_, [site_sums]) for _, site_sums in sums)
 
 
@@ -197,19 +197,21 @@ def write_layer_shard(
     run: TrainingRun, shard: tuple[int, int], table: TransformTable, output: Path, execution: Execution
 ) -> None:
     """Write what a shard (number from 1, of how many) sums up for the layer on `table`."""
-    mosaics = layer_mosaics(run, len(table.later))
-    layer = layer_pass(table, run.recipe, mosaics, run.seed)
+    layer = _layer(table, run)
     rule = layer_rule(run, layer, execution)
     index, count = shard
-    blocks = layer.blocks[index - 1 :: count]
-    layers = [layer_pass(each, run.recipe, mosaics, run.seed) for each in by_noise(table)]
+    runs = (run, *(run_for(run, noise) for noise in run.recipe.learning.noises))
+    layers = [_layer(*each) for each in zip(by_noise(table), runs, strict=True)]
     rules = [rule, *(layer_rule(run, each, execution, like=rule) for each in layers[1:])]
-    sets = [summed_layer(run, each, rule, blocks, execution) for each, rule in zip(layers, rules, strict=True)]
+    sets = [
+        summed_layer(run, each, rule, each.blocks[index - 1 :: count], execution)
+        for each, rule in zip(layers, rules, strict=True)
+    ]
     head = PartialLayerSums(
         history=run.history_of_layers(layer.number),
         shard=index,
         shards=count,
-        mosaics=np.array(mosaics),
+        mosaics=np.array(layer.mosaics),
         side=layer.recipe.side,
         ratio_taps=layer.ratio_taps,
         **rule_fields(rule),
@@ -219,6 +221,10 @@ def write_layer_shard(
     )
     write_partial_sums(output, head, *(sums.values() for sums in sets))
     execution.console.info(f"{output}: shard {index} of {count}, layer {layer.number}")
+
+
+def _layer(table: TransformTable, run: TrainingRun) -> LayerPass:
+    return layer_pass(table, run.given, layer_mosaics(run, len(table.later)), run.seed)
 
 
 def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.plane_rules import DEEPEST, FACTORS, MOST_SHIFT, SMALLEST, TESTS, GradientScale, StructureRule, TreeRule
+from l3cli.artifacts.plane_rules import DEEPEST, SMALLEST, TESTS, GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.table import PLANE_STEP
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes import structure
@@ -222,10 +222,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
     if known.size:
         spread = np.log(squares[known] / count[known]) / 2
         deviation = np.exp(np.interp(np.arange(layer.rule.levels), known, spread))
-    scale = structure.SIGMA / deviation  # = factor / 2^shift, with a factor of 7 bits
-    shift = np.clip(np.ceil(np.log2(FACTORS[0] / scale)), 0, MOST_SHIFT)
-    factor = np.clip(np.rint(scale * 2**shift), 1, FACTORS[1])
-    return GradientScale(factor.astype(np.uint8), shift.astype(np.uint8))
+    return GradientScale.of(structure.SIGMA / deviation)
 
 
 def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:

@@ -1,0 +1,218 @@
+"""Analog gains: what a camera's noise is at each, transforms for several, and those between them; who renders by them."""
+
+import dataclasses
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from l3cli.artifacts.camera import AnalogGains, CameraModel, NoiseScale
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.schema import equal
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import open_training_set
+from l3cli.frames.frame import RawFrame
+from l3cli.rendering.conditions import at_gain, gains_of, nearest_step
+from l3cli.rendering.raw_checks import other_gain
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.renderer import NoiseRenderer
+from l3cli.training.recipe import APART, learned_gains
+from tests.helpers.calls import L3, Refused
+from tests.helpers.paths import CONFIGS
+
+LEAVES = (
+    'exposure_share = [0.03]\n[[scene]]\nsource = "dead leaves"\nsize = [96, 96]\ncount = 4\n[sensor]\nanalog_gain = {}\n'
+)
+CLASSES = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[classes.direction]\n[learning]\npatches = 4000\nfirst_draws = 1\n"
+LAYER = "draws = 4\n[[layer]]\nside = 3\nmosaics = 16\nrows = 500\n"
+BAYER = CONFIGS / "cameras/bayer.toml"
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A table for one gain and one for gains up to 16, sets of frames at gains 1, 8 and 16, and tables for these alone."""
+    from l3cli.cli import run
+
+    folder = tmp_path_factory.mktemp("gains")
+    calls: list[tuple[Any, ...]] = []
+    for gain in (1, 8, 16):
+        (folder / f"scenes{gain}.toml").write_text(LEAVES.format(f"{gain}.0"))
+        calls.append(("simulate", folder / f"scenes{gain}.toml", "--camera", BAYER, "-o", folder / f"set{gain}.h5"))
+    for name, gain, keys in (
+        ("one", 1, ""),
+        ("several", 1, "gains = [1, 2, 4, 8, 16]\nnoise_left = 0.1\n"),
+        ("at16", 16, ""),
+    ):
+        (folder / f"{name}.toml").write_text(CLASSES + keys + LAYER)
+        classes = ("--classes", folder / f"{name}.toml")
+        calls.append(("train", folder / f"set{gain}.h5", *classes, "-o", folder / f"{name}.h5"))
+    for call in calls:
+        assert run([*map(str, call), "--quiet"]) == 0
+    return {path.stem: path for path in folder.glob("*.h5")}
+
+
+@pytest.fixture(scope="module")
+def several(learned: dict[str, Path]) -> TransformTable:
+    return load(TransformTable, learned["several"])
+
+
+# -------------------------------------------------------------------------------------------------------- cameras
+
+
+def amplified(camera: CameraModel, before: float, after: float) -> CameraModel:
+    """The camera with read noise (e-) before and after an amplifier, known at gains of 1/4 and 64."""
+    known = np.array([0.25, 64.0])
+    noise = dataclasses.replace(camera.noise, read_noise=float(np.hypot(before, after)))
+    return dataclasses.replace(camera, noise=noise, gains=AnalogGains(known, np.hypot(before, after / known), 100.0))
+
+
+@given(st.floats(0.0, 5.0), st.floats(0.1, 50.0), st.floats(0.3, 60.0), st.floats(0.3, 60.0))
+def test_read_noise_at_a_gain_is_that_of_both_sides_of_the_amplifier(
+    before: float, after: float, gain: float, more: float
+) -> None:
+    camera = amplified(load_camera(BAYER), before, after)
+    there = camera.at_gain(gain)
+    assert there.noise.read_noise == pytest.approx(np.hypot(before, after / gain), rel=1e-6)
+    constant, linear, quadratic = there.noise_terms()
+    dsnu = camera.noise.dsnu**2 + camera.noise.column_noise**2
+    assert constant == pytest.approx((camera.gain * gain) ** 2 * (there.noise.read_noise**2 + dsnu) + 1 / 12)
+    assert linear == pytest.approx(gain * camera.noise_terms()[1])
+    assert quadratic == camera.noise_terms()[2]
+    assert there.full_scale == pytest.approx(camera.full_scale / gain)
+    assert there.gain_at(800.0) == pytest.approx(8.0 / gain)
+    if 0.3 <= gain * more <= 60:
+        twice = there.at_gain(more)
+        assert twice.noise.read_noise == pytest.approx(camera.at_gain(gain * more).noise.read_noise, rel=1e-6)
+
+
+def test_a_step_of_read_noise_is_data() -> None:
+    """As of a pixel with two conversion gains: below the step and above it, read noise is what was measured."""
+    camera = dataclasses.replace(
+        load_camera(BAYER), gains=AnalogGains(np.array([3.9, 4.0, 16.0]), np.array([5.0, 1.5, 1.2]))
+    )
+    for gain, noise in ((3.9, 5.0), (4.0, 1.5), (16.0, 1.2), (100.0, 1.2)):
+        assert camera.at_gain(gain).noise.read_noise == pytest.approx(noise)
+
+
+def test_a_recipe_names_gains(tmp_path: Path, l3: L3) -> None:
+    recipe = BAYER.read_text()
+    path = tmp_path / "camera.toml"
+    path.write_text(recipe + "\n[gain]\niso = 100\nread_noise_before_e = 1.0\n")
+    camera, own = load_camera(path), load_camera(BAYER).noise.read_noise
+    assert camera.at_gain(8).noise.read_noise == pytest.approx(np.hypot(1.0, np.sqrt(own**2 - 1) / 8), rel=1e-5)
+    assert camera.gain_at(1600) == 16
+    save(camera, tmp_path / "camera.h5")
+    assert equal(load(CameraModel, tmp_path / "camera.h5"), camera)
+    for keys, words in (
+        ("gains = [2.0]", "names 1 gains, gain.read_noise_e 0"),
+        ("gains = [1.0]\nread_noise_e = [1.0]", "must lie in"),
+        ("gains = [2.0, 2.0]\nread_noise_e = [1.0, 1.0]", "once"),
+        ("read_noise_before_e = 1000.0", "must lie in 0"),
+        ("iso = -1", "gain.iso is -1"),
+    ):
+        path.write_text(recipe + f"\n[gain]\n{keys}\n")
+        code, found, _ = l3("check", path)
+        assert (code, words in found) == (3, True)
+
+
+# -------------------------------------------------------------------------------------------------------- tables
+
+
+@given(st.lists(st.floats(1 / 64, 64.0), max_size=12))
+def test_transforms_are_learned_for_as_few_gains_as_lie_near_one_another(gains: list[float]) -> None:
+    """Every gain that is asked for lies between two that are learned; those are no farther apart than asked ones allow."""
+    learned = sorted([1.0, *learned_gains(gains)])
+    assert set(learned) <= {1.0, *gains}
+    assert (min(gains, default=1.0) >= learned[0], max(gains, default=1.0) <= learned[-1]) == (True, True)
+    for lower, upper in itertools.pairwise(learned):
+        assert upper / lower <= APART or not any(lower < gain < upper for gain in gains)
+
+
+def test_transforms_at_a_learned_gain_are_those_that_were_learned(learned: dict[str, Path], several: TransformTable) -> None:
+    """Those for the camera's gain are what they would be alone; at another gain those below it are for less noise."""
+    assert gains_of(several) == [1, 4, 16]
+    assert equal(dataclasses.replace(several, conditions=()), load(TransformTable, learned["one"]))
+    assert [each.noise for each in several.conditions] == [NoiseScale(4), NoiseScale(16), NoiseScale(noise_left=0.1)]
+    made, wanted = at_gain(several, 16.0), several.under(several.conditions[1])
+    assert equal(dataclasses.replace(made, conditions=()), wanted)
+    assert made.output_unit == several.output_unit / 16
+    left = [each.noise.noise_left for each in made.conditions if each.noise]
+    assert left == pytest.approx([1 / 16, 4 / 16, 0.1 / 16])
+    assert equal(made.under(made.conditions[1]).first, several.under(several.conditions[0]).first)
+
+
+def test_a_table_for_its_gain_is_better_than_one_for_another(learned: dict[str, Path], several: TransformTable) -> None:
+    """Between gains that it has transforms for, too, and nearly as good as one that is learned for that gain alone."""
+    tables = {name: load(TransformTable, learned[name]) for name in ("one", "at16")}
+    error: dict[tuple[str, int], float] = {}
+    for gain in (8, 16):
+        with open_training_set(learned[f"set{gain}"]) as reader:
+            frame, camera = reader.frame(0), reader.head.camera
+        raw = RawFrame("frame", frame.raw, camera.black_level, camera.white_level)
+        target = frame.target * np.float32(frame.exposure / camera.output_unit)
+        for name, table in (*tables.items(), ("several", at_gain(several, gain))):
+            outputs = ReferenceRenderer(table).outputs(raw)
+            error[name, gain] = float(np.mean((outputs - target)[1, 4:-4, 4:-4] ** 2))
+    assert error["several", 16] < 1.15 * error["at16", 16]
+    for gain in (8, 16):
+        assert error["several", gain] < 0.8 * error["one", gain]
+
+
+def test_frames_are_rendered_by_the_transforms_for_their_gain(several: TransformTable) -> None:
+    values = np.random.default_rng(1).integers(300, 3000, (24, 40)).astype(np.uint16)
+    frame = RawFrame("frame", values, several.black_level, several.white_level)
+    renderer = NoiseRenderer("reference", several)
+    for gain in (1.0, 4.0, 5.7, 16.0, 100.0):
+        wanted = ReferenceRenderer(at_gain(several, nearest_step(gain))).outputs(frame)
+        np.testing.assert_array_equal(renderer.outputs(dataclasses.replace(frame, gain=gain)), wanted)
+    assert other_gain(dataclasses.replace(frame, gain=20.0), several) == ""
+    assert "gains 1 to 16" in other_gain(dataclasses.replace(frame, gain=64.0), several)
+    assert "gain of its camera alone" in other_gain(
+        dataclasses.replace(frame, gain=4.0), dataclasses.replace(several, conditions=())
+    )
+
+
+@given(st.floats(1 / 1000, 1000.0))
+def test_gains_are_rendered_within_three_percent(gain: float) -> None:
+    assert nearest_step(gain) == pytest.approx(gain, rel=0.03)
+    assert nearest_step(nearest_step(gain)) == nearest_step(gain)
+
+
+# ------------------------------------------------------------------------------------------------------- commands
+
+
+def test_frames_of_another_gain_are_judged_by_its_transforms(learned: dict[str, Path], l3: L3) -> None:
+    """No word of another camera: its gain is one that the table has transforms for."""
+    code, _, words = l3("evaluate", learned["several"], learned["set8"])
+    assert (code, "was trained for another camera" in words) == (0, False)
+    assert "was trained for another camera" in l3("evaluate", learned["one"], learned["set8"])[2]
+
+
+def test_render_takes_the_gain_that_is_given(
+    learned: dict[str, Path], several: TransformTable, l3: L3, refused: Refused, tmp_path: Path
+) -> None:
+    raw = tmp_path / "frame.raw"
+    raw.write_bytes(np.random.default_rng(1).integers(300, 3000, (96, 96)).astype("<u2").tobytes())
+    how = ("--size", "96x96", "--backend", "reference")
+    for name, gain in (("a.exr", ()), ("b.exr", ("--gain", "16")), ("c.exr", ("--gain", "64"))):
+        code, _, words = l3("render", learned["several"], raw, "-o", tmp_path / name, *how, *gain)
+        assert (code, "has transforms for gains 1 to 16" in words) == (0, name == "c.exr")
+    assert (tmp_path / "a.exr").read_bytes() != (tmp_path / "b.exr").read_bytes()
+    assert "--gain" in refused(2, "render", learned["several"], raw, "-o", tmp_path / "d.exr", "--gain", "0")
+
+
+def test_gains_that_cannot_be_are_refused(tmp_path: Path, l3: L3) -> None:
+    path = tmp_path / "classes.toml"
+    for keys, words in (
+        ("gains = [2, 4]\n", "whose own, 1, is one"),
+        ("gains = [1, 1e9]\n", "learning.gains must lie in"),
+        ('gains = [1, 4]\nnoise = "none"\n', "differ in noise"),
+    ):
+        path.write_text(CLASSES + keys + LAYER)
+        code, found, _ = l3("check", path)
+        assert (code, words in found) == (3, True)
