@@ -28,7 +28,7 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
     if options.camera is not None:
         raise click.UsageError("--camera goes with --draft; a measurement file states its camera itself")
     from l3cli.calibration import figures
-    from l3cli.io.raw.registry import is_photo
+    from l3cli.io.raw.files import is_photo
 
     if measurements is not None and is_photo(measurements):
         raise click.UsageError(f"{measurements} is a raw file; a photo of a ColorChecker goes with --photo")

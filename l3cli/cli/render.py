@@ -52,7 +52,7 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     if Record.current is not None and output == Path("-"):
         raise click.UsageError("-o - writes pictures to stdout, where --json goes; name a file or leave --json out")
     from l3cli.io.isolated import start
-    from l3cli.io.raw.registry import is_photo, needs_isolation
+    from l3cli.io.raw.files import is_photo, needs_isolation
 
     if is_photo(table):
         from l3cli.stages.starting import refuse_as_table

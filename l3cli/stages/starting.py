@@ -16,8 +16,8 @@ from l3cli.frames.measurement import Measurements, Stated
 from l3cli.io.curves import shipped_statistics
 from l3cli.io.measurements import photo_measurements
 from l3cli.io.raw.cfa_codes import code_of
+from l3cli.io.raw.files import BY_SUFFIX, is_photo
 from l3cli.io.raw.libraw import stated
-from l3cli.io.raw.registry import BY_SUFFIX, is_photo
 from l3cli.options.commands import InitOptions
 from l3cli.recipes.builtin import COMMON, curves_of, folder_files, known_camera, recipe_folder, summary
 from l3cli.system.console import Console

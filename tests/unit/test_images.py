@@ -18,7 +18,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.images import read_image
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.io.pictures.registry import format_of, write_picture
-from l3cli.io.raw import registry, tiff
+from l3cli.io.raw import files, tiff
 from l3cli.io.scenes import envi
 from l3cli.system import signals
 from l3cli.system.limits import MEGAPIXELS, TRUST
@@ -120,7 +120,7 @@ def test_the_same_as_by_the_library(tmp_path: Path, shape: tuple[int, int], expo
     np.testing.assert_array_equal(content["values"], values)
     assert (content["values"].dtype, content["exposure"]) == (values.dtype, time)
     assert tiff.is_plain(path)
-    assert not registry.needs_isolation(path)
+    assert not files.needs_isolation(path)
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -170,7 +170,7 @@ def test_other_files_are_left_to_the_isolated_process(tmp_path: Path, monkeypatc
     write_mosaic(plain, mosaic(20, 30))
     for path in (coloured, empty, pipe, tmp_path, tmp_path / "missing.tif"):
         assert not tiff.is_plain(path)
-        assert registry.needs_isolation(path) == bool(path.suffix)
+        assert files.needs_isolation(path) == bool(path.suffix)
     write_mosaic(tmp_path / "eight.tif", mosaic(20, 30).astype(np.uint8))
     assert tiff.is_plain(tmp_path / "eight.tif")
     assert tiff.read_plain(tmp_path / "eight.tif", (16,)) is None

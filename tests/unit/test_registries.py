@@ -5,7 +5,7 @@ from typing import get_args
 
 import pytest
 
-from l3cli.io.raw import registry as raw
+from l3cli.io.raw import files as raw
 from l3cli.io.scenes import registry as scenes
 from l3cli.simulation import sources
 

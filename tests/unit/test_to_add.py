@@ -170,7 +170,7 @@ DECIMAL = '''
 
 import numpy as np
 
-from l3cli.io.raw.registry import RawContent
+from l3cli.io.raw.content import RawContent
 
 def read(path):
     """Values (row, col) in DN."""
@@ -234,7 +234,7 @@ ADDITIONS: dict[str, dict[str, str | Edits]] = {
     },
     "raw format": {
         "l3cli/io/raw/decimal.py": DECIMAL,
-        "l3cli/io/raw/registry.py": [
+        "l3cli/io/raw/files.py": [
             ("FORMATS = (\n", 'FORMATS = (\n    RawFormat((".txt",), "decimal"),\n'),
         ],
     },

@@ -19,9 +19,9 @@ from l3cli.frames.correction import plan_correction
 from l3cli.frames.frame import with_one_black_level
 from l3cli.io.isolated import isolated
 from l3cli.io.raw.cfa_codes import LETTERS
+from l3cli.io.raw.content import RawContent
 from l3cli.io.raw.libraw import opened
 from l3cli.io.raw.opcodes import Opcodes, bad_pixels, gain_of_pixels, read_opcodes
-from l3cli.io.raw.registry import RawContent
 from l3cli.io.tags import (
     BROKEN,
     COLOUR_FILTER_ARRAY,

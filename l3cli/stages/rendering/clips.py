@@ -21,8 +21,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError
 from l3cli.io.file_names import PATTERN, natural_order
 from l3cli.io.raw.cfa_codes import Sensor
-from l3cli.io.raw.files import holds_several
-from l3cli.io.raw.registry import BY_SUFFIX, format_of, is_frame
+from l3cli.io.raw.files import BY_SUFFIX, format_of, holds_several, is_frame
 from l3cli.io.sequences import frame_files, is_one_file, is_still
 from l3cli.io.video import is_video
 from l3cli.options.render import RenderOptions
