@@ -4,7 +4,7 @@
 // CFA phase of padded row or column p, whose frame begins at phase `start`: that of p - RADIUS.
 #define PADDED_PHASE(p, start, period) (((p) + (start) + ((period) - 1) * RADIUS) % (period))
 
-// What the features read, in the order of l3cli/classes/kernel.py: as parameters, and handed on.
+// What the features read, in the order of l3cli/classes/plane_kernel.py: as parameters, and handed on.
 #define BASIC_CONSTANTS LEVEL_CONSTANTS, CONTRAST_CONSTANTS, SATURATION_CONSTANTS, CHROMA_CONSTANTS
 #define BASIC level_tops, contrast_edges, case_of_code, chroma_weights
 #ifdef EACH_WINDOW

@@ -1,5 +1,5 @@
 // A yardstick and no backend: what is written first by whoever has labels and transforms of one layer. A work-item a pixel reads
-// its patch and its class's weights from global memory, output after output, tap after tap (l3cli/rendering/naive.py).
+// its patch and its class's weights from global memory, output after output, tap after tap (tests/studies/test_speed_study.py).
 
 __kernel void naive(__global const ushort *raw,         // (row, col) DN
                     __global const int *row_source,     // (padded row) the raw one that it repeats
