@@ -211,7 +211,7 @@ def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingS
 
 
 class TrainingSetWriter:
-    """Appends frames and pairs to a training set being written."""
+    """Writer of frames and pairs, one by one, to a training set being written."""
 
     def __init__(self, root: h5py.File, head: TrainingSet) -> None:
         self._root = root

@@ -245,7 +245,7 @@ def _array(description: list[Any], file: int) -> np.ndarray:
 
 
 class ArrayWriter:
-    """Appends arrays to a file from its beginning."""
+    """Writer of arrays to a file, from its beginning."""
 
     def __init__(self, file: int) -> None:
         self._file, self._end = file, 0

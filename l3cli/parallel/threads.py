@@ -64,8 +64,8 @@ def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threadin
 
 
 class BackgroundTask:
-    """Does `work` in another thread while the block runs, and waits for its end. What goes wrong in it is left to whoever
-    does the same later: the work only makes something ready."""
+    """Execution of `work` in another thread while the block runs, which waits for its end. What goes wrong in it is left to
+    whoever does the same later: the work only makes something ready."""
 
     def __init__(self, work: Callable[[], object]) -> None:
         self._work = work

@@ -83,7 +83,7 @@ def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Faul
 
 
 class _Judge:
-    """Compares a recipe's content with the declared types, key by key."""
+    """Comparison of a recipe's content with the declared types, key by key."""
 
     def __init__(self, recipe: type[Recipe], content: dict[str, Any], faults: list[Fault]) -> None:
         self.recipe, self.content, self.faults = recipe, content, faults

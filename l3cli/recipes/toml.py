@@ -123,7 +123,7 @@ def key_lines(text: str) -> dict[KeyPath, int]:
 
 
 class _Scanner:
-    """Goes through a text once; each method begins at a token and leaves the one behind what it is named after."""
+    """Scanner of a text in one pass; each method begins at a token and leaves the one behind what it is named after."""
 
     def __init__(self, text: str) -> None:
         self.text, self.tokens = text, TOKEN.finditer(text)

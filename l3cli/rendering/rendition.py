@@ -125,7 +125,7 @@ def shown(
 
 
 class FrameMeter:
-    """Measures frames in their order: the exposure scale and white balance that each is shown with. `rate` (frames/s): at
+    """Meter of frames in their order: the exposure scale and white balance that each is shown with. `rate` (frames/s): at
     which both follow what is measured, or stay those of the first frame if the source is held; None: each frame has its own
     white, and automatic exposure is not measured. `source`: of the white, None: the rendition's."""
 

@@ -46,8 +46,8 @@ def _pad(name: str, direction: Any, caps: str) -> Any:
 
 
 class L3Render(GstBase.BaseTransform):
-    """Renders mosaics, one channel in DN, as `l3 render` does a sequence: sRGB of 8 bits (RGB) or 16 (RGBA64_LE), by what
-    the next element takes. What does not fit ends the stream with an error of one line."""
+    """Renderer of mosaics, one channel in DN, as `l3 render` does a sequence: sRGB of 8 bits (RGB) or 16 (RGBA64_LE), by
+    what the next element takes. What does not fit ends the stream with an error of one line."""
 
     __gtype_name__ = "L3Render"
     __gstmetadata__ = (

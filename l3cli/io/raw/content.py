@@ -47,7 +47,7 @@ class MultiFrameFile:
 
 
 class InOrder:
-    """Reads a stream frame by frame, each number after the one before it; frames between are passed over."""
+    """Reader of a stream frame by frame, each number after the one before it; frames between are passed over."""
 
     def __init__(self, following: Callable[[], NDArray | None], exchangeable: bool = False) -> None:
         self._following = following  # the next frame's pixels; None at the end

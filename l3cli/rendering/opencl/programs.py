@@ -24,7 +24,7 @@ Key = tuple[Any, ...]
 
 
 class Compiler:
-    """Builds programs for a device, or takes those that it has built in this process."""
+    """Builder of programs for a device, which reuses those of this process."""
 
     def __init__(self, context: Any, device: Any) -> None:
         self.context, self._device = context, device

@@ -58,7 +58,7 @@ class Square:
 
 
 class GreyRenderer:
-    """Renders plain areas on the processor, in float64, so that all devices agree about white."""
+    """Renderer of plain areas on the processor, in float64, so that all devices agree about white."""
 
     def __init__(self, table: TransformTable) -> None:
         self.table = table

@@ -32,7 +32,7 @@ LIKELY_ERROR, LIKELY_GREEN = 0.1, 0.1  # of the logarithm of a cone response; of
 
 
 class AutoWhite:
-    """Estimates whites of frames on some 1500 pixels of one CFA site rendered on the processor, as LightMeter does: a pure
+    """Estimator of whites of frames on some 1500 pixels of one CFA site, on the processor, as LightMeter: a pure
     function of the frame, whatever the device. `balanced_by`: whose balances they have, None: those of the same table."""
 
     about, held = "estimated on the frame", False

@@ -53,7 +53,7 @@ class Exposed:
 
 
 class Local:
-    """Renders frames in this process."""
+    """Renderer of frames in this process."""
 
     by_path = False  # whether it reads files itself
 
@@ -119,7 +119,7 @@ class RenderJob:
 
 
 class Remote:
-    """Renders frames by the workers of other machines."""
+    """Renderer of frames by the workers of other machines."""
 
     def __init__(self, pool: WorkerPool, setup: RenderSetup, by_path: bool, shading: "Shading | None" = None) -> None:
         """`by_path`: workers read the files themselves; `shading`: that of the setup's camera, which they know."""
@@ -207,8 +207,8 @@ def while_reading(
 
 
 class Renderers:
-    """Makes renderers and keeps the last one, for runs one after the other: to make one takes a while, and what OpenCL has
-    built of it stays in memory."""
+    """Maker of renderers, which keeps the last one, for runs one after the other: to make one takes a while, and what OpenCL
+    has built of it stays in memory."""
 
     def __init__(self) -> None:
         self._renderers: dict[Any, Renderer] = {}

@@ -99,7 +99,7 @@ class Tally:
 
 
 class WhiteReport:
-    """Says which white was assumed: of every still, of the first frame of a sequence and, if it has moved, of the last."""
+    """Report of the white assumed: of every still, of the first frame of a sequence and, if it has moved, of the last."""
 
     def __init__(self, source: WhiteSource | None, stills: bool, console: Console) -> None:
         self._source, self._stills, self._console = source, stills, console
