@@ -51,7 +51,7 @@ def read_raw(
 
 
 class Renderer:
-    """Renders frames through a table, one or thousands, from any number of threads (one at a time is at work).
+    """Renderer of frames through a table, one or thousands, from any number of threads (one at a time is at work).
 
     A frame is what `read_raw` gives, or an array (row, col) of uint16 at the table's black and white level whose first pixel
     has CFA site (0, 0). `backend`: "opencl" or "reference"; `device`, `variant`: of "opencl", as the command's options.

@@ -121,7 +121,7 @@ def _level_table(black_level: float, new_black_level: float, scale: float, top: 
 def with_one_black_level(
     values: NDArray[np.uint16], black_level: NDArray[np.floating], white_level: NDArray[np.floating]
 ) -> tuple[NDArray[np.uint16], float, float]:
-    """values (row, col) of pixels whose black and white levels differ, shifted to one black level, and both levels then.
+    """Return values (row, col) of pixels whose black and white levels differ, shifted to one black level, and both levels.
 
     `black_level` and `white_level` broadcast against the values, in DN. The common black level is the rounded mean, and the
     white level what the pixel that saturates first above its black level can reach: no saturated pixel is then taken for a
@@ -137,7 +137,7 @@ def with_one_black_level(
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:
-    """pixels (row, col, …) turned as LibRaw's flip code says: 1 mirrors columns, 2 mirrors rows, 4 then transposes;
+    """Return pixels (row, col, …) turned as LibRaw's flip code says: 1 mirrors columns, 2 mirrors rows, 4 then transposes;
     so 3 is a half turn, 5 a quarter turn to the left, 6 one to the right."""
     if orientation & 1:
         pixels = pixels[:, ::-1]
@@ -147,9 +147,9 @@ def upright(pixels: NDArray, orientation: int) -> NDArray:
 
 
 def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]:
-    """Source index of each of `length` + 2·`margin` padded samples: inside itself; outside the sample of equal CFA phase
-    nearest the mirror image, so that padding keeps the mosaic (docs/method.md#rendering). Where a mosaic is shorter than the
-    period and no sample of that phase exists, the nearest sample is taken."""
+    """Return source index of each of `length` + 2·`margin` padded samples: inside itself; outside the sample of equal CFA
+    phase nearest the mirror image, so that padding keeps the mosaic (docs/method.md#rendering). Where a mosaic is shorter
+    than the period and no sample of that phase exists, the nearest sample is taken."""
     wanted = np.arange(-margin, length + margin)
     if length < period:
         return np.clip(wanted, 0, length - 1).astype(np.int32)
@@ -162,7 +162,7 @@ def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]
 
 
 def pad_mosaic(values: NDArray, margin: int, cfa_shape: tuple[int, int]) -> NDArray:
-    """values (row, col) with `margin` more samples on every side, by `mirrored_indices`."""
+    """Return values (row, col) with `margin` more samples on every side, by `mirrored_indices`."""
     rows = mirrored_indices(values.shape[0], margin, cfa_shape[0])
     cols = mirrored_indices(values.shape[1], margin, cfa_shape[1])
     return values[np.ix_(rows, cols)]
@@ -174,7 +174,7 @@ def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.ui
 
 
 def as_taken(pixels: NDArray, orientation: int) -> NDArray:
-    """pixels (row, col, …) turned back from `upright`."""
+    """Return pixels (row, col, …) turned back from `upright`."""
     if orientation & 4:
         pixels = pixels.swapaxes(0, 1)
     if orientation & 2:

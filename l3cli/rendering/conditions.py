@@ -94,7 +94,7 @@ def described(table: TransformTable, mix: Mix) -> str:
 
 
 def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[NDArray[np.float64] | float]) -> Layers:
-    """The transforms between those of two, by a share of each layer, or one of each class of it."""
+    """Return the transforms between those of two, by a share of each layer, or one of each class of it."""
 
     def layer(of: Any, one: Any, other: Any, share: NDArray[np.float64] | float) -> Any:
         names = ("weights", "intercept")
@@ -105,7 +105,7 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 
 
 def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float64] | float) -> NDArray[Float]:
-    """Equal ones stay what they are; shares, of all or of each along the first axis, of 0 and 1 give one of the two."""
+    """Mix two; equal ones stay; shares, of all or of each along the first axis, of 0 and 1 give one of the two."""
     one, other = warm.astype(np.float64), cool.astype(np.float64)
     share = np.asarray(share).reshape(-1, *[1] * (one.ndim - 1))
     return np.where(one == other, one, (1 - share) * one + share * other).astype(warm.dtype)
@@ -147,7 +147,7 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """The same of a table of no single lights."""
+    """Return the same of a table of no single lights."""
     conditions = [(each.noise, each) for each in table.noises if each.noise]
     sets = {1.0: replace(table, conditions=())}
     sets |= {noise.gain: table.under(each) for noise, each in conditions if noise.noise_left == 1}
@@ -174,7 +174,7 @@ def _at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _between_gains(lower: TransformTable, upper: TransformTable, table: TransformTable, gain: float) -> TransformTable:
-    """The transforms and class edges of a table between its sets for two gains, which may be one."""
+    """Return the transforms and class edges of a table between its sets for two gains, which may be one."""
     if lower is upper:
         return lower
     made = _mixed_layers(lower, lower, upper, _shares(lower, upper, table, gain))
@@ -308,6 +308,6 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
 
 
 def _scaled(edges: NDArray[np.uint32], share: float) -> NDArray[np.uint32]:
-    """Edges (edge, …) times a share; they still increase."""
+    """Return edges (edge, …) times a share; they still increase."""
     least = np.arange(len(edges)).reshape(-1, *[1] * (edges.ndim - 1))
     return np.maximum(np.rint(edges * share), least).astype(np.uint32)

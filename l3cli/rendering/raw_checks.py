@@ -15,8 +15,8 @@ from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.rendering.conditions import FAR, gains_of
 from l3cli.rendering.exposure import RangeMeter
 
-BEYOND = 1.5  # times the white level: no saturated pixel lies so far above it …
-SHALLOW = 0.55  # of it: nor do pixels of the same depth clip so far below
+BEYOND = 1.5  # times the white level: no saturated pixel lies so far above
+SHALLOW = 0.55  # times the white level: no pixels of the same depth clip so far below
 CLIPPED, FEW = 1e-3, 0.05  # shares of the pixels that have the highest value where a sensor clips; that say something
 BELOW = 0.5  # of the black level: pixels without light lie above, since black is there for their noise to have room
 NEAR_BLACK = 0.75  # of it, at least, and its inverse at most: what is about black
@@ -30,8 +30,8 @@ LEAST_SIGNAL = 1e-3  # of full scale: the mean of a frame below which it is dark
 
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
-SITES_DIFFER = 0.1  # of the mean of a channel, between its sites, from which on the array is not where it is taken to be …
-SITES_AGREE = 0.4  # … if another phase leaves no more than this of it
+SITES_DIFFER = 0.1  # of the mean of a channel, between its sites, from which on the array is not where it is taken to be
+SITES_AGREE = 0.4  # of that difference, if another phase leaves no more, the array is there
 LONG, MANY_TIMES = 60.0, 100.0  # s; times the training's: exposure times that are probably in another unit
 T = TypeVar("T", bound="WithFrame")
 
@@ -273,7 +273,7 @@ def _torn(frame: RawFrame, period: int) -> str:
 
 
 def _step(values: NDArray[np.uint16], period: int) -> float:
-    """Mean difference between rows of the same channels, `period` apart."""
+    """Return mean difference between rows of the same channels, `period` apart."""
     last = len(values) - period
     if last < 1:
         return 0.0
@@ -282,8 +282,8 @@ def _step(values: NDArray[np.uint16], period: int) -> float:
 
 
 def site_means(frame: RawFrame, cfa_shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Mean signal (row, col) in DN above black and dark current of each site of a super-pixel, the frame's first pixel being
-    the first, over super-pixels evenly spread."""
+    """Return mean signal (row, col) in DN above black and dark current of each site of a super-pixel, the frame's first
+    pixel being the first, over super-pixels evenly spread."""
     rows, cols = cfa_shape
     down, across = frame.values.shape[0] // rows, frame.values.shape[1] // cols
     whole = frame.values[: down * rows, : across * cols].reshape(down, rows, across, cols)
@@ -292,15 +292,15 @@ def site_means(frame: RawFrame, cfa_shape: tuple[int, ...]) -> NDArray[np.float6
 
 
 def disagreement(means: NDArray[np.float64], cfa: NDArray[np.uint8], phase: tuple[int, int]) -> float:
-    """The largest difference between the means (row, col) of sites of one channel, over the channel's mean."""
+    """Return the largest difference between the means (row, col) of sites of one channel, over the channel's mean."""
     channel = shifted_cfa(cfa, phase)
     seen = [means[channel == each] for each in set(channel.flat)]
     return max(float(np.ptp(of_channel) / max(of_channel.mean(), 1e-9)) for of_channel in seen)
 
 
 def phase_contrasts(frame: RawFrame, table: TransformTable) -> tuple[float, float, list[tuple[int, int]]]:
-    """The disagreement of a frame's sites, the least one that another phase would leave, and the phases that leave about as
-    little; zeros and none of dark frames, and of arrays no channel of which has two sites."""
+    """Return the disagreement of a frame's sites, the least one that another phase would leave, and the phases that leave
+    about as little; zeros and none of dark frames, and of arrays no channel of which has two sites."""
     means = site_means(frame, table.cfa.shape)
     if not means.mean() > LEAST_SIGNAL * (frame.white_level - frame.black_level):
         return 0.0, 0.0, []

@@ -25,25 +25,25 @@ MOST_HELD = 16  # renderers, each with its transforms on the device: gains that 
 
 
 class Renderer(Protocol):
-    """Renders frames through the table it was made from; keeps whatever is the same from frame to frame."""
+    """Renderer of frames through the table it was made from, which keeps whatever is the same from frame to frame."""
 
     @property
     def table(self) -> TransformTable: ...
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
-        """Class (row, col) of every pixel in a layer of the table, equal for every backend."""
+        """Return class (row, col) of every pixel in a layer of the table, equal for every backend."""
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Outputs of the table, (output, row, col), of the frame's size."""
+        """Return outputs of the table, (output, row, col), of the frame's size."""
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """The frame as sRGB (row, col, 3), uint8 or uint16 as the display says.
+        """Return the frame as sRGB (row, col, 3), uint8 or uint16 as the display says.
 
         RecipeError unless the table's outputs are X, Y, Z.
         """
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """The picture of each frame, in order; while the caller uses one the next may be computed."""
+        """Return the picture of each frame, in order; while the caller uses one the next may be computed."""
 
 
 def make_ready(backend: str, **options: str | None) -> None:
@@ -58,7 +58,7 @@ def make_ready(backend: str, **options: str | None) -> None:
 
 
 def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, **options: str | None) -> Renderer:
-    """The renderer called `backend` for a table. RecipeError if there is none, DeviceError if it finds no device.
+    """Return the renderer called `backend` for a table. RecipeError if there is none, DeviceError if it finds no device.
 
     `by_noise`: pixels of which a filter in time has left little noise are rendered by the table's transforms for that.
     `options` are the backend's: of "opencl" `device` and `variant` (OpenCLRenderer).
@@ -108,7 +108,7 @@ class NoiseRenderer:
         return self._of(self._noise(frame)).picture(frame, display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """The picture of each frame; those that follow one another with the same noise overlap on the device."""
+        """Yield the picture of each frame; those that follow one another with the same noise overlap on the device."""
         shared = ((self._noise(frame), (frame, display)) for frame, display in frames)
         for noise, run in itertools.groupby(shared, key=itemgetter(0)):
             yield from self._of(noise).pictures(each for _, each in run)

@@ -37,10 +37,10 @@ class LearningRecipe(Recipe):
     draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (docs/method.md#level-rescaling)
     # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
-    darkest: float = 0.0  # levels are drawn log-uniformly from here; 0: from where the camera's noise equals the signal …
-    brightest: float = 2.5  # … to here, clipped at the white level
-    highlight_share: float = 0.25  # this share of the draws …
-    highlight_from: float = 0.15  # … lies between here and the brightest
+    darkest: float = 0.0  # levels are drawn log-uniformly from here; 0: from where the camera's noise equals the signal
+    brightest: float = 2.5  # levels are drawn up to here, clipped at the white level
+    highlight_share: float = 0.25  # share of the draws that lies above `highlight_from`
+    highlight_from: float = 0.15  # begin of the highlights, which end at `brightest`
     achromatic: Share = 0.0  # share of the patches that show their scene without colour (docs/method.md#patches)
     rescale: bool = True  # False: patches stay at the level of their frame, however often they are drawn
     # noise-free patches and a covariance, patches with noise drawn, or no noise at all, neither in classes nor in patches;
@@ -143,10 +143,10 @@ class TrainingRecipe(Recipe):
 
 
 def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
-    """The recipe with what it leaves to the camera: the darkest level, where it names none, is that of a signal as large as
-    its noise, but not below the levels of the classes (docs/method.md#level-rescaling); the brightest is so far above where
-    the least sensitive channel clips as it is elsewhere above where all do (docs/method.md#exposures). RecipeError if planes
-    between layers cannot hold what channels differ by."""
+    """Return the recipe with what it leaves to the camera: the darkest level, where it names none, is that of a signal as
+    large as its noise, but not below the levels of the classes (docs/method.md#level-rescaling); the brightest is so far
+    above where the least sensitive channel clips as it is elsewhere above where all do (docs/method.md#exposures).
+    RecipeError if planes between layers cannot hold what channels differ by."""
     learning, sensitivity = recipe.learning, camera.sensitivity
     mean = float(sensitivity.mean())
     for further, least, layers in (
@@ -172,12 +172,12 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
 
 
 def for_noise(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
-    """The recipe `for_camera` at its analog gain; a filter in time does not change it."""
+    """Return the recipe `for_camera` at its analog gain; a filter in time does not change it."""
     return for_camera(recipe, replace(camera, noise_left=1.0))
 
 
 def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
-    """The recipe of a draft: a tenth of the patches, one layer that suppresses noise as the last does, no conditions."""
+    """Return the recipe of a draft: a tenth of the patches, one layer that suppresses noise as the last, no conditions."""
     learning = recipe.learning
     last = recipe.layer[-1] if recipe.layer else learning
     learning = msgspec.structs.replace(
@@ -188,12 +188,12 @@ def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
 
 
 def check_learning(recipe: LearningRecipe) -> None:
-    """RecipeError if a number of the learning recipe cannot be."""
+    """Raise RecipeError if a number of the learning recipe cannot be."""
     refuse_first(learning_faults(recipe))
 
 
 def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
-    """All that cannot be of [learning]."""
+    """Yield all that cannot be of [learning]."""
     if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:
         keys = ("learning.darkest", "learning.highlight_from", "learning.brightest")
         yield fault("learning needs 0 ≤ darkest < highlight_from < brightest", *keys)
@@ -221,12 +221,12 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
 
 
 def check_layers(layers: tuple[LayerRecipe, ...]) -> None:
-    """RecipeError if the layers after the first cannot be learned."""
+    """Raise RecipeError if the layers after the first cannot be learned."""
     refuse_first(layer_faults(layers))
 
 
 def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
-    """All that cannot be of [[layer]]."""
+    """Yield all that cannot be of [[layer]]."""
     if len(layers) > MOST_REFINEMENT:
         yield fault(
             f"layer: {len(layers)} layers after the first; {MOST_REFINEMENT} can be learned", f"layer.{MOST_REFINEMENT}"

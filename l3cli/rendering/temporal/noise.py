@@ -59,14 +59,14 @@ class Grid:
         return self.cell[0] * self.cell[1]
 
     def window(self, level: int) -> tuple[int, int]:
-        """Rows and columns of the window of a plane that a block is searched by: the block and, if it is small, two units on
-        each side."""
+        """Return rows and columns of the window of a plane that a block is searched by: the block and, if it is small, two
+        units on each side."""
         units = (side // (period << level) for side, period in zip(self.block, self.period, strict=True))
         rows, cols = (count + 4 if count <= 4 else count for count in units)
         return rows, cols
 
     def padded(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """values (row, col), repeated by whole periods up to whole blocks."""
+        """Return values (row, col), repeated by whole periods up to whole blocks."""
         if values.shape == self.shape:
             return np.ascontiguousarray(values)
         (rows, cols), made = values.shape, np.empty(self.shape, np.uint16)
@@ -77,14 +77,14 @@ class Grid:
 
 
 def _sides(period: int, lanes: int) -> tuple[int, int, int]:
-    """Sides of a period, a cell and a block, whose length is a multiple of `lanes`."""
+    """Return sides of a period, a cell and a block, whose length is a multiple of `lanes`."""
     cell = period * -(-LEAST_CELL // period)
     block = next(side for side in range(cell, 8 * LEAST_BLOCK, cell) if side >= LEAST_BLOCK and side % lanes == 0)
     return period, cell, block
 
 
 def _repeated(there: int, wanted: int, period: int) -> NDArray[np.intp]:
-    """Index of each of `wanted` samples: itself, or beyond the end that of equal phase in the last period."""
+    """Return the index of each of `wanted` samples: itself, or beyond the end that of equal phase in the last period."""
     index = np.arange(wanted)
     beyond = index - there
     last = index - (beyond // period + 1) * period if there >= period else np.full(wanted, there - 1)
@@ -128,8 +128,8 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
 
 
 def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
-    """The share of a camera's noise variance at a frame's mean level, what pixels always differ by included, if a share
-    `left` remains of what varies in time: the least of SHARES that is not below it."""
+    """Return the share of a camera's noise variance at a frame's mean level, what pixels always differ by included, if a
+    share `left` remains of what varies in time: the least of SHARES that is not below it."""
     stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
     signal = max(_mean(frame.values, camera.cfa.shape[0]) - frame.black_level, 0.0) * stretch
     constant, linear, quadratic = camera.noise_terms()
@@ -140,20 +140,20 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
 
 
 def _mean(values: NDArray[np.uint16], period: int) -> float:
-    """About the mean of values (row, col): every so many periods of rows are taken."""
+    """Return about the mean of values (row, col): every so many periods of rows are taken."""
     whole = values[: len(values) // (period * EVERY) * period * EVERY]
     sampled = whole.reshape(-1, period * EVERY, values.shape[1])[:, :period] if whole.size else values
     return float(sampled.mean())
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """DN as u; beyond what 16 bits hold, all of it above the white level, the most of them."""
+    """Return DN as u; beyond what 16 bits hold, all of it above the white level, the most of them."""
     most = np.uint16((1 << DEEP - noise.protect) - 1)
     return np.minimum(values, most) << np.uint16(noise.protect)
 
 
 def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """u as DN, rounded."""
+    """Return u as DN, rounded."""
     most = (1 << DEEP - noise.protect) - 1
     return np.minimum((values.astype(np.uint32) + (1 << noise.protect >> 1)) >> noise.protect, most).astype(np.uint16)
 
@@ -164,7 +164,7 @@ def kind_of(frame: RawFrame) -> tuple[object, ...]:
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:
-    """The camera whose noise the filter goes by; RecipeError if an older table does not have it."""
+    """Return the camera whose noise the filter goes by; RecipeError if an older table does not have it."""
     if camera is None:
         raise RecipeError(
             "‹temporal› needs the camera's noise, which tables of older versions do not hold; train the table again"

@@ -50,11 +50,11 @@ class Device:
         kernel(self.queue, grid, (1, 1) if self.strip > 1 else None, *arguments)
 
     def buffer(self, size: int) -> Any:
-        """Room for so many bytes."""
+        """Make room for so many bytes."""
         return pyopencl().Buffer(self.context, pyopencl().mem_flags.READ_WRITE, size)
 
     def cleared(self, size: int) -> Any:
-        """The same, of nought."""
+        """Make room, of nought."""
         flags = pyopencl().mem_flags
         return pyopencl().Buffer(self.context, flags.READ_WRITE | flags.COPY_HOST_PTR, hostbuf=np.zeros(size, np.uint8))
 
@@ -120,14 +120,14 @@ class _Buffers:
 
 
 class OpenCLFilter:
-    """Filters frames on a device."""
+    """Filter of frames on a device."""
 
     def __init__(self, device: Device, period: tuple[int, ...], camera: CameraModel) -> None:
         self._device, self._period, self._camera = device, period, camera
         self._kind: tuple[object, ...] | None = None
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """The next frame, blended with those before it, if they are of its size and levels."""
+        """Return the next frame, blended with those before it, if they are of its size and levels."""
         with refusals(self._device.device):
             first = kind_of(frame) != self._kind
             if first:
@@ -170,7 +170,7 @@ class OpenCLFilter:
         self._buffers = _Buffers(self._device, self._grid, self._noise)
 
     def _borders(self, work: Work, values: NDArray[np.uint16], made: NDArray[np.uint16]) -> tuple[Any, Any]:
-        """The buffers that hold a frame and become the one that is made of it."""
+        """Return the buffers that hold a frame and become the one that is made of it."""
         device, buffers = self._device, self._buffers
         if buffers.borders is None:
             return work.in_place(device.queue, values), work.in_place(device.queue, made, written=True)
@@ -179,7 +179,7 @@ class OpenCLFilter:
         return buffers.borders
 
     def _search(self, raw: Any) -> Any:
-        """The buffer of the vectors, in periods."""
+        """Return the buffer of the vectors, in periods."""
         device, buffers, grid = self._device, self._buffers, self._grid
         parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
         device.run("planes", 2 * parts, grid.blocks[1], raw, buffers.now, buffers.before, self._noise.protect, *grid.blocks)

@@ -22,19 +22,18 @@ from l3cli.rendering.temporal.noise import (
 )
 
 ONE = 1 << 10  # of shares: of noise that is left, and weights
-POWER_FACTOR, POWER_FREE = 4, 5
-MEAN_FREE, WIDE_FREE = 2, 6  # … and what the power of the cells' sums, and of the sum of all of them, are above these
+POWER_FACTOR, POWER_FREE = 4, 5  # beyond noise: 4 times what the residuals' power over 3 × 3 cells is above 5/4
+MEAN_FREE, WIDE_FREE = 2, 6  # relative to noise: what the power of cells' sums, and of the sum of all, is above
 CUT = 8  # residuals' power, relative to noise, from which on a cell is of another scene
 CLIPPED = (1 << 14) - 1  # u, of a residual that is weighed: sums of squares then fit a kernel's 32 bits
-MOST_POWER, MOST_VARIANCE = (1 << 32) - 1, (1 << 29) - 1  # u², of a cell: a kernel holds no more …
-MOST_BEYOND = 1 << 42  # u²: … nor takes a double, in which all these are whole, beyond 2^53
+MOST_POWER, MOST_VARIANCE = (1 << 32) - 1, (1 << 29) - 1  # u², of a cell: a kernel holds no more
+MOST_BEYOND = 1 << 42  # u²: a double, in which all these are whole, stays below 2^53
 FEW = 2  # a frame of which one cell in so many is of another scene restarts the filter
 
 
 Cells = NDArray[np.int64]
 
 LEAST_WEIGHT = ONE // 12  # of a new frame
-# Beyond noise, relative to it: 4 times what the residuals' power over 3 × 3 cells is above 5/4, …
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
 
 
 def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: Grid, noise: NoiseTerms) -> Blend:
-    """A frame, values (row, col) u of whole blocks, with what was kept before it, moved by `vectors`."""
+    """Return a frame, values (row, col) u of whole blocks, with what was kept before it, moved by `vectors`."""
     rows, cols = np.indices(grid.shape, sparse=True)
     of_pixel = vectors.repeat(grid.block[0], 0).repeat(grid.block[1], 1)
     history = before.values[rows + of_pixel[..., 0], cols + of_pixel[..., 1]].astype(np.int64)
@@ -81,7 +80,7 @@ def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
 
 
 def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
-    """(cell row, cell col) of values (block row, block col)."""
+    """Return (cell row, cell col) of values (block row, block col)."""
     down, across = (block // cell for block, cell in zip(grid.block, grid.cell, strict=True))
     return of_block.repeat(down, 0).repeat(across, 1)
 
@@ -117,7 +116,7 @@ def _nearby(cells: Cells) -> Cells:
 
 
 class ReferenceFilter:
-    """Filters frames of an array with a `period` of rows and columns."""
+    """Filter of frames of an array with a `period` of rows and columns."""
 
     def __init__(self, period: tuple[int, ...], camera: CameraModel) -> None:
         self._period, self._camera = period, camera
@@ -126,7 +125,7 @@ class ReferenceFilter:
         self.vectors: Vectors | None = None  # of the last frame, if it was not a first one
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """The next frame, blended with those before it, if they are of its size and levels."""
+        """Return the next frame, blended with those before it, if they are of its size and levels."""
         kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)
         noise = noise_of(

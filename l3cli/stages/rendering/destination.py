@@ -74,7 +74,7 @@ class Destination:
         return self.kind == "video" and self.path.suffix.lower() != Y4M
 
     def file(self, number: int, stem: str) -> Path:
-        """The file of a frame."""
+        """Return the file of a frame."""
         if self.kind == "pattern":
             return numbered_name(self.path, number)
         return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path
@@ -114,7 +114,7 @@ def video_choice(options: RenderOptions) -> VideoChoice:
 
 
 def destination_of(output: Path, options: RenderOptions) -> Destination:
-    """The destination that a name asks for; RecipeError if nothing of that name can be written."""
+    """Return the destination that a name asks for; RecipeError if nothing of that name can be written."""
     suffix, choice, shard = options.format, video_choice(options), options.shard
     if choice.bits == FLOAT_BITS and (output == STDOUT or is_video(output)):
         raise RecipeError("values of 32 bits are for pictures; name a .tif or .exr, or leave ‹bits› out")
@@ -136,7 +136,7 @@ def destination_of(output: Path, options: RenderOptions) -> Destination:
 
 
 def paged(destination: Destination, sequence: FrameSequence) -> Destination:
-    """The destination with pages, if it is a single file that can have them and there are several frames."""
+    """Return the destination with pages, if it is a single file that can have them and there are several frames."""
     if destination.kind == "file" and sequence.rendered != 1 and destination.path.suffix.lower() in PAGED:
         return replace(destination, kind="pages")
     return destination
@@ -157,8 +157,8 @@ def guard_outputs(destination: Destination, force: bool, guard: OutputGuard) -> 
 def refuse_outputs(
     destination: Destination, sequence: FrameSequence, force: bool, is_ours: Callable[[Path], bool] = lambda file: False
 ) -> None:
-    """RecipeError if the frames do not fit into the destination or would replace what is read, L3Error if they would replace
-    what is there, unless it `is_ours`."""
+    """Raise RecipeError if the frames do not fit into the destination or would replace what is read, L3Error if they would
+    replace what is there, unless it `is_ours`."""
     if destination.kind == "file" and sequence.rendered != 1:
         count = "a sequence" if sequence.rendered is None else f"{sequence.rendered} frames"
         raise RecipeError(
@@ -180,7 +180,7 @@ def refuse_outputs(
 
 
 def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
-    """Pictures that are there and that frames of a stream, which may be endless, would replace."""
+    """Return pictures that are there and that frames of a stream, which may be endless, would replace."""
     if sequence.wanted is None:
         return _pictures(destination)
     wanted = sequence.wanted if sequence.part is None else sequence.wanted[sequence.part.start : sequence.part.stop]
@@ -192,16 +192,16 @@ def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
 
 
 def _pictures(destination: Destination) -> list[Path]:
-    """The files that are there in a folder or of a pattern."""
+    """Return the files that are there in a folder or of a pattern."""
     if destination.kind == "pattern":
         return list(numbered_files(destination.path).values())
     return sorted(destination.path.glob(f"*.{destination.suffix}"))
 
 
 def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> range:
-    """The places, from 0, of the frames that a shard (number from 1, of how many) renders; of a sequence that is filtered in
-    time whole chunks, where each shard has one. RecipeError if nobody knows how many frames there are, or they are too
-    few."""
+    """Return the places, from 0, of the frames that a shard (number from 1, of how many) renders; of a sequence that is
+    filtered in time whole chunks, where each shard has one. RecipeError if nobody knows how many frames there are, or they
+    are too few."""
     number, shards = shard
     if sequence.count is None:
         raise RecipeError(f"{sequence.what} does not say how many frames it has; choose those of all shards with ‹frames›")
@@ -215,7 +215,7 @@ def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> 
 
 
 def _nearest(place: int, grid: int) -> int:
-    """Halves go up, so that places at least `grid` apart stay apart."""
+    """Round halves up, so that places at least `grid` apart stay apart."""
     return (place + grid // 2) // grid * grid
 
 
@@ -277,7 +277,7 @@ class PictureCheckpoint(Checkpoint):
         return True
 
     def refuse_others(self) -> None:
-        """RecipeError if pictures are there whose frames have not come up."""
+        """Raise RecipeError if pictures are there whose frames have not come up."""
         if self._unasked:
             raise RecipeError(
                 f"{self.path.with_name(min(self._unasked))} was made of a frame that is not given now; leave ‹resume› out"
@@ -297,7 +297,7 @@ def listed_pictures(path: Path) -> list[Path]:
 
 
 class FrameDigests:
-    """Records what pictures are made of, frame by frame: by file, number, size and time; by content where there is no file
+    """Record of what pictures are made of, frame by frame: by file, number, size and time; by content where there is no file
     to go by. `all_before`: the exposure of a frame depends on every one before it, and so does its picture."""
 
     def __init__(self, whole: Path, all_before: bool) -> None:
@@ -305,7 +305,7 @@ class FrameDigests:
         self._before = ""
 
     def of(self, reference: FrameReference) -> FrameReference:
-        """The frame with its origin, if that is known before it is read; ask before, lest it change in between."""
+        """Return the frame with its origin, if that is known before it is read; ask before, lest it change in between."""
         source = reference.source or self._whole
         if not source.is_file():
             return reference
@@ -314,7 +314,7 @@ class FrameDigests:
         return replace(known, inode=tuple(inode))
 
     def of_read(self, reference: FrameReference, frame: RawFrame) -> FrameReference:
-        """The frame with its origin."""
+        """Return the frame with its origin."""
         if reference.origin is not None:
             return reference
         return self._with_origin(reference, [reference.number, hashlib.sha256(frame.values.tobytes()).hexdigest()])

@@ -26,7 +26,7 @@ SAME_LIGHT = 1e-3  # relative difference of whites that are of one light, as spe
 
 
 def learn_conditions(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
-    """The table with transforms for each condition that the recipe wants: each light, and all in common, at each noise."""
+    """Return the table with transforms for each condition that the recipe wants: each light, and all, at each noise."""
     table = _with_noises(run, pass_of(run, table), table, table, execution)
     for name, of_light in runs_by_light(run):
         execution.console.info(f"transforms for {name}: {len(of_light.patches)} frames")
@@ -44,7 +44,7 @@ def learn_conditions(run: TrainingRun, table: TransformTable, execution: Executi
 def _with_noises(
     run: TrainingRun, pass_: TrainingPass, usual: TransformTable, like: TransformTable, execution: Execution
 ) -> TransformTable:
-    """The usual table, which a run has learned, with transforms for each other noise that the recipe wants."""
+    """Return the usual table, which a run has learned, with transforms for each other noise that the recipe wants."""
     made = []
     for noise, each in zip(run.recipe.learning.noises, passes_of(pass_, run.given)[1:], strict=True):
         few = run_for(run, noise)
@@ -54,31 +54,31 @@ def _with_noises(
 
 
 def run_for(run: TrainingRun, noise: NoiseScale) -> TrainingRun:
-    """The run with as many mosaics as transforms for a noise are learned from: fewer for another gain (see at_noise)."""
+    """Return the run with as many mosaics as transforms for a noise are learned from: fewer for another gain."""
     layers = tuple(msgspec.structs.replace(each, mosaics=few_of(each.mosaics, noise)) for each in run.recipe.layer)
     given, recipe = (msgspec.structs.replace(each, layer=layers) for each in (run.given, run.recipe))
     return replace(run, given=given, recipe=recipe)
 
 
 def passes_of(usual: TrainingPass, recipe: TrainingRecipe) -> list[TrainingPass]:
-    """The usual pass, and those beside it for each other noise that the recipe wants."""
+    """Return the usual pass, and those beside it for each other noise that the recipe wants."""
     return [usual, *(at_noise(usual, noise, recipe) for noise in recipe.learning.noises)]
 
 
 def with_noises(usual: TransformTable, tables: Sequence[TransformTable], noises: Sequence[NoiseScale]) -> TransformTable:
-    """The usual table with others as its transforms for these noises."""
+    """Return the usual table with others as its transforms for these noises."""
     conditions = (Condition.of(each.first, each.later, None, noise) for each, noise in zip(tables, noises, strict=True))
     return replace(usual, conditions=tuple(conditions))
 
 
 def by_noise(table: TransformTable) -> list[TransformTable]:
-    """The transforms of a table of no single lights at each noise, those for the camera's first, as tables."""
+    """Return the transforms of a table of no single lights at each noise, those for the camera's first, as tables."""
     return [replace(table, conditions=()), *map(table.under, table.conditions)]
 
 
 def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
-    """Each light of a run whose recipe wants transforms for it, the warmest first, with the run over its frames alone, as
-    many patches and mosaics as over all; none if it does not. InputFileError if frames state no light."""
+    """Return each light of a run whose recipe wants transforms for it, the warmest first, with the run over its frames
+    alone, as many patches and mosaics as over all; none if it does not. InputFileError if frames state no light."""
     if not run.recipe.learning.per_light:
         return []
     named = ", ".join(str(source.path) for source in run.training)
@@ -127,7 +127,7 @@ def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, 
 
 
 def _chosen(run: TrainingRun, frames: dict[int, list[int]]) -> TrainingRun:
-    """The run over some frames, indices by set."""
+    """Return the run over some frames, indices by set."""
     shares = None if run.shares is None else tuple(run.shares[place] for place in frames)
     sources: list[TrainingSource] = []
     for place, indices in frames.items():
@@ -137,7 +137,7 @@ def _chosen(run: TrainingRun, frames: dict[int, list[int]]) -> TrainingRun:
 
 
 def require_one_go(run: TrainingRun) -> None:
-    """RecipeError if a shard of the run is asked for and transforms for each light are wanted, too."""
+    """Raise RecipeError if a shard of the run is asked for and transforms for each light are wanted, too."""
     if run.recipe.learning.per_light:
         raise RecipeError(
             "learning.per_light: transforms for each light are learned in one go, not in shards; train without ‹shard›, on "

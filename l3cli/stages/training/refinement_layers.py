@@ -38,7 +38,7 @@ UNITS = 8  # a process: more tell progress better, but every one hands on its ow
 def learn_refinement_layers(
     run: TrainingRun, table: TransformTable, execution: Execution, like: TransformTable | None = None
 ) -> TransformTable:
-    """The table with the layers that the recipe wants after the first; `like`: whose classes these have."""
+    """Return the table with the layers that the recipe wants after the first; `like`: whose classes these have."""
     if not run.has_refinement_layers:
         if like is None:
             warn_of_left_out_layers(run, execution.console)
@@ -52,7 +52,7 @@ def learn_refinement_layers(
 
 
 def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -> PlaneLayer:
-    """The layer from the sums of all canonical sites, with the noise of what its coarse chroma compares."""
+    """Return the layer from the sums of all canonical sites, with the noise of what its coarse chroma compares."""
     learned = learn_layer(layer, rule, sums)
     return replace(learned, coarse_chroma=measured_noise(layer)) if layer.recipe.coarse_chroma else learned
 
@@ -67,12 +67,12 @@ def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
 
 
 def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
-    """Training mosaics (frame) of refinement layer `number`, the first of them being 0."""
+    """Return training mosaics (frame) of refinement layer `number`, the first of them being 0."""
     return spread_patches(run.recipe.layer[number].mosaics, [source.frames for source in run.training], run.shares)
 
 
 def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int, ...], seed: int) -> LayerPass:
-    """The pass that learns the next layer on a table."""
+    """Return the pass that learns the next layer on a table."""
     assert table.camera is not None  # tables have had one since there are layers
     own = recipe.layer[len(table.later)]
     powers = {"brightness_power": own.brightness_power, "error_power": own.error_power}
@@ -107,8 +107,8 @@ class LayerUnit:
 
 
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
-    """The layer's class rule, estimated from a pilot of all frames. With `like`, reuse that rule, but for other noise than
-    the camera's its gradient scale."""
+    """Return the layer's class rule, estimated from a pilot of all frames. With `like`, reuse that rule, but for other noise
+    than the camera's its gradient scale."""
     if like is not None and (layer.camera.gain, layer.camera.noise_left) == (run.head.camera.gain, 1):
         return like
     units = _units(run, layer, None, layer.blocks, execution)

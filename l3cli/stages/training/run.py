@@ -72,7 +72,7 @@ class TrainingSource:
     chosen: tuple[int, ...] | None = None  # indices of the frames in the file; None: all that it has
 
     def places(self, frames: range) -> Iterable[int]:
-        """Indices in the file of some of the frames."""
+        """Return indices in the file of some of the frames."""
         return frames if self.chosen is None else self.chosen[frames.start : frames.stop]
 
 
@@ -95,23 +95,23 @@ class TrainingRun:
         return bool(self.recipe.layer) and len(self.head.outputs) == 3
 
     def history_of_pass(self, number: int) -> tuple[Stage, ...]:
-        """History of what a pass of the first layer makes."""
+        """Return the history of what a pass of the first layer makes."""
         return self.history(FIRST_PASS) if number == FIRST else self.history_of_layers(1)
 
     def history_of_layers(self, count: int) -> tuple[Stage, ...]:
-        """History of a table of so many layers."""
+        """Return the history of a table of so many layers."""
         whole = 1 + len(self.recipe.layer) if self.has_refinement_layers else 1
         return self.history(LAYERS[count - 1] if count < whole else "")
 
     def history(self, before: str = "") -> tuple[Stage, ...]:
-        """History of what the run makes, or of what it makes `before` its end: the table of a pass, by the pass's name."""
+        """Return the history of what the run makes, or makes `before` its end: the table of a pass, by its name."""
         stage = replace(self.stage, options={**self.stage.options, "pass": before}) if before else self.stage
         return (*self.head.history, stage)
 
 
 def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
-    """The run of these training sets; InputFileError or RecipeError if they or the recipe cannot be used. A set whose share
-    is zero is as if it were not given."""
+    """Return the run of these training sets; InputFileError or RecipeError if they or the recipe cannot be used. A set whose
+    share is zero is as if it were not given."""
     classes, shares = options.classes or known_recipes("classes")["default"], options.shares
     if shares is not None and len(shares) != len(training):
         raise RecipeError(f"‹shares› gives {len(shares)} shares for {len(training)} training sets")
@@ -133,8 +133,8 @@ def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
 
 
 def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool) -> Iterator[TrainingPair]:
-    """The frames whose index among those of all training sets is `wanted`, in order. InputFileError if a set is not the one
-    that the run began with; `remote`: its bytes are compared with those of the machine that asks."""
+    """Yield the frames whose index among those of all training sets is `wanted`, in order. InputFileError if a set is not
+    the one that the run began with; `remote`: its bytes are compared with those of the machine that asks."""
     before = 0
     for source in training:
         part = range(max(0, wanted.start - before), min(source.frames, wanted.stop - before))
@@ -171,8 +171,8 @@ def _held_or_read(source: TrainingSource, wanted: Iterable[int]) -> Iterator[Tra
 
 
 def _common_head(training: tuple[Path, ...], noisy: bool) -> tuple[TrainingSet, tuple[int, ...]]:
-    """The head that all sets share and the frames of each; InputFileError if they are of different cameras, or some are real
-    and may not be as `noisy` as they are."""
+    """Return the head that all sets share and the frames of each; InputFileError if they are of different cameras, or some
+    are real and may not be as `noisy` as they are."""
     frames, head = [], None
     for path in training:
         with open_training_set(path) as reader:

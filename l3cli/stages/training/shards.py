@@ -110,7 +110,7 @@ def _is_of(run: TrainingRun, table: TransformTable, pass_: str) -> bool:
 
 
 def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
-    """The pass after the one that made the table; InputFileError if that is of another run."""
+    """Return the pass after the one that made the table; InputFileError if that is of another run."""
     if not _is_of(run, table, FIRST_PASS):
         layers = f", nor its {' or '.join(LAYERS[: len(run.recipe.layer)])}" if run.has_refinement_layers else ""
         raise InputFileError(
@@ -228,8 +228,8 @@ def _layer(table: TransformTable, run: TrainingRun) -> LayerPass:
 
 
 def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:
-    """The table with the layer that all shards of its pass give; InputFileError, which names `path`, if they do not fit
-    their recipe."""
+    """Return the table with the layer that all shards of its pass give; InputFileError, which names `path`, if they do not
+    fit their recipe."""
     head: PartialLayerSums = readers[0].head
     rules: list[PlaneRule] = [head.rule, *(head.rule.scaled_as(scale) for scale in head.gradients)]
     tables = enumerate(zip(by_noise(head.table), rules, strict=True))

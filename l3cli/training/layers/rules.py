@@ -55,11 +55,11 @@ class TreeSample:
         return cls(taps, target, numerators, denominators)
 
     def on_grid(self) -> "TreeSample":
-        """Taps and targets rounded, so that sums of their products are exact in whatever order they are added."""
+        """Return taps and targets rounded, so that sums of their products are exact in whatever order they are added."""
         return replace(self, taps=_rounded(self.taps), target=_rounded(self.target))
 
     def above(self, test: int, threshold: np.float32, rows: Indices) -> NDArray[np.bool_]:
-        """Which of the rows (row) take a test's second branch."""
+        """Return which of the rows (row) take a test's second branch."""
         denominator = self.denominators[EVERY[test].denominator, rows]
         return np.asarray(self.numerators[test, rows] > threshold * denominator)
 
@@ -69,14 +69,14 @@ class TreeSample:
 
 
 def _rounded(values: Floats) -> Floats:
-    """Values (row, column) as multiples of a power of two for each column."""
+    """Return values (row, column) as multiples of a power of two for each column."""
     _, power = np.frexp(np.abs(values).max(axis=0, initial=SMALLEST))
     step = np.ldexp(1 / FINE, power).astype(np.float32)
     return np.asarray(np.rint(values / step) * step, np.float32)
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
-    """Numerators (test, pixel) and denominators of `pixels` as a site sees them that is learned in an orientation."""
+    """Return numerators (test, pixel) and denominators of `pixels` as a site sees them that is learned in an orientation."""
     test, sign = turned_tests(turn)
     numerators = seen.numerators.reshape(TESTS, -1)[:, pixels][test] * np.array(sign)[:, None]
     return numerators, seen.denominators.reshape(len(seen.denominators), -1)[:, pixels]
@@ -97,7 +97,7 @@ class _Split(NamedTuple):
 
 
 def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
-    """A tree of at most so many leaves from the samples of all canonical sites; of one leaf if there are none."""
+    """Return a tree of at most so many leaves from the samples of all canonical sites; of one leaf if there are none."""
     samples = [one.on_grid() for one in samples]
     test, threshold, branch, depth = [0], [np.float32(0)], [0], [0]
     waiting: list[tuple[float, int, _Split, list[Indices]]] = []
@@ -125,7 +125,7 @@ def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
 
 
 def _best_split(samples: Sequence[TreeSample], rows: list[Indices]) -> _Split | None:
-    """The split of a leaf's rows of every site that gains most; None if there is none that gains and leaves enough."""
+    """Return the split of a leaf's rows of every site that gains most; None if none gains and leaves enough."""
     taps = samples[0].taps.shape[1]
     if min(map(len, rows)) < 2 * ROWS_PER_TAP * taps:
         return None
@@ -149,7 +149,7 @@ def _best_split(samples: Sequence[TreeSample], rows: list[Indices]) -> _Split | 
 
 
 def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, before: float) -> Array:
-    """By how much (cut) the error of one site falls; −∞ where too few rows are left on a side."""
+    """Return by how much (cut) the error of one site falls; −∞ where too few rows are left on a side."""
     taps = sample.taps.shape[1]
     passed = np.add.reduce([sample.above(test, cut, rows).astype(np.intp) for cut in cuts])  # of increasing cuts
     order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
@@ -166,7 +166,7 @@ def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, before: f
 
 
 def _sums(sample: TreeSample, rows: Indices, ends: list[int]) -> tuple[Array, Array, Array]:
-    """Σ x xᵀ (end, tap, tap), Σ x yᵀ (end, tap, output), Σ y² (end) of the rows before each of `ends`, exact."""
+    """Return Σ x xᵀ (end, tap, tap), Σ x yᵀ (end, tap, output), Σ y² (end) of the rows before each of `ends`, exact."""
     taps, target = sample.taps[rows], sample.target[rows]
     moments, cross, power = [], [], []
     for first, last in zip([0, *ends[:-1]], ends, strict=True):
@@ -178,7 +178,7 @@ def _sums(sample: TreeSample, rows: Indices, ends: list[int]) -> tuple[Array, Ar
 
 
 def _error(moments: Array, cross: Array, power: Array) -> Array:
-    """Squared error (…) that the best filters of these sums leave."""
+    """Return squared error (…) that the best filters of these sums leave."""
     taps = moments.shape[-1]
     ridge = RIDGE * np.trace(moments, axis1=1, axis2=2) / taps + 1e-9
     solved = np.linalg.solve(moments + ridge[:, None, None] * np.eye(taps), cross)
@@ -215,7 +215,7 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
 
 
 def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> GradientScale:
-    """The scale at which noise has a standard deviation of SIGMA, from `luminance_noise` of all frames in order."""
+    """Return the scale at which noise has a standard deviation of SIGMA, from `luminance_noise` of all frames in order."""
     squares, count = np.sum([np.zeros((2, layer.rule.levels)), *noise], axis=0)
     known = np.flatnonzero((count >= min(FEWEST, count.max())) & (squares > 0))
     deviation = np.ones(layer.rule.levels)
@@ -226,7 +226,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
 
 
 def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
-    """Classes by level and structure."""
+    """Return classes by level and structure."""
     return StructureRule(
         **vars(scale),
         level_step=layer.recipe.level_step,
@@ -273,7 +273,7 @@ def sample_tree(
 
 
 def tree_rule(layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSample]]) -> TreeRule:
-    """Classes by the leaves of a tree grown on the samples of all frames in order."""
+    """Return classes by the leaves of a tree grown on the samples of all frames in order."""
     sites = sorted({site for sample in samples for site in sample})
     tree = grow(
         [TreeSample.concatenated([one[site] for one in samples if site in one]) for site in sites], layer.recipe.leaves
