@@ -41,10 +41,10 @@ FORMULAS = {
     "borders": "the sample of equal CFA phase nearest the mirror image; planes: mirrored about the outermost pixels",
 }
 CONDITIONS_DOC = (
-    "further sets of transforms. noise: learned for shot and read times a frame's noise variance, for pixels of which a "
-    "filter in time has left no more than limit; light: learned under this light. Arrays are those of the same name "
-    "behind conditions/NUMBER/; where there is none, those above. Formulas and constants are the same; test_labels and "
-    "test_outputs are by this set alone"
+    "further sets of transforms. noise: learned for an analog gain over the camera's, or for a share noise_left of a "
+    "frame's noise variance, for pixels of which a filter in time has left no more than limit; light: learned under this "
+    "light. Arrays are those of the same name behind conditions/NUMBER/; where there is none, those above. Formulas "
+    "and constants are the same; test_labels and test_outputs are by this set alone"
 )
 ONE_LAYER = {"output": "sum of weights * (DN - black_level) / (white_level - black_level) + intercept"}
 LAYERS = {

@@ -196,6 +196,10 @@ class ExportOptions(ForceOptions):
         "Of a table: C source shows this white neutral; transforms of several lights are mixed for it. [the table's]",
         metavar="LIGHT|X,Y",
     )
+    gain: float | None = option(
+        None, "Of a table: analog gain, over its camera's, that transforms are for. [1]", Number(1 / 1024, 1024, "times"),
+        metavar="TIMES",
+    )  # fmt: skip
     prefix: str | None = option(None, "Of C source: what its symbols and files begin with. [l3]", metavar="NAME")
     which: Literal["usual", "low-noise"] | None = option(
         None, "Of a table of two sets of transforms: the one that C source holds. [usual]",

@@ -15,7 +15,7 @@ from l3cli.export.profiles import ALWAYS, file_names
 from l3cli.export.source import PREFIX, c_files
 from l3cli.options.commands import ExportOptions
 from l3cli.physics.display import XYZ
-from l3cli.rendering.conditions import mix_for, mixed, noise_limits
+from l3cli.rendering.conditions import at_gain, gains_of, mix_for, mixed, noise_limits
 from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import given_white
 from l3cli.stages.rendering.render import mix_of_given
@@ -90,8 +90,15 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
             raise RecipeError(f"{table} has transforms of no single lights to be mixed for a ‹white›; leave it out")
         if white is not None or form != "folder":  # arrays hold all lights
             transforms = mixed(transforms, mix_of_given(white, transforms, mix_for, console))
+        gains = gains_of(transforms)
+        if options.gain is not None:
+            transforms = at_gain(transforms, options.gain)
+        elif len(gains) > 1 and form != "folder":
+            console.report(
+                f"{table}: transforms for gain 1 are written, ‹gain› writes those for others, {gains[-1]:g} at most"
+            )
         shown, readme = given_white(white, transforms), ""
-        low = next(iter(transforms.noises), None)
+        low = next((each for each in transforms.noises if each.noise and each.noise.noise_left < 1), None)
         if which == "low-noise" and low is None:
             raise RecipeError(f"{table} has one set of transforms; leave ‹set› out, or train with noise_left")
         if low and form != "folder" and which is None:
@@ -99,7 +106,7 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
                 f"{table}: the usual set of transforms is written, ‹set› low-noise writes that for frames filtered in time"
             )
         if low and low.noise and which == "low-noise":
-            values = {"limit": noise_limits(transforms)[low.noise], "noise_left": low.noise.shot}
+            values = {"limit": noise_limits(transforms)[low.noise], "noise_left": low.noise.noise_left}
             transforms, readme = transforms.under(low), LOW_NOISE_README.format(**values)
         balance = shown.balance if shown else None
         if white and shown and form == "c" and (doubt := far_from_training(white, shown, transforms)):

@@ -30,7 +30,8 @@ def insight(table: TransformTable) -> dict[str, Any]:
     trained unsaturated classes of what a flat unit signal of one channel adds to each output. condition: median and worst
     over trained classes. worst: the trained classes of the largest noise gain (of Y if there is one), with their names.
     All are of the first layer and of all lights together; later: of every layer after it `refinement_layer`. lights: names
-    of those that have transforms besides, and their colour temperatures in K; not there if none has. spectra: the window
+    of those that have transforms besides, and their colour temperatures in K; not there if none has. noises: analog gain and
+    share of the noise over time of each that has; not there if none has. spectra: the window
     (pixel) that they are smoothed over, and the reach in brightness; not there if they are not.
     """
     trained, rule = table.first.samples > 0, table.first.rule
@@ -69,6 +70,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
         "later": [refinement_layer(layer, table.outputs) for layer in table.later],
         **({"spectra": {"window": table.spectra.window, "reach": table.spectra.reach}} if table.spectra else {}),
         **({"lights": [_light(light) for light in table.lights]} if table.lights else {}),
+        **({"noises": [{**vars(each.noise), "name": str(each.noise)} for each in table.noises]} if table.noises else {}),
     }
 
 
@@ -176,6 +178,8 @@ def learned(insight: dict[str, Any]) -> list[str]:
     if lights := insight.get("lights"):
         named = " · ".join(f"{light['name']} {light['kelvin']} K" for light in lights)
         lines.append(f"transforms of single lights: {named}")
+    if noises := insight.get("noises"):
+        lines.append("transforms for other noise: " + " · ".join(each["name"] for each in noises))
     return lines
 
 

@@ -22,7 +22,7 @@ from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_noise
 from l3cli.training.sums import empty_sums
 from l3cli.training.symmetry import site_maps, stabilisers
 
-FEW = 1 / 4  # of the patches and mosaics, that transforms for another gain are learned from (docs/method.md#gains)
+FEW = 1 / 5  # of the patches and mosaics, that transforms for another gain are learned from (docs/method.md#gains)
 FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (docs/method.md#second-pass)
 
 

@@ -17,10 +17,12 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.frames.frame import RawFrame
+from l3cli.io.raw.files import RawOverrides, frame_of
 from l3cli.rendering.conditions import at_gain, gains_of, nearest_step
 from l3cli.rendering.raw_checks import other_gain
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import NoiseRenderer
+from l3cli.training.patches import expose_patches, white_signal
 from l3cli.training.recipe import APART, learned_gains
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
@@ -175,6 +177,55 @@ def test_frames_are_rendered_by_the_transforms_for_their_gain(several: Transform
     assert "gain of its camera alone" in other_gain(
         dataclasses.replace(frame, gain=4.0), dataclasses.replace(several, conditions=())
     )
+
+
+def test_a_file_tells_its_gain_by_its_iso_speed(several: TransformTable) -> None:
+    """If the table's camera has one, and nobody knows better; dark current is amplified, too."""
+    values = np.full((8, 8), 300, np.uint16)
+    camera = several.camera
+    assert camera is not None
+    noise = dataclasses.replace(camera.noise, dark_current=100.0)
+    known = AnalogGains(np.array([16.0]), np.array([1.0]), 100.0)
+    table = dataclasses.replace(several, camera=dataclasses.replace(camera, noise=noise, gains=known))
+    content: Any = {"values": values, "shot": {"iso": 1600.0}, "exposure": 0.01}
+    frames = [
+        frame_of("a.dng", content, each, over)
+        for each, over in ((table, RawOverrides()), (table, RawOverrides(gain=4.0)), (several, RawOverrides()))
+    ]
+    assert [frame.gain for frame in frames] == [16, 4, 1]
+    assert frames[0].dark == pytest.approx(4 * frames[1].dark)
+    assert frames[1].dark > 0
+
+
+def test_a_gain_that_changes_from_frame_to_frame_makes_no_step(several: TransformTable) -> None:
+    """Of a scene that becomes half as bright while the gain is doubled: greys stay what they are, and noise grows as that of
+    transforms for either gain does."""
+    assert several.camera is not None
+    assert several.light is not None
+    rng, renderer, made = np.random.default_rng(3), NoiseRenderer("reference", several), {}
+    white = white_signal(several.light, several.camera)
+    signal = (0.4 * white / white.max()).astype(np.float32)[several.camera.channel_map((64, 64))]
+    for gain in (1.0, 2.0, 4.0):
+        values = expose_patches(signal, several.camera.at_gain(gain), rng).astype(np.uint16)
+        frame = RawFrame("grey", values, several.black_level, several.white_level, gain=gain)
+        made[gain] = renderer.outputs(frame)[1, 8:-8, 8:-8]
+    means = [float(each.mean()) for each in made.values()]
+    noises = [float(each.std()) for each in made.values()]
+    assert max(means) < 1.01 * min(means)
+    assert noises[0] < noises[1] < noises[2] < 2 * noises[0]
+
+
+def test_transforms_for_a_gain_are_exported(
+    learned: dict[str, Path], several: TransformTable, l3: L3, tmp_path: Path
+) -> None:
+    code, _, words = l3("export", learned["several"], "-o", tmp_path / "usual")
+    assert (code, "--gain writes those for others, 16 at most" in words) == (0, True)
+    assert l3("export", learned["several"], "-o", tmp_path / "high", "--gain", "16", "--quiet")[0] == 0
+    assert l3("export", learned["one"], "-o", tmp_path / "one", "--quiet")[0] == 0
+    source = {name: (tmp_path / name / "l3_table.c") for name in ("usual", "high", "one")}
+    found = {name: path.read_bytes() for name, path in source.items()}
+    assert found["usual"] == found["one"] != found["high"]
+    assert "transforms for other noise: gain 4 · gain 16 · 0.1 of the noise over time" in l3("info", learned["several"])[1]
 
 
 @given(st.floats(1 / 1000, 1000.0))
