@@ -139,11 +139,9 @@ class GainRecipe(Recipe):
     """Analog gains beside that of [sensor] (docs/method.md#gains)."""
 
     iso: float = 0.0  # ISO speed of sensor.gain_dn_per_e; 0: not known
-    gains: tuple[float, ...] = ()  # over sensor.gain_dn_per_e, at which read noise is known beside it …
-    read_noise_e: tuple[float, ...] = ()  # … at each, or …
-    read_noise_before_e: float | None = (
-        None  # … that before the amplifier: the rest of noise.read_noise_e is the converter's
-    )
+    gains: tuple[float, ...] = ()  # over sensor.gain_dn_per_e, at which read noise is known beside it
+    read_noise_e: tuple[float, ...] = ()  # at each of these gains; leave read_noise_before_e out
+    read_noise_before_e: float | None = None  # before the amplifier: the rest of noise.read_noise_e is the converter's
 
 
 def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None:

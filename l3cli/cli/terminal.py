@@ -74,7 +74,7 @@ def to_stderr(message: str) -> None:
 
 
 def prepare() -> None:
-    """Characters that the encoding of stdout or stderr lacks become "?"; a COLUMNS or LINES that is no number is ignored."""
+    """Make "?" of characters that stdout or stderr cannot encode; ignore a COLUMNS or LINES that is no number."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")

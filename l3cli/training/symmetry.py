@@ -29,8 +29,8 @@ def orientations(patch: int) -> list[Indices]:
 
 
 def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap]:
-    """For the windows (site, tap) of every site: the first site alike under some orientation (docs/method.md#symmetry), or
-    itself unless training is `shared`."""
+    """Return for the windows (site, tap) of every site the first site alike under some orientation
+    (docs/method.md#symmetry), or itself unless training is `shared`."""
     maps: list[SiteMap] = []
     canonical: list[int] = []
     for site, window in enumerate(channel):

@@ -117,7 +117,7 @@ def root_of(window: tuple[int, int]) -> int:
 
 
 def _neighbours(vectors: Vectors) -> Iterator[Vectors]:
-    """Those of the blocks beside each block; at the edge its own."""
+    """Yield those of the blocks beside each block; at the edge its own."""
     padded = np.pad(vectors, ((1, 1), (1, 1), (0, 0)), mode="edge")
     for down, across in NEIGHBOURS:
         yield padded[1 + down : padded.shape[0] - 1 + down, 1 + across : padded.shape[1] - 1 + across]

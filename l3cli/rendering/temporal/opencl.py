@@ -193,7 +193,7 @@ class OpenCLFilter:
         return buffers.vectors[0]
 
     def _weigh(self, raw: Any, vectors: Any) -> None:
-        """Each cell's weight."""
+        """Weigh each cell."""
         device, buffers, grid, noise = self._device, self._buffers, self._grid, self._noise
         constant = min(grid.sites * noise.constant, reference.MOST_VARIANCE)
         terms = (noise.protect, noise.black, noise.linear, constant, noise.fixed, noise.uneven)

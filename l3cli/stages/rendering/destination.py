@@ -143,8 +143,8 @@ def paged(destination: Destination, sequence: FrameSequence) -> Destination:
 
 
 def guard_outputs(destination: Destination, force: bool, guard: OutputGuard) -> None:
-    """L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single picture
-    is there already; RecipeError if that is read."""
+    """Raise L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single
+    picture is there already; RecipeError if that is read."""
     if destination.kind in ("video", "file"):
         guard.guard_file(destination.path, force)
     elif destination.kind == "stream":
@@ -357,7 +357,7 @@ def checkpointed(
 def _refuse_changed(
     destination: Destination, sequence: FrameSequence, checkpoint: PictureCheckpoint, digests: FrameDigests
 ) -> None:
-    """RecipeError, before anything is read, if pictures are there that are known to be of other frames."""
+    """Raise RecipeError, before anything is read, if pictures are there that are known to be of other frames."""
     for place, reference in enumerate(sequence.frames):
         reference = digests.of(reference)  # which may tell of every frame before
         if sequence.renders(place):

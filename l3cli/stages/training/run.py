@@ -83,8 +83,8 @@ class TrainingRun:
     training: tuple[TrainingSource, ...]
     head: TrainingSet
     patches: tuple[int, ...]  # (frame)
-    given: TrainingRecipe  # what its file says …
-    recipe: TrainingRecipe  # … with what that leaves to the camera
+    given: TrainingRecipe  # as its file states it
+    recipe: TrainingRecipe  # with what the file leaves to the camera
     shares: tuple[Fraction, ...] | None  # (set)
     seed: int
     stage: Stage
