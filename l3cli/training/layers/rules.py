@@ -27,9 +27,7 @@ from l3cli.training.symmetry import orientations
 
 CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
 ROWS_PER_TAP = 4  # of a site that a leaf has at least
-FINE = (
-    2.0**16
-)  # steps of the largest value of a column: products of a million rows add up to less than 2^53 without rounding
+FINE = 2.0**16  # steps of a column's largest value: products of a million rows add up to less than 2^53, exactly
 RIDGE = 1e-6  # relative to the mean power of a tap
 SURE = 3.0  # standard deviations of what a split gains by chance that it has to gain: the best of many is seldom farther off
 
@@ -48,11 +46,8 @@ class TreeSample:
 
     @classmethod
     def concatenated(cls, parts: Sequence["TreeSample"]) -> "TreeSample":
-        taps, target = (np.concatenate([getattr(part, name) for part in parts]) for name in ("taps", "target"))
-        numerators, denominators = (
-            np.concatenate([getattr(part, name) for part in parts], axis=1) for name in ("numerators", "denominators")
-        )
-        return cls(taps, target, numerators, denominators)
+        axes = {"taps": 0, "target": 0, "numerators": 1, "denominators": 1}
+        return cls(*(np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in axes.items()))
 
     def on_grid(self) -> "TreeSample":
         """Return taps and targets rounded, so that sums of their products are exact in whatever order they are added."""
