@@ -9,7 +9,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration import figures, model
 from l3cli.calibration.photo import responsivity
-from l3cli.calibration.photo.recipe import CURVES, PhotoCamera, SensorNoise, noise_of
+from l3cli.calibration.photo.recipe import CURVES, PhotoCamera, SensorNoise, gains_of, noise_of
 from l3cli.calibration.photo.responsivity import ColourMatrix
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.measurement import Measurements, Stated
@@ -125,6 +125,9 @@ def _contents(camera: PhotoCamera) -> dict[str, bytes]:
     for line, value in (("PHOTO ?=\n", _shown(camera)), ("WHITE ?=\n", camera.light)):
         assert line in makefile
         makefile = makefile.replace(line, f"{line.rstrip()} {value}\n" if value else line)
+    common["classes.toml"] = common["classes.toml"].replace(
+        b"[learning]\n", f"[learning]\n{camera.learning_gains()}".encode()
+    )
     texts = {"camera.toml": camera.recipe(), CURVES: camera.curve_file(), "Makefile": makefile}
     return common | {name: text.encode() for name, text in texts.items()}
 
@@ -207,7 +210,9 @@ def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
 def photographed(taken: Taken, light: str | None, console: Console) -> PhotoCamera:
     """Return the camera that took these raw files. `light`: of the charts in them; None: guessed. InputFileError if the
     first is none that states its array and levels, or if nothing tells its curves."""
+    taken = sorted(taken, key=lambda each: each[1].iso or 0.0)  # gains count from the lowest
     path, known = taken[0]
+    gains = gains_of(known, [each for _, each in taken])
     measured = _measurements(path, light)
     frame = measured.photos[0].frames[0]
     noise = noise_of(known, frame.white_level - frame.black_level)
@@ -223,9 +228,9 @@ def photographed(taken: Taken, light: str | None, console: Console) -> PhotoCame
         if known.noise is None:
             noise = SensorNoise(found.gain, found.noise.read_noise, "as the patches of the chart show it")
         curves = found.responsivity / found.responsivity.max()
-        return PhotoCamera(other, measured.body, frame, known, found.wavelength, curves, origin, noise, fit.lights[0])
+        return PhotoCamera(other, measured.body, frame, known, found.wavelength, curves, origin, noise, fit.lights[0], gains)
     curves, origin = _without_chart(path, known, measured)
-    return PhotoCamera(path, measured.body, frame, known, curves.wavelength, curves.relative, origin, noise)
+    return PhotoCamera(path, measured.body, frame, known, curves.wavelength, curves.relative, origin, noise, gains=gains)
 
 
 def _measurements(path: Path, light: str | None) -> Measurements:

@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import AnalogGains, CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration.photo.estimate import WAVELENGTH
 from l3cli.export.profiles import light_matrices
 from l3cli.io.images import read_image
 from l3cli.io.pictures.dng import write_dng
+from l3cli.io.raw.files import read_raw
 from l3cli.physics import spectra
 from l3cli.recipes.builtin import COMMON
 from tests.helpers import dng_files, photos
@@ -101,6 +102,28 @@ def test_a_camera_by_its_matrices_and_noise_profile(bayer: CameraModel, photo: P
     for name, text in {"Makefile": "CAMERA ?= camera.toml", "slurm.sh": "${CAMERA:-camera.toml}"}.items():
         assert text in (folder / name).read_text()
     assert os.access(folder / "slurm.sh", os.X_OK)
+
+
+def test_a_camera_at_several_iso_speeds(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+    """The lowest is that of its figures; read noise at the others is as their noise profiles say, and a table is learned for
+    all of them, which renders each file by the transforms for its gain."""
+    noise = replace(bayer.noise, read_noise=4.0, prnu=0.0, dsnu=0.0, column_noise=0.0)
+    camera = replace(bayer, noise=noise, gains=AnalogGains(np.array([4.0, 16.0]), np.array([2.0, 1.0]), 200.0))
+    (tmp_path / "taken").mkdir()
+    for gain, name in ((16.0, "a"), (1.0, "b"), (4.0, "c")):
+        there = camera.at_gain(gain)
+        write_dng(tmp_path / f"taken/{name}.dng", scene(there), there, IDENTITY, None, 0.01 / gain)
+    code, _, err = l3("init", "--from", tmp_path / "taken", tmp_path / "mine")
+    assert code == 0, err
+    made = load_camera(tmp_path / "mine/camera.toml")
+    assert made.gains is not None
+    assert (made.gains.iso, made.gains.analog_gain.tolist()) == (200, [4, 16])
+    assert made.gain == pytest.approx(camera.gain, rel=0.05)
+    np.testing.assert_allclose(made.gains.gain_read_noise, [2.0, 1.0], rtol=0.05)
+    assert "\n[learning]\ngains = [1, 4, 16]\n" in (tmp_path / "mine/classes.toml").read_text()
+    assert l3("check", tmp_path / "mine/classes.toml")[0] == 0
+    assert read_raw(tmp_path / "taken/a.dng", made).gain == 16
+    assert [path.resolve().name for path in (tmp_path / "mine").glob("picture.*")] == ["b.dng"]
 
 
 def test_its_folder_leads_to_a_picture_of_the_photo(photo: Path, tmp_path: Path, l3: L3) -> None:

@@ -1,6 +1,7 @@
 """Text of a camera recipe and its file of curves from the facts that raw files state about their camera; the rest is
 assumed, in comments."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,6 +45,27 @@ class PhotoCamera:
     origin: str  # of the curves
     noise: SensorNoise
     light: str | None = None  # of the photo, where its chart tells
+    gains: tuple[tuple[float, float], ...] = ()  # over that of the photo, and read noise (e-) at each, as other files state
+
+    def gain_recipe(self) -> str:
+        """Return [gain] of the recipe; nothing if the photo does not state its ISO speed."""
+        if self.stated.iso is None:
+            return ""
+        lines = ["", "[gain]", f"iso = {self.stated.iso:g} # at gain_dn_per_e"]
+        if self.gains:
+            lines.append(
+                f"gains = [{', '.join(f'{gain:g}' for gain, _ in self.gains)}] # by the ISO speeds of other files, …"
+            )
+            lines.append(
+                f"read_noise_e = [{', '.join(f'{noise:.4g}' for _, noise in self.gains)}] # … by their noise profiles"
+            )
+        return "\n".join(lines) + "\n"
+
+    def learning_gains(self) -> str:
+        """Return the line of a class recipe that has transforms learned for all gains; nothing if there is one."""
+        if not self.gains:
+            return ""
+        return f"gains = [{', '.join(f'{gain:g}' for gain in sorted({1.0, *(gain for gain, _ in self.gains)}))}]\n"
 
     @property
     def name(self) -> str:
@@ -102,7 +124,7 @@ well_capacity_e = {full:.6g}
 [optics]
 focal_length_mm = {self._focal_mm or FOCAL_MM:.4g}{"" if self._focal_mm else " # assumed"}
 f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assumed"}
-"""
+{self.gain_recipe()}"""
 
     def curve_file(self) -> str:
         """Return the curves as CSV, relative, per photon."""
@@ -112,6 +134,16 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
             for at, row in zip(self.wavelength, self.curves.T, strict=True)
         )
         return "\n".join([heading, *lines]) + "\n"
+
+
+def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, float], ...]:
+    """Return the gain over that of a raw file, and the read noise (e-) there, of each ISO speed whose noise others state."""
+    found: dict[float, float] = {}
+    for each in others:
+        if known.iso and each.iso and each.noise is not None and each.iso != known.iso:
+            slope, constant = each.noise
+            found.setdefault(each.iso / known.iso, float(np.sqrt(constant)) / slope)
+    return tuple(sorted(found.items()))
 
 
 def noise_of(stated: Stated, span: float) -> SensorNoise:

@@ -153,7 +153,8 @@ def write_dng(
     full_scale = camera.white_level - camera.black_level
     constant, linear, _ = camera.noise_terms()
     noise = (linear / full_scale, constant / full_scale**2)  # variance = S · x + O of values x between black and white level
-    shot = Shot(model=name, f_number=camera.optics.f_number, focal_length=camera.optics.focal_length * 1e3)
+    iso = camera.gains.iso if camera.gains else 0.0
+    shot = Shot(model=name, f_number=camera.optics.f_number, focal_length=camera.optics.focal_length * 1e3, iso=iso)
     tags = [
         entry("BlackLevel", RATIONAL, [camera.black_level]),
         entry("WhiteLevel", LONG, [camera.white_level]),

@@ -216,7 +216,7 @@ def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[
 def _figures(pages: list[Any]) -> dict[str, float]:
     tags, exif = pages[0].tags, exif_of(pages[0])
     stated = {
-        "iso": exif.get("ISOSpeedRatings"),
+        "iso": tags.valueof("ISOSpeedRatings") or exif.get("ISOSpeedRatings"),
         "focal_length_mm": tags.valueof("FocalLength") or exif.get("FocalLength"),
         "f_number": tags.valueof("FNumber") or exif.get("FNumber"),
     }
