@@ -59,6 +59,7 @@ def figures(camera: CameraModel) -> dict[str, Any]:
         "channels": _by_channel(camera, columns) if columns else {},
         "lights": _lights(camera, fit.chart) if fit.chart else {},
         "bands": _bands(camera, fit.series) if fit.series else {},
+        "gains": _gains(camera),
         "photos": _photos(fit.photo) if fit.photo else {},
         "prior": fit.photo.prior if fit.photo else None,
         "next light": {"light": fit.photo.next_light, "remaining %": 100.0 * fit.photo.next_share} if fit.photo else None,
@@ -129,6 +130,22 @@ def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]
         fits = gain.r_squared(measured, predicted)
         cells = {f"RMSE {name} (%)": float(value) for name, value in zip(camera.channels, rmse, strict=True)}
         rows[f"{index + 1} {light}"] = cells | {f"R² {n}": float(v) for n, v in zip(camera.channels, fits, strict=True)}
+    return rows
+
+
+def _gains(camera: CameraModel) -> dict[str, dict[str, float]]:
+    """Return the figures of the whole camera at each of its analog gains."""
+    rows = {}
+    for times in sorted([1.0, *camera.gains.analog_gain]) if camera.gains else []:
+        there = camera.at_gain(float(times))
+        capacity, least = there.full_scale, np.sqrt(there.noise.read_noise**2 + 1.0 / 12.0 / there.gain**2) + 0.5
+        rows[f"gain {times:.3g}"] = {
+            "K (DN/e-)": there.gain,
+            "dark noise (e-)": there.noise.read_noise,
+            "capacity (e-)": capacity,
+            "SNR max (dB)": float(10.0 * np.log10(capacity)),
+            "DR (dB)": float(20.0 * np.log10(capacity / least)),
+        }
     return rows
 
 
@@ -226,7 +243,13 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
             error = "" if known["error %"] is None else f"  error {figure(known['error %'], '+.2f')} %"
             line += f"  true {figure(known['true'], '.5g'):>10}{error}"
         lines.append(line.rstrip())
-    for table in (result["channels"], result["lights"], result["bands"], truth["channels"] if truth else {}):
+    for table in (
+        result["channels"],
+        result["lights"],
+        result["bands"],
+        result["gains"],
+        truth["channels"] if truth else {},
+    ):
         lines += ["", *_table(table, width)] if table else []
     lines += _photo_lines(result) if result["photos"] else []
     lines += ["", *matrix_lines(result["matrices"], width)] if result.get("matrices") else []

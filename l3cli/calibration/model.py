@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel, Noise, Readout
+from l3cli.artifacts.camera import AnalogGains, CameraModel, Noise, Readout
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
 from l3cli.calibration import agreement, gain, responsivity
 from l3cli.calibration.captures import (
@@ -28,6 +28,7 @@ DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothings tried in Eq. 1
 LEAST_R_SQUARED = 0.5  # charts that fit worse were not measured as the measurement file says
 Array = NDArray[np.float64]
 TOLERANCE = 0.1  # relative, by which a setting may differ from what frames say of it
+SAME_SPEED = 1.25  # by which a gain may differ from that of its ISO speed, either way
 CERTAIN = 4.0  # standard deviations of a gain that do
 
 
@@ -63,7 +64,32 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
         fit_charts(charts, curves.relative, sensor.dark.black_level, drift, body, odd) if measurements.charts else None
     )
     fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit)
-    return with_corrections(assemble(body, summarise(sensor, figures, body), curves, fit), sensor, body)
+    camera = assemble(body, summarise(sensor, figures, body), curves, fit)
+    camera = replace(camera, gains=measure_gains(measurements, camera, each))
+    return with_corrections(camera, sensor, body)
+
+
+def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = map) -> AnalogGains | None:
+    """Return gain and read noise at each ISO speed of dark and white frames, by photon transfer (docs/method.md#gains); None
+    if none is stated. InputFileError if a gain is not that of its ISO speed."""
+    body, found = measurements.body, {}
+    if measurements.iso is None:
+        return None
+    for captures in measurements.gains:
+        try:
+            sensor = measure_sensor(replace(measurements, darks=captures.darks, whites=captures.whites), each)
+        except InputFileError as error:
+            raise InputFileError(f"ISO {captures.iso:g}: {error}") from error
+        noise = summarise(sensor, describe_noise(sensor, body), body)
+        times, stated = noise.gain / camera.gain, captures.iso / measurements.iso
+        if not 1 / SAME_SPEED < times / stated < SAME_SPEED:
+            raise InputFileError(
+                f"frames of ISO {captures.iso:g} have {times:.3g} times the gain of those of ISO {measurements.iso:g}, not "
+                f"{stated:.3g}; give frames of analog gain alone, or correct iso"
+            )
+        found[times] = noise.noise.read_noise
+    known = sorted(found)
+    return AnalogGains(np.array(known), np.array([found[gain] for gain in known]), measurements.iso)
 
 
 def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:

@@ -170,6 +170,15 @@ class SensorFigures:
 
 
 @dataclass(frozen=True)
+class GainCaptures:
+    """Dark and white frames at another analog gain than the camera's."""
+
+    iso: float
+    darks: tuple[Capture, ...]
+    whites: tuple[Capture, ...]
+
+
+@dataclass(frozen=True)
 class Measurements:
     """All that was measured of one camera, and how well the lights were known.
 
@@ -182,6 +191,8 @@ class Measurements:
     charts: tuple[ChartCapture, ...] = ()
     darks: tuple[Capture, ...] = ()
     whites: tuple[Capture, ...] = ()
+    iso: float | None = None  # of `darks` and `whites`; None: not stated
+    gains: tuple[GainCaptures, ...] = ()  # at higher ISO speeds
     bands: tuple[BandCapture, ...] = ()
     curve: SweepTable | FinishedCurves | None = None
     photos: tuple[PhotoCapture, ...] = ()

@@ -76,6 +76,12 @@ class CaptureRecipe(Recipe, kw_only=True):
         return given[0] if len(given) == 1 else None
 
 
+class SensorCaptureRecipe(CaptureRecipe, kw_only=True):
+    """Lens-cap or white frames at an ISO speed: those of the lowest are of the camera's gain, others of further ones."""
+
+    iso: float | None = None  # of all such frames, or of none
+
+
 class MonoRecipe(CaptureRecipe, kw_only=True):
     """An even field lit by one monochromator step."""
 
@@ -176,8 +182,8 @@ class MeasurementRecipe(Recipe):
     prior: str | None = None  # folder of measured curves of r g b cameras, for photos; default: the table of l3
     band: list[ChartRecipe] = msgspec.field(default_factory=list)
     chart: list[ChartRecipe] = msgspec.field(default_factory=list)
-    white: list[CaptureRecipe] = msgspec.field(default_factory=list)
-    dark: list[CaptureRecipe] = msgspec.field(default_factory=list)
+    white: list[SensorCaptureRecipe] = msgspec.field(default_factory=list)
+    dark: list[SensorCaptureRecipe] = msgspec.field(default_factory=list)
     datasheet: DatasheetRecipe | None = None
     channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # exposed or amplified apart in the captures
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
@@ -246,6 +252,14 @@ def _section_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
             "give either [[white]] frames, and measure the sensor, or its [datasheet]",
         ),
         (recipe.white and not recipe.dark, "there is no [[dark]] capture; add some"),
+        (
+            {each.iso for each in recipe.white} != {each.iso for each in recipe.dark} and recipe.white,
+            "give [[dark]] and [[white]] captures at the same ISO speeds",
+        ),
+        (
+            None in (speeds := {each.iso for each in recipe.dark}) and len(speeds) > 1,
+            "some [[dark]] and [[white]] captures state their iso and others do not; give it to all, or to none",
+        ),
         (recipe.mono and recipe.datasheet, "[[mono]] frames need [[white]] and [[dark]] frames, not a [datasheet]"),
         (recipe.band and recipe.white, "[[band]] captures need a [datasheet], not [[white]] frames"),
         (

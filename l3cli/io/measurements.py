@@ -38,6 +38,7 @@ from l3cli.frames.measurement import (
     ChartCapture,
     CurveStatistics,
     FinishedCurves,
+    GainCaptures,
     Measurements,
     MonoCapture,
     PhotoCapture,
@@ -55,6 +56,7 @@ from l3cli.io.measurement_recipe import (
     MeasurementRecipe,
     MonoRecipe,
     PhotoRecipe,
+    SensorCaptureRecipe,
     frame_names,
     is_table,
     key_faults,
@@ -277,12 +279,17 @@ def measurements_of(recipe: MeasurementRecipe, path: Path) -> Measurements:
     for name in frame_names(recipe):
         if not (path.parent / name).is_file():
             raise InputFileError(f"{path.parent / name} does not exist; {path.name} names it as a frame")
+    stated = sorted({each.iso for each in recipe.dark if each.iso})
+    darks, whites = (_by_speed(each, body, path) for each in (recipe.dark, recipe.white))
+    lowest = stated[0] if stated else None
     return Measurements(
         body=body,
         mono=_mono(recipe, body, path),
         charts=tuple(ChartCapture(**_chart(chart, "chart", body, path)) for chart in recipe.chart),
-        darks=tuple(Capture(**_common(capture, body, path)) for capture in recipe.dark),
-        whites=tuple(Capture(**_common(capture, body, path)) for capture in recipe.white),
+        darks=darks.get(lowest, ()),
+        whites=whites.get(lowest, ()),
+        iso=lowest,
+        gains=tuple(GainCaptures(iso, darks[iso], whites.get(iso, ())) for iso in stated[1:]),
         bands=tuple(BandCapture(**_chart(band, "band", body, path)) for band in recipe.band),
         curve=curve_of(recipe, path),
         photos=load_photos(recipe.photos, body, _levels(recipe), path),
@@ -291,6 +298,14 @@ def measurements_of(recipe: MeasurementRecipe, path: Path) -> Measurements:
         lamp_drift=math.hypot(recipe.uncertainty.lamp_drift, recipe.uncertainty.photodiode),
         wavelength_uncertainty=recipe.uncertainty.wavelength_nm,
     )
+
+
+def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, path: Path) -> dict[float | None, tuple[Capture, ...]]:
+    """Return the captures of each ISO speed; None: not stated."""
+    found: dict[float | None, tuple[Capture, ...]] = {}
+    for each in recipes:
+        found[each.iso] = (*found.get(each.iso, ()), Capture(**_common(each, body, path)))
+    return found
 
 
 def _common(capture: CaptureRecipe, body: Body, path: Path) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import re
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from l3cli.rendering.conditions import at_gain, gains_of, nearest_step
 from l3cli.rendering.raw_checks import other_gain
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import NoiseRenderer
+from l3cli.simulation import sensor
 from l3cli.training.patches import expose_patches, white_signal
 from l3cli.training.recipe import APART, learned_gains
 from tests.helpers.calls import L3, Refused
@@ -120,6 +122,53 @@ def test_a_recipe_names_gains(tmp_path: Path, l3: L3) -> None:
         path.write_text(recipe + f"\n[gain]\n{keys}\n")
         code, found, _ = l3("check", path)
         assert (code, words in found) == (3, True)
+
+
+def lab_at_speeds(folder: Path, camera: CameraModel, speeds: dict[float, float]) -> str:
+    """Dark and white frames of a camera at gains, by the ISO speeds that the measurement file names them with."""
+    rng, text = np.random.default_rng(4), ""
+    for iso, gain in speeds.items():
+        there = camera.at_gain(gain)
+        for section, exposures in (("dark", (0.01, 0.5)), ("white", (0.1, 0.2, 0.4, 0.8, 1.6))):
+            for number, exposure in enumerate(exposures):
+                light = there.full_scale * exposure if section == "white" else 0.0
+                names = [f"{section}_{iso:g}_{number}_{frame}.npy" for frame in range(2)]
+                for name in names:
+                    electrons = np.full((camera.rows, camera.cols), light, np.float32)
+                    np.save(folder / name, sensor.expose(there, electrons, exposure, rng))
+                text += f"[[{section}]]\nframes = {names}\nexposure_s = {exposure}\niso = {iso:g}\n"
+    return text
+
+
+def test_calibration_measures_gain_and_read_noise_at_each_iso_speed(
+    bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused
+) -> None:
+    noise = dataclasses.replace(bayer.noise, read_noise=4.0, dark_current=0.0, well_capacity=1e5)
+    camera = dataclasses.replace(bayer, noise=noise, gains=AnalogGains(np.array([8.0]), np.array([1.5]), 100.0))
+    rows = "\n".join(f"{nm},{1 if nm < 500 else 0.5},{0.4 if nm < 500 else 1},0.3" for nm in range(400, 701, 10))
+    (tmp_path / "curves.csv").write_text(f"wavelength_nm,r,g,b\n{rows}\n")
+    pattern = [" ".join(camera.channels[site] for site in row) for row in camera.cfa]
+    head = (
+        f'name = "gains"\n[sensor]\nrows = {camera.rows}\ncols = {camera.cols}\npixel_pitch_um = 5.0\nbits = {camera.bits}\n'
+        f"[optics]\nfocal_length_mm = 25.0\nf_number = 2.8\n[cfa]\nchannels = {list(camera.channels)}\n"
+        f'pattern = {pattern}\n[curves]\nfile = "curves.csv"\n'
+    )
+    path = tmp_path / "MEASUREMENTS.toml"
+    path.write_text(head + lab_at_speeds(tmp_path, camera, {100.0: 1.0, 800.0: 8.0}))
+    code, out, err = l3("calibrate", path, "-o", tmp_path / "camera.h5")
+    assert code == 0, err
+    assert re.search(r"gain 8\.?\d* +2\.", out)
+    made = load(CameraModel, tmp_path / "camera.h5")
+    assert made.gains is not None
+    assert made.gains.iso == 100
+    np.testing.assert_allclose(made.gains.analog_gain, [8.0], rtol=0.03)
+    np.testing.assert_allclose(made.gains.gain_read_noise, [1.5], rtol=0.05)
+    assert made.noise.read_noise == pytest.approx(4.0, rel=0.05)
+
+    path.write_text(path.read_text().replace("iso = 800", "iso = 1600"))
+    assert "have 8" in refused(3, "calibrate", path, "-o", tmp_path / "no.h5")
+    path.write_text(path.read_text().replace("iso = 100\n", ""))
+    assert "some [[dark]] and [[white]] captures state their iso" in refused(2, "calibrate", path, "-o", tmp_path / "no.h5")
 
 
 # -------------------------------------------------------------------------------------------------------- tables
