@@ -26,7 +26,7 @@ PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far 
 RATIO_TAPS = 2  # behind those of the windows, of a last layer that has them: chroma as shading would make it
 PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 bits stay within 32 bits
 WINDOWS = (3, 5, 7, 9)  # sides that can be
-COMPARED = (5, 3, 3)  # in coarse chroma: four steps and a pixel; planes; powers of luminance
+COMPARED = (5, 3, 3)  # in coarse chroma: four steps and a quad; planes; powers of luminance
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ class CoarseChroma:
         "compared",
         "plane",
         "power",
-        doc="noise variance at luminance Y, Σ variance · Y^power, in squared output units: of the means each step reads, "
-        "then of a pixel's window and the means after the first step together",
+        doc="noise variance at luminance Y, Σ variance · Y^power, in squared output units: of the blocks each step reads, "
+        "then of a quad and the blocks after the first step together",
     )
 
     def __post_init__(self) -> None:
@@ -118,11 +118,9 @@ class PlaneLayer:
         """RATIO_TAPS or none."""
         return self.weights.shape[2] - self.window_taps
 
-    @property
-    def plain_response(self) -> NDArray[np.float32]:
-        """Outputs of a plain window of one in each plane: (class, output, plane)."""
-        windows = self.weights[..., : self.window_taps]
-        return windows.reshape(*windows.shape[:2], -1, self.side**2).sum(axis=-1, dtype=np.float64).astype(np.float32)
+    def with_noise(self, share: float) -> "PlaneLayer":
+        """Return the layer for frames with this share of the noise variance, as far as coarse chroma asks."""
+        return replace(self, coarse_chroma=self.coarse_chroma.with_noise(share)) if self.coarse_chroma else self
 
     def scaled_as(self, scale: GradientScale) -> "PlaneLayer":
         """Return the layer with gradients scaled so."""

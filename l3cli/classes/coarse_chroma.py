@@ -1,24 +1,35 @@
 """Chroma from far around, where pixels are alike, for which windows are too small (docs/method.md#coarse-chroma).
 
-Means of 4 × 4 pixels of the planes pass four edge-avoiding steps, the means 1, 2, 4 and 8 apart. A pixel reads the last from
-its four nearest means, those that are like it after the first step.
+Quads are means of 2 × 2 pixels of the planes, blocks those of 2 × 2 quads. Blocks pass four edge-avoiding steps, over blocks
+1, 2, 4 and 8 from each other. A quad reads the last from its four nearest blocks, those that are like it after the first.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import PLANE_STEP, CoarseChroma
-from l3cli.classes.planes import LUMINANCE
+from l3cli.classes.planes import CHROMA, LUMINANCE
 from l3cli.classes.refinement import mirrored, window_means
 
-BIN = 4  # pixels, side of what a mean is taken of
-SPACINGS = (1, 2, 4, 8)  # means, by step
-REACH = BIN * (sum(SPACINGS) + 2)  # pixels beyond which nothing counts
-ALIKE = 3.0  # standard deviations of noise that likeness falls off by
-POWER = 8  # of 1 − u / POWER, which is nearly exp(−u), but an end has
+QUAD, BLOCK = 2, 4  # pixels a side
+SPACINGS = (1, 2, 4, 8)  # blocks, by step
+REACH = BLOCK * (sum(SPACINGS) + 2)  # pixels beyond which nothing counts
+ALIKE = 3.5  # standard deviations of noise that likeness falls off by
+POWER = 8  # of 1 − u / POWER, which is nearly exp(−u), but has an end
 OWN = 0.05  # weight of the pixel's own window
-SPREAD = np.array([1.0, 2.0, 1.0]) / 4
+STEP_WEIGHTS = np.array([1.0, 2.0, 1.0]) / 4
+LUMINANCE_WEIGHTS = np.array([1.0, 4.0, 1.0]) / 6  # of quads about one; chroma has equal ones
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Far:
+    """Chroma of the last blocks as quads read it: what it adds to a pixel is `chroma` − `share` · the pixel's own."""
+
+    chroma: Array  # (chroma, quad row, quad col)
+    share: Array  # (quad row, quad col) 0…1, of the blocks that are alike
 
 
 def scales_of(chroma: CoarseChroma, share: float = 1.0) -> Array:
@@ -29,54 +40,65 @@ def scales_of(chroma: CoarseChroma, share: float = 1.0) -> Array:
 
 
 def coarse_change(planes: NDArray[np.int32], side: int, scales: Array) -> Array:
-    """Return what coarse chroma adds to every pixel of windows of `side`: (chroma, row, col) of planes (plane, row, col), in
-    their steps; `scales`: of `scales_of`."""
-    pixel, means = pixel_evidence(planes, side), binned(planes)
-    first = means = edge_avoiding(means, SPACINGS[0], scales[0])
+    """Return what coarse chroma adds to the outputs (chroma, row, col) of planes (plane, row, col), in their steps, that are
+    read by windows of `side`; `scales`: of `scales_of`."""
+    own = window_means(mirrored(planes[CHROMA].astype(np.float64), side // 2), side)
+    far = read_far(halved(planes.astype(np.float64)), scales)
+    rows, cols = (np.arange(length) // QUAD for length in planes.shape[1:])
+    place = rows[:, None], cols
+    return np.asarray(far.chroma[:, *place] - far.share[place] * own)
+
+
+def read_far(quads: Array, scales: Array) -> Far:
+    """Return what quads (plane, row, col) read of the blocks that they make."""
+    evidence, blocks = quad_evidence(quads), halved(quads)
+    first = blocks = edge_avoiding(blocks, SPACINGS[0], scales[0])
     for spacing, scale in zip(SPACINGS[1:], scales[1:], strict=False):
-        means = edge_avoiding(means, spacing, scale)
-    least = _at(scales[-1], pixel[LUMINANCE])
-    total, weights = np.zeros_like(pixel), np.full(pixel.shape[1:], OWN)
-    for rows, down in nearest_means(planes.shape[1], means.shape[1]):
-        for cols, across in nearest_means(planes.shape[2], means.shape[2]):
+        blocks = edge_avoiding(blocks, spacing, scale)
+    least = _at(scales[-1], evidence[LUMINANCE])
+    total, weights = np.zeros_like(evidence), np.zeros(evidence.shape[1:])
+    for rows, down in _nearest_blocks(quads.shape[1], blocks.shape[1]):
+        for cols, across in _nearest_blocks(quads.shape[2], blocks.shape[2]):
             there = (slice(None), rows[:, None], cols)
-            weight = down[:, None] * across * likeness(first[there] - pixel, least)
-            total += weight * (means[there] - pixel)
+            weight = down[:, None] * across * likeness(first[there] - evidence, least)
+            total += weight * blocks[there]
             weights += weight
-    return np.delete(total / weights, LUMINANCE, axis=0)
+    share = 1 / (weights + OWN)
+    return Far(total[CHROMA] * share, weights * share)
 
 
-def pixel_evidence(planes: NDArray[np.int32], side: int) -> Array:
-    """Return what a pixel is compared by (plane, row, col): chroma over its window, luminance over 1 2 1."""
-    means = np.asarray(window_means(mirrored(planes.astype(np.float64), side // 2), side))
-    smoothed = mirrored(planes[LUMINANCE].astype(np.float64), 1)
-    smoothed = SPREAD[0] * smoothed[:-2] + SPREAD[1] * smoothed[1:-1] + SPREAD[2] * smoothed[2:]
-    means[LUMINANCE] = SPREAD[0] * smoothed[:, :-2] + SPREAD[1] * smoothed[:, 1:-1] + SPREAD[2] * smoothed[:, 2:]
-    return means
+def halved(planes: Array) -> Array:
+    """Return the means (plane, row, col) of 2 × 2 values of planes; at an odd end of those that are there."""
+    rows, cols = planes.shape[1:]
+    whole = np.pad(planes, ((0, 0), (0, rows % 2), (0, cols % 2)), mode="edge")
+    return np.asarray(whole.reshape(3, -(-rows // 2), 2, -(-cols // 2), 2).mean(axis=(2, 4)))
 
 
-def binned(planes: NDArray[np.int32]) -> Array:
-    """Return the means (plane, row, col) of BIN × BIN pixels of planes, at the end of those that are there."""
-    starts = [np.arange(0, length, BIN) for length in planes.shape[1:]]
-    sums = np.add.reduceat(np.add.reduceat(planes.astype(np.float64), starts[0], axis=1), starts[1], axis=2)
-    rows, cols = (np.diff(np.append(start, length)) for start, length in zip(starts, planes.shape[1:], strict=True))
-    return np.asarray(sums / (rows[:, None] * cols))
+def quad_evidence(quads: Array) -> Array:
+    """Return what a quad is compared by (plane, row, col): means over 3 × 3 quads, the outermost repeated."""
+    padded = np.pad(quads, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    weights = np.full((3, 3), 1 / 3)
+    weights[LUMINANCE] = LUMINANCE_WEIGHTS
+    for axis, length in enumerate(quads.shape[1:], 1):
+        parts = (padded.take(range(i, i + length), axis) * weights[:, i, None, None] for i in range(3))
+        padded = np.add.reduce(list(parts))
+    return padded
 
 
-def edge_avoiding(means: Array, spacing: int, scale: Array) -> Array:
-    """Return the mean (plane, row, col) over 3 × 3 means `spacing` from each other, of those alike."""
-    _, rows, cols = means.shape
-    least = _at(scale, means[LUMINANCE])
-    padded = np.pad(means, ((0, 0), (spacing, spacing), (spacing, spacing)))
+def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
+    """Return the mean (plane, row, col) over 3 × 3 blocks `spacing` from each other, of those alike."""
+    _, rows, cols = blocks.shape
+    least = _at(scale, blocks[LUMINANCE])
+    padded = np.pad(blocks, ((0, 0), (spacing, spacing), (spacing, spacing)))
     inside = np.pad(np.ones((rows, cols)), spacing)
-    change, weights = np.zeros_like(means), np.zeros((rows, cols))
+    change, weights = np.zeros_like(blocks), np.zeros((rows, cols))
     for i, j in np.ndindex(3, 3):
         there = slice(i * spacing, i * spacing + rows), slice(j * spacing, j * spacing + cols)
-        difference = padded[:, *there] - means
-        weight = SPREAD[i] * SPREAD[j] * inside[there] * likeness(difference, least)
+        difference = padded[:, *there] - blocks
+        weight = STEP_WEIGHTS[i] * STEP_WEIGHTS[j] * inside[there] * likeness(difference, least)
         change += weight * difference
         weights += weight
-    return np.asarray(means + change / weights)
+    return np.asarray(blocks + change / weights)
 
 
 def likeness(difference: Array, least: Array) -> Array:
@@ -84,12 +106,12 @@ def likeness(difference: Array, least: Array) -> Array:
     return np.asarray(np.maximum(1 - (difference**2 / least).sum(axis=0), 0) ** POWER)
 
 
-def nearest_means(pixels: int, means: int) -> list[tuple[NDArray[np.intp], Array]]:
-    """Return, twice, the place of a mean near each pixel and the weight of linear interpolation, 0 where none is."""
-    place = (np.arange(pixels) + 0.5) / BIN - 0.5
-    low = np.floor(place).astype(np.intp)
-    pairs = ((low, 1 - (place - low)), (low + 1, place - low))
-    return [(np.clip(at, 0, means - 1), np.where((at >= 0) & (at < means), share, 0.0)) for at, share in pairs]
+def _nearest_blocks(quads: int, blocks: int) -> list[tuple[NDArray[np.intp], Array]]:
+    """Return, twice, the place of a block next to each quad and the weight of linear interpolation, 0 where none is."""
+    low = (np.arange(quads) + 1) // 2 - 1
+    share = np.where(np.arange(quads) % 2, 0.25, 0.75)  # of the next one
+    pairs = ((low, 1 - share), (low + 1, share))
+    return [(np.clip(at, 0, blocks - 1), np.where((at >= 0) & (at < blocks), part, 0.0)) for at, part in pairs]
 
 
 def _at(scale: Array, luminance: Array) -> Array:

@@ -25,7 +25,7 @@ MOST_FRACTION = 16
 MOST_WEIGHT, MOST_SUM = 2.0**15 - 2, 2.0**31 - 2**MOST_FRACTION  # before rounding, which adds less than 1 to a weight
 COARSE, COARSE_TOP = 5, 2**15 - 1  # bits by which a layer between reads planes coarser, and within which size
 BLOCK = 256  # classes that are turned into integers at a time, in a processor's cache
-LUMINANCE = 1  # the plane that is Y
+LUMINANCE, CHROMA = 1, [0, 2]  # the plane that is Y, and the others
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.plane_rules import StructureRule, TreeRule
 from l3cli.artifacts.table import PlaneLayer, TransformTable
 from l3cli.classes import contrast, direction, level, saturation
+from l3cli.classes.coarse_chroma import scales_of
 from l3cli.classes.features import further_features
 from l3cli.classes.plane_kernel import rule_constants, rule_macros
 from l3cli.classes.planes import fixed_point, opponent_basis, refined_fixed_point
@@ -116,6 +117,9 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
         lines += ["/* sum, top, left, rows, columns, sign */", "const L3Window l3_windows[L3_WINDOWS] = {"]
         lines += [*(f"{{{', '.join(map(str, window))}}}," for window in windows), "};"]
     arrays += _last_words(table, short) if short else _last_floats(table)
+    if table.later and table.later[-1].coarse_chroma:
+        scales = scales_of(table.later[-1].coarse_chroma).astype(np.float32)
+        arrays.append(Array("l3_coarse_scales", scales, "(compared, plane, power of Y)", packed=True))
     if table.later:
         more, layers = _layers(table)
         return [*arrays, *more], [*lines, *layers, ""]

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.plane_rules import GRADIENT, StructureRule, TreeRule
-from l3cli.artifacts.table import PLANE_TOP, TransformTable
+from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, CoarseChroma, TransformTable
 from l3cli.classes import direction, saturation
+from l3cli.classes.coarse_chroma import OWN
 from l3cli.classes.features import further_features
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, raw_middle
 from l3cli.classes.refinement import RATIO_DARKEST
@@ -74,8 +75,8 @@ def c_files(
             raise InputFileError(f'C source has no class feature "{axis.name}"; export the table as a folder')
     if table.spectra and words == "int16":
         raise InputFileError("the table smooths spectra, in floats; leave out ‹words› or export it as a folder")
-    if table.later and table.later[-1].coarse_chroma:
-        raise InputFileError("C source has no coarse chroma; train without coarse_chroma, or export the table as a folder")
+    if _coarse_chroma(table) and words == "int16":
+        raise InputFileError("the table has coarse chroma, in floats; leave out ‹words› or train without coarse_chroma")
     short = short_words(table) if words == "int16" else None
     arrays, layers = table_arrays(table, short)
     vector, shows = make_vector(table), table.outputs == XYZ
@@ -120,7 +121,8 @@ def _piece(name: str) -> str:
 
 def _pieces(table: TransformTable, words: Words) -> tuple[str, ...]:
     further = "direction.c" if table.first.rule.axes else "no_direction.c"
-    layer_files = ("planes.c", "structure.c", "tree.c", "several_layers.c") if table.later else ("one_layer.c",)
+    coarse = "coarse_chroma.c" if _coarse_chroma(table) else "no_coarse_chroma.c"
+    layer_files = ("planes.c", coarse, "structure.c", "tree.c", "several_layers.c") if table.later else ("one_layer.c",)
     spectra = "spectra.c" if table.spectra else "no_spectra.c"
     return ("head.c", further, "classes.c", f"{words}.c", *layer_files, spectra, "render.c")
 
@@ -160,12 +162,18 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
     if table.spectra:
         reach, darkest = _float(table.spectra.reach), _float(SPECTRA_DARKEST)
         values |= {"SPECTRAL_WINDOW": table.spectra.window, "SPECTRAL_REACH": reach, "DARKEST": darkest}
+    if _coarse_chroma(table):
+        values |= {"COARSE_OWN": _float(OWN), "PLANE_STEP": _float(PLANE_STEP)}
     if words == "float32":
         values |= {"OUTPUT_FRACTION": 0, "VALUE_OFFSET": "0.0f" if table.later else _float(table.black_level)}
     else:
         values |= {"OUTPUT_FRACTION": OUTPUT_FRACTION, "OUTPUT_TOP": OUTPUT_TOP}
         values |= {"VALUE_OFFSET": offset_of(table), "SPLIT": split_of(table)}
     return values | (_plane_macros(table) if table.later else {"LAST_TAPS": filled(rule.patch**2)})
+
+
+def _coarse_chroma(table: TransformTable) -> CoarseChroma | None:
+    return table.later[-1].coarse_chroma if table.later else None
 
 
 def _plane_macros(table: TransformTable) -> dict[str, int | str]:
@@ -246,12 +254,13 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
         "columns": vector.raw.shape[1],
         "phase": "{}, {}".format(*vector.phase),
     }
-    known["ratio_darkest"] = RATIO_DARKEST
+    known |= {"ratio_darkest": RATIO_DARKEST, "coarse_own": OWN}
     known |= _words_known(table, short) if short else {"words": "float"}
     parts = ["readme.md", "readme_int16.md" if short else "readme_float32.md"]
     parts += ["readme_direction.md"] if rule.axes else []
     parts += ["readme_planes.md"] if table.later else ["readme_one_layer.md"]
     parts += ["readme_ratios.md"] if table.later and table.later[-1].ratio_taps else []
+    parts += ["readme_coarse_chroma.md"] if _coarse_chroma(table) else []
     if table.spectra:
         parts += ["readme_spectra.md"]
         known |= {"spectral_window": table.spectra.window, "spectral_reach": f"{table.spectra.reach:g}"}

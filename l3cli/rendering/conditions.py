@@ -296,8 +296,7 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     first = replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=features)
 
     def scaled(layer: PlaneLayer) -> PlaneLayer:
-        if layer.coarse_chroma:
-            layer = replace(layer, coarse_chroma=layer.coarse_chroma.with_noise(share))
+        layer = layer.with_noise(share)
         if layer.structure is None:
             return layer
         edges = _scaled(layer.structure.strength_edges, share)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, SpectralSmoothing, TransformTable
 from l3cli.classes.coarse_chroma import coarse_change, scales_of
 from l3cli.classes.decide import label_mosaic
-from l3cli.classes.planes import LUMINANCE, FixedPoint, coarse, opponent_basis, refined_fixed_point
+from l3cli.classes.planes import CHROMA, FixedPoint, coarse, opponent_basis, refined_fixed_point
 from l3cli.classes.refinement import label_planes, mirrored, shaded_chroma
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import RawFrame, pad_mosaic
@@ -128,9 +128,7 @@ def refinement_outputs(
     ratios = np.moveaxis(shaded_chroma(planes, layer.side), 0, -1)[..., : layer.ratio_taps] * PLANE_STEP
     made = _transformed(_windows(planes.astype(np.float64) * PLANE_STEP, layer), labels, layer, ratios)
     if layer.coarse_chroma:
-        change = coarse_change(planes, layer.side, scales_of(layer.coarse_chroma, share)) * PLANE_STEP
-        response = np.delete(layer.plain_response.astype(np.float64), LUMINANCE, axis=2)
-        made += np.einsum("rcop,prc->orc", response[labels], change)
+        made[CHROMA] += coarse_change(planes, layer.side, scales_of(layer.coarse_chroma, share)) * PLANE_STEP
     return made
 
 

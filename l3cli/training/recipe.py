@@ -123,7 +123,8 @@ class LayerRecipe(Recipe):
     colour_ratios: bool = (
         False  # further taps of the last layer: chroma as shading would make it (docs/method.md#colour-ratios)
     )
-    # chroma of the last layer comes from far around, where pixels are alike (docs/method.md#coarse-chroma)
+    # chroma of the last layer comes from far around, where pixels are alike, and no class fades that of plain
+    # windows (docs/method.md#coarse-chroma)
     coarse_chroma: bool = False
     level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weight of classes one, two… levels away
     parent_patches: CountOrNone = 200  # pseudo-rows of the parent, added to every class

@@ -1,10 +1,14 @@
-// Coarse chroma (l3cli/classes/coarse_chroma.py): means of BIN × BIN pixels, with a margin about them that is FAR from all.
+// Coarse chroma (l3cli/classes/coarse_chroma.py): quads, means of 2 × 2 pixels of three planes, with a column of the outermost on
+// either side; blocks, of 2 × 2 quads, with MARGIN about them that is FAR from all; and what quads read of these. Rows have room
+// behind them that vectors may read.
 
-#define BINS(length) (((length) + BIN - 1) / BIN)
-#define MEANS_STRIDE(columns) (BINS(columns) + 2 * MARGIN + 16)  // of a row of means, which vectors may read past
-#define MEANS_PLANE(rows, columns) ((size_t)(BINS(rows) + 2 * MARGIN) * MEANS_STRIDE(columns))
+#define HALF(length) (((length) + 1) / 2)
+#define QUADS_STRIDE(columns) (HALF(columns) + 2 + 16)
+#define QUADS_PLANE(rows, columns) ((size_t)HALF(rows) * QUADS_STRIDE(columns))
+#define BLOCKS_STRIDE(columns) (HALF(HALF(columns)) + 2 * MARGIN + 16)
+#define BLOCKS_PLANE(rows, columns) ((size_t)(HALF(HALF(rows)) + 2 * MARGIN) * BLOCKS_STRIDE(columns))
 
-// Of differences d from planes at luminance y.
+// Of differences from planes at luminance y.
 INLINE void inverse_scales(floats inverse[3], __global const float *scale, floats y) {
     const floats above = y > 0.0f ? y : (floats)0.0f;
     #pragma unroll
@@ -17,6 +21,9 @@ INLINE floats likeness(const floats d[3], const floats inverse[3]) {
     return fourth * fourth;
 }
 
-// Pixel i of a row or column lies between means NEAREST(i) and the next, this near to it.
-#define NEAREST(i) (((i) + BIN / 2) / BIN - 1)
-#define NEXT_SHARE(i) ((((i) + BIN / 2) % BIN + 0.5f) / BIN)
+// Of nine neighbours n of a block, itself the fifth.
+#define STEP_WEIGHT(n) ((n) == 4 ? 0.25f : (n) % 2 ? 0.125f : 0.0625f)
+
+// Quad i of a row or column lies between blocks NEAREST(i) and the next, this near to it.
+#define NEAREST(i) (((i) + 1) / 2 - 1)
+#define NEXT_SHARE(i) ((i) % 2 ? 0.25f : 0.75f)

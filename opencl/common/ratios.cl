@@ -1,16 +1,22 @@
-// Processor variant: what a last layer reads behind its windows, of a row of a tile: chroma as shading would make it
-// (SHADED_CHROMA, l3cli/classes/refinement.py), then what coarse chroma changes (COARSE_CHROMA, l3cli/classes/coarse_chroma.py).
+// Processor variant: what a last layer makes of the sums of its windows, of a row of a tile: chroma as shading would make it
+// (RATIO_TAPS, l3cli/classes/refinement.py), and what coarse chroma adds (COARSE_CHROMA, l3cli/classes/coarse_chroma.py).
 
-#ifdef RATIO_TAPS
+#if defined(RATIO_TAPS) || defined(COARSE_CHROMA)
+#define SUMS_OF_WINDOWS
 
 typedef struct {
-    int sum[SOURCES][SPAN];          // of each plane down a column
-    int near[SPAN];                  // luminance of three rows, 1 2 1
-    float luminance[SPAN];           // of the row itself
-    float chroma[RATIO_TAPS][SPAN];  // what is made of them; the first lies at the tile's first column
-} Ratios;
+    int sum[SOURCES][SPAN];  // of each plane down a column
+    float luminance[SPAN];   // of the row itself
+    // What is made of them, the first at the tile's first column: taps behind the window, and what is added to outputs.
+#ifdef RATIO_TAPS
+    float chroma[RATIO_TAPS][SPAN];
+#endif
+#ifdef COARSE_CHROMA
+    float change[2][SPAN];
+#endif
+} WindowSums;
 
-#ifdef SHADED_CHROMA
+#ifdef RATIO_TAPS
 INLINE floats ratio_of(floats luminance, floats total) {
     const float count = PATCH * PATCH;
     const floats least = count * DARKEST, share = (count * luminance - total) / (total > least ? total : least);
@@ -20,49 +26,16 @@ INLINE floats ratio_of(floats luminance, floats total) {
 #endif
 
 #ifdef COARSE_CHROMA
-#define COARSE_PARAMETERS , __global const float *restrict first_means, __global const float *restrict last_means, \
-    __global const float *restrict scale
-#define COARSE_READ , first_means, last_means, scale
+#define COARSE_PARAMETERS , __global const float *restrict far  // (first and third plane, share; quad row, quad column)
+#define COARSE_READ , far
 
-#define LOW(i) (NEAREST(i) + 1)
-#define HIGH(i) (NEAREST(i) + 2)
-#define EACH_MEAN(v, far) ((far) ? __builtin_shufflevector(v, v, ALL_LANES(HIGH)) : __builtin_shufflevector(v, v, ALL_LANES(LOW)))
+#define OF_QUAD(i) ((i) / 2)
 
-// For LANES pixels from column x of the tile, and column `column` of row `row` of the planes, with the sums of their windows.
-INLINE void coarse_change(Ratios *to, int x, const floats total[SOURCES], int row, int column, int rows, int columns
-                          COARSE_PARAMETERS) {
-    const int stride = MEANS_STRIDE(columns);
-    const size_t plane = MEANS_PLANE(rows, columns), at = (size_t)(NEAREST(row) + MARGIN) * stride + MARGIN + column / BIN - 1;
-    const floats across = (floats)(ALL_LANES(NEXT_SHARE));
-    const ints near = LOAD_PRIVATE(ints, to->near + x + RADIUS - 1) + 2 * LOAD_PRIVATE(ints, to->near + x + RADIUS)
-                    + LOAD_PRIVATE(ints, to->near + x + RADIUS + 1);
-    floats own[3], inverse[3], change[2] = {0.0f, 0.0f}, weights = COARSE_CHROMA;
-    #pragma unroll
-    for (int s = 0; s < 3; s++) own[s] = total[s] * (1.0f / (PATCH * PATCH));
-    own[LUMINANCE] = CONVERT(near, floats) * 0.0625f;
-    inverse_scales(inverse, scale, own[LUMINANCE]);
-    #pragma unroll
-    for (int j = 0; j < 2; j++) {
-        floats first[3], last[2];
-        #pragma unroll
-        for (int s = 0; s < 3; s++) first[s] = LOAD_GLOBAL(floats, first_means + s * plane + at + j * stride);
-        #pragma unroll
-        for (int s = 0; s < 2; s++) last[s] = LOAD_GLOBAL(floats, last_means + 2 * s * plane + at + j * stride);
-        const float down = j ? NEXT_SHARE(row) : 1.0f - NEXT_SHARE(row);
-        #pragma unroll
-        for (int i = 0; i < 2; i++) {
-            floats difference[3];
-            #pragma unroll
-            for (int s = 0; s < 3; s++) difference[s] = EACH_MEAN(first[s], i) - own[s];
-            const floats weight = likeness(difference, inverse) * ((i ? across : 1.0f - across) * down);
-            weights += weight;
-            #pragma unroll
-            for (int s = 0; s < 2; s++) change[s] += weight * (EACH_MEAN(last[s], i) - own[2 * s]);
-        }
-    }
-    const floats share = 1.0f / weights;
-    #pragma unroll
-    for (int s = 0; s < 2; s++) STORE_PRIVATE(floats, to->chroma[RATIO_TAPS - 2 + s] + x) = change[s] * share;
+// What coarse chroma adds to the mean of a window of chroma plane `s`, of LANES pixels from the quad `at` on.
+INLINE floats coarse_change(__global const float *far, size_t at, size_t quads, int s, floats mean) {
+    const floats chroma = LOAD_GLOBAL(floats, far + s * quads + at), share = LOAD_GLOBAL(floats, far + 2 * quads + at);
+    return __builtin_shufflevector(chroma, chroma, ALL_LANES(OF_QUAD))
+         - __builtin_shufflevector(share, share, ALL_LANES(OF_QUAD)) * mean;
 }
 #else
 #define COARSE_PARAMETERS
@@ -70,7 +43,7 @@ INLINE void coarse_change(Ratios *to, int x, const floats total[SOURCES], int ro
 #endif
 
 // Of the row whose window begins in padded row `rows[0]`; the tile's first column is x0.
-INLINE void taps_behind(Ratios *to, __global const int *planes, __global const int *rows, __global const int *column_source, int x0,
+INLINE void sum_windows(WindowSums *to, __global const int *planes, __global const int *rows, __global const int *column_source, int x0,
                         int width, int columns, size_t stride COARSE_PARAMETERS) {
     const int first = max(0, RADIUS - x0), end = width + 2 * RADIUS, last = min(end, columns - x0 + RADIUS);
     for (int s = 0; s < SOURCES; s++) {
@@ -88,21 +61,6 @@ INLINE void taps_behind(Ratios *to, __global const int *planes, __global const i
             for (int j = 0; j < PATCH; j++) sum += plane[(size_t)rows[j] * columns + p];
             to->sum[s][p] = sum;
         }
-#ifdef COARSE_CHROMA
-        if (s == LUMINANCE) {
-            __global const int *above = plane + (size_t)rows[RADIUS - 1] * columns, *below = plane + (size_t)rows[RADIUS + 1] * columns;
-            __global const int *middle = plane + (size_t)rows[RADIUS] * columns;
-            for (p = first; p + LANES <= last; p += LANES)
-                STORE_PRIVATE(ints, to->near + p) =
-                    LOAD_GLOBAL(ints, above + p) + 2 * LOAD_GLOBAL(ints, middle + p) + LOAD_GLOBAL(ints, below + p);
-            AT_EDGE
-            for (; p < last; p++) to->near[p] = above[p] + 2 * middle[p] + below[p];
-            AT_EDGE
-            for (int i = 0; i < first; i++) to->near[i] = to->near[column_source[x0 + i] - x0 + RADIUS];
-            AT_EDGE
-            for (int i = p; i < end; i++) to->near[i] = to->near[column_source[x0 + i] - x0 + RADIUS];
-        }
-#endif
         AT_EDGE
         for (int i = 0; i < first; i++) to->sum[s][i] = to->sum[s][column_source[x0 + i] - x0 + RADIUS];
         AT_EDGE
@@ -122,20 +80,27 @@ INLINE void taps_behind(Ratios *to, __global const int *planes, __global const i
             for (int i = 0; i < PATCH; i++) sum += LOAD_PRIVATE(ints, to->sum[s] + x + i);
             total[s] = CONVERT(sum, floats);
         }
-#ifdef SHADED_CHROMA
+#ifdef RATIO_TAPS
         const floats share = ratio_of(LOAD_PRIVATE(floats, to->luminance + x), total[LUMINANCE]) * (1.0f / (PATCH * PATCH));
         STORE_PRIVATE(floats, to->chroma[0] + x) = total[0] * share;
         STORE_PRIVATE(floats, to->chroma[1] + x) = total[SOURCES - 1] * share;
 #endif
 #ifdef COARSE_CHROMA
-        coarse_change(to, x, total, rows[RADIUS], x0 + x, stride / columns, columns COARSE_READ);
+        const size_t at = (size_t)(rows[RADIUS] / 2) * QUADS_STRIDE(columns) + (x0 + x) / 2;
+        #pragma unroll
+        for (int c = 0; c < 2; c++)
+            STORE_PRIVATE(floats, to->change[c] + x) =
+                PLANE_STEP * coarse_change(far, at, QUADS_PLANE(stride / columns, columns), c, total[2 * c] * (1.0f / (PATCH * PATCH)));
 #endif
     }
 }
-
-#define BEHIND(ratios) (ratios).chroma[0]
 #else
-#define BEHIND(ratios) 0
 #define COARSE_PARAMETERS
 #define COARSE_READ
+#endif
+
+#ifdef RATIO_TAPS
+#define BEHIND(sums) (sums).chroma[0]
+#else
+#define BEHIND(sums) 0
 #endif

@@ -87,10 +87,10 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
     ushort row[SPAN];
     uint label[TILE];
     tap ring[RING];
-#ifdef RATIO_TAPS
-    Ratios ratios;
+#ifdef SUMS_OF_WINDOWS
+    WindowSums sums;
     for (int s = 0; s < SOURCES; s++)
-        for (int i = 0; i < SPAN; i++) ratios.sum[s][i] = ratios.near[i] = ratios.luminance[i] = 0;
+        for (int i = 0; i < SPAN; i++) sums.sum[s][i] = sums.luminance[i] = 0;
 #endif
     for (int i = 0; i < SPAN; i++) row[i] = 0;
     for (int i = 0; i < TILE; i++) label[i] = 0;
@@ -102,15 +102,19 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
         const int y = y0 + k - 2 * RADIUS;
         const size_t at = (size_t)y * columns + x0;
         for (int x = 0; x < width; x++) label[x] = labels[at + x];
-#ifdef RATIO_TAPS
-        taps_behind(&ratios, source, row_source + y, column_source, x0, width, columns, stride COARSE_READ);
+#ifdef SUMS_OF_WINDOWS
+        sum_windows(&sums, source, row_source + y, column_source, x0, width, columns, stride COARSE_READ);
 #endif
         __global const SOURCE *next = source + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
         for (int x = 0; x < width; x += LANES) {
             for (int s = 0; s < SOURCES; s++) FETCH(next + s * stride + x);
             FETCH(labels + at + columns + x);
             totals made[PLANES_MADE];
-            apply(made, ring + (k - 2 * RADIUS) * SOURCES, BEHIND(ratios), label, weights, x);
+            apply(made, ring + (k - 2 * RADIUS) * SOURCES, BEHIND(sums), label, weights, x);
+#ifdef COARSE_CHROMA
+            made[0] += LOAD_PRIVATE(floats, sums.change[0] + x);
+            made[2] += LOAD_PRIVATE(floats, sums.change[1] + x);
+#endif
 #ifdef SHADED
             even_pixels(made, gain + (size_t)y * GAIN_NODES(columns), x0 + x);
 #endif

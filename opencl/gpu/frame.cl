@@ -142,8 +142,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const float *restrict gain,         // (row, node) of the outputs, GAIN_STEP columns apart
 #endif
 #ifdef COARSE_CHROMA
-               __global const float *restrict first_means, __global const float *restrict last_means,
-               __global const float *restrict scale,
+               __global const float *restrict far,          // (first and third plane, share; quad row, quad column)
 #endif
                float black_level, int source_rows, int rows, int columns) {
     __local tap signal[TILE_ROWS][TILE_COLUMNS][SOURCES];
@@ -179,41 +178,25 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
             }
         }
     }
-#ifdef RATIO_TAPS
-    // Behind the window: chroma as shading would make it (l3cli/classes/refinement.py), …
+#if defined(RATIO_TAPS) || defined(COARSE_CHROMA)
     float sum[SOURCES] = {0};
     for (int i = 0; i < PATCH; i++)
         for (int j = 0; j < PATCH; j++)
             for (int s = 0; s < SOURCES; s++) sum[s] += signal[line + j][column + i][s];
-#ifdef SHADED_CHROMA
+#ifdef RATIO_TAPS
+    // Behind the window: chroma as shading would make it (l3cli/classes/refinement.py).
     const float count = PATCH * PATCH, luminance = signal[line + RADIUS][column + RADIUS][LUMINANCE];
     const float share = clamp((count * luminance - sum[LUMINANCE]) / max(sum[LUMINANCE], count * DARKEST), -1.0f, 1.0f) / count;
     for (int f = 0; f < FOURS; f++) total[f] += sum[0] * share * *weight++;
     for (int f = 0; f < FOURS; f++) total[f] += sum[SOURCES - 1] * share * *weight++;
 #endif
-#ifdef COARSE_CHROMA
-    // … and what coarse chroma changes (l3cli/classes/coarse_chroma.py).
-    float own[3], inverse[3], change[2] = {0}, sum_of_weights = COARSE_CHROMA;
-    for (int s = 0; s < 3; s++) own[s] = sum[s] * (1.0f / (PATCH * PATCH));
-    own[LUMINANCE] = 0.0f;
-    for (int n = 0; n < 9; n++)
-        own[LUMINANCE] += signal[line + RADIUS + n / 3 - 1][column + RADIUS + n % 3 - 1][LUMINANCE]
-                        * (n == 4 ? 0.25f : n % 2 ? 0.125f : 0.0625f);
-    inverse_scales(inverse, scale, own[LUMINANCE]);
-    const int row = row_source[y + RADIUS], means_stride = MEANS_STRIDE(columns);
-    const size_t means_plane = MEANS_PLANE(source_rows, columns);
-    for (int n = 0; n < 4; n++) {
-        const size_t there = (size_t)(NEAREST(row) + MARGIN + n / 2) * means_stride + MARGIN + NEAREST(x) + n % 2;
-        float difference[3];
-        for (int s = 0; s < 3; s++) difference[s] = first_means[s * means_plane + there] - own[s];
-        const float part = (n / 2 ? NEXT_SHARE(row) : 1.0f - NEXT_SHARE(row)) * (n % 2 ? NEXT_SHARE(x) : 1.0f - NEXT_SHARE(x));
-        const float weight_there = likeness(difference, inverse) * part;
-        sum_of_weights += weight_there;
-        for (int s = 0; s < 2; s++) change[s] += weight_there * (last_means[2 * s * means_plane + there] - own[2 * s]);
-    }
-    for (int s = 0; s < 2; s++)
-        for (int f = 0; f < FOURS; f++) total[f] += change[s] / sum_of_weights * *weight++;
 #endif
+#ifdef COARSE_CHROMA
+    // What coarse chroma adds (l3cli/classes/coarse_chroma.py).
+    const size_t quads = QUADS_PLANE(source_rows, columns);
+    __global const float *quad = far + (size_t)(row_source[y + RADIUS] / 2) * QUADS_STRIDE(columns) + x / 2;
+    total[0].x += (quad[0] - quad[2 * quads] * sum[0] * (1.0f / (PATCH * PATCH))) * PLANE_STEP;
+    total[0].z += (quad[quads] - quad[2 * quads] * sum[2] * (1.0f / (PATCH * PATCH))) * PLANE_STEP;
 #endif
     tap output[4 * FOURS];
     for (int f = 0; f < FOURS; f++) {

@@ -20,10 +20,12 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import lab
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.stages.training.refinement_layers import layer_pass
+from l3cli.training.layers.coarse_chroma import measured_noise
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
 from l3cli.training.layers.mosaics import Seen, mosaics_of, sheets_of
 from l3cli.training.layers.rows import GatheredRows, require_exact, row_weights
 from l3cli.training.layers.rules import gradient_scale, structure_rule
+from l3cli.training.layers.solve import FADING
 from l3cli.training.patches import white_signal
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
 from l3cli.training.row_weighting import TARGET_FLOOR
@@ -194,6 +196,32 @@ def test_plain_windows_keep_their_colour_where_there_is_no_structure(bayer: Came
     response = [filters[flat].sum(axis=-1) for filters in learned]  # (class, plane of the output, plane)
     assert np.abs(response[0] - np.eye(3)).max() > 0.1
     assert response[1] == pytest.approx(np.broadcast_to(np.eye(3), response[1].shape), abs=1e-3)
+
+
+def test_plain_windows_keep_their_colour_where_chroma_comes_from_far_around(bayer: CameraModel) -> None:
+    """In every unsaturated class that would fade it, however much noise weighs; the others are what they would be."""
+    learned = []
+    for coarse in (False, True):
+        layer = a_pass(bayer, luminance_noise=5, chroma_noise=5, coarse_chroma=coarse, **UNSPREAD)
+        rule = a_rule(layer)
+        learned.append(in_planes(layer, learn_layer(layer, rule, known_sums(layer, rule, 2000.0))))
+    free = rule.case(rule.split(np.arange(len(learned[0]))).kind) == 0
+    before, after = (each.sum(axis=-1) for each in learned)  # (class, plane of the output, plane)
+    for plane in (0, 2):
+        fades = free & (before[:, plane, plane] < FADING)
+        assert fades.any()
+        assert after[fades, plane] == pytest.approx(np.broadcast_to(np.eye(3)[plane], (fades.sum(), 3)), abs=1e-4)
+        assert (learned[0][~fades, plane] == learned[1][~fades, plane]).all()
+
+
+def test_noise_of_greys_is_measured(bayer: CameraModel) -> None:
+    """That of the means falls from step to step, and rises with luminance by shot noise; twice the same."""
+    layer = a_pass(bayer, coarse_chroma=True)
+    variance = measured_noise(layer).variance
+    assert (variance == measured_noise(layer).variance).all()
+    at = variance @ [1.0, 0.2, 0.2**2]
+    assert (np.diff(at[:4], axis=0) < 0).all()
+    assert (at[0] > variance[0, :, 0]).all()
 
 
 def test_white_is_answered_by_white(bayer: CameraModel) -> None:

@@ -8,6 +8,7 @@ typedef struct {
     Ring ring;           /* of the last */
     int32_t *planes[2];  /* (plane, row, column) that a layer reads, and that it makes */
     int32_t *sums;       /* (plane, padded column) of what the last layer reads, down a window */
+    CoarseChroma coarse;
 } Workspace;
 
 static Workspace workspace_in(Room *room, int rows, int columns) {
@@ -21,6 +22,7 @@ static Workspace workspace_in(Room *room, int rows, int columns) {
     w.ring = ring_in(room, most);
     for (int i = 0; i < 2; i++) w.planes[i] = take(room, i < L3_LAYERS - 1 ? 3 * pixels : 0, sizeof *w.planes[i]);
     w.sums = take(room, L3_RATIO_TAPS ? 3 * (uint64_t)(columns + L3_MOST_SIDE) : 0, sizeof *w.sums);
+    w.coarse = coarse_in(room, rows, columns);
     return w;
 }
 
@@ -36,8 +38,10 @@ static void render_layers(const Workspace *w, int rows, int columns, int phase_r
         uint32_t *own = labels + (i + 1) * pixels;
         if (layer->tree) label_by_tree(&w->gradients, layer, planes, labels, rows, columns, own);
         else label_by_structure(&w->gradients, layer, planes, labels, rows, columns, own);
-        if (i == L3_LAYERS - 2) planes_to_outputs(layer, planes, &w->ring, w->ring_values, w->sums, rows, columns, own, outputs);
-        else planes_to_planes(layer, planes, w->fixed_ring, w->ring_values, rows, columns, own, w->planes[(i + 1) % 2]);
+        if (i == L3_LAYERS - 2) {
+            planes_to_outputs(layer, planes, &w->ring, w->ring_values, w->sums, rows, columns, own, outputs);
+            add_coarse_chroma(&w->coarse, layer->side, planes, rows, columns, outputs);
+        } else planes_to_planes(layer, planes, w->fixed_ring, w->ring_values, rows, columns, own, w->planes[(i + 1) % 2]);
     }
 }
 

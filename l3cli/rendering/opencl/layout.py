@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, TransformTable
-from l3cli.classes.coarse_chroma import BIN, OWN, SPACINGS
+from l3cli.classes.coarse_chroma import OWN, SPACINGS
 from l3cli.classes.plane_kernel import (
     joined,
     kernel_arrays,
@@ -144,10 +144,9 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
     }
 
 
-COARSE_TAPS = 2  # of coarse chroma, behind the others
-COARSE_MARGIN = max(SPACINGS)  # means about those of a band that are FAR from all
+COARSE_MARGIN = max(SPACINGS)  # blocks about those of a band that are FAR from all
 FAR = 1e12  # steps of a plane
-COARSE_MACROS: Macros = {"BIN": BIN, "MARGIN": COARSE_MARGIN}
+COARSE_MACROS: Macros = {"MARGIN": COARSE_MARGIN, "OWN": _literal(OWN)}
 # What a layer writes for the next to read.
 TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "COARSE": COARSE, "COARSE_TOP": COARSE_TOP, "CODE": "int"}
 
@@ -162,9 +161,8 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
         "OUTPUTS": len(table.outputs),
         "CFA_COLUMNS": table.cfa.shape[1],
         "MAX_RAW": 0,
-        **({"RATIO_TAPS": taps_behind(layer)} if taps_behind(layer) else {}),
-        **({"SHADED_CHROMA": 1, "DARKEST": RATIO_DARKEST} if layer.ratio_taps else {}),
-        **({"COARSE_CHROMA": f"{OWN}f", **COARSE_MACROS} if layer.coarse_chroma else {}),
+        **({"RATIO_TAPS": layer.ratio_taps, "DARKEST": RATIO_DARKEST} if layer.ratio_taps else {}),
+        **({"COARSE_CHROMA": 1, "PLANE_STEP": _literal(PLANE_STEP), **COARSE_MACROS} if layer.coarse_chroma else {}),
         **rule_macros(layer.rule),
     }
 
@@ -243,14 +241,7 @@ def refinement_weights(layer: PlaneLayer) -> Weights:
     """Return the weights of the last layer, if it reads planes, per step of a plane."""
     windows = by_column(layer.weights[..., : layer.window_taps], PLANES)
     taps = np.concatenate([windows, layer.weights[..., layer.window_taps :]], axis=-1)
-    if layer.coarse_chroma:
-        taps = np.concatenate([taps, np.delete(layer.plain_response, LUMINANCE, axis=2)], axis=-1)
-    return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, taps_behind(layer))
-
-
-def taps_behind(layer: PlaneLayer) -> int:
-    """Return how many taps of a layer are of no window: those of colour ratios, then those of coarse chroma."""
-    return layer.ratio_taps + (COARSE_TAPS if layer.coarse_chroma else 0)
+    return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, layer.ratio_taps)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.coarse_chroma import BIN
+from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.classes.coarse_chroma import REACH as COARSE_REACH
 from l3cli.classes.structure import REACH
 from l3cli.frames.frame import RawFrame, mirrored_indices
@@ -62,7 +62,7 @@ class Track:
         self.chosen: tuple[Any, ...] = ()  # … or the host's array of them; nothing where there is one set
         self.planes: list[Any] = [None] * layers  # that each refinement layer reads
         self.refined_labels: list[Any] = [None] * layers
-        self.means: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers, of coarse chroma
+        self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers, of coarse chroma
         self.made: Any = None  # outputs whose spectra are still to be smoothed
         self.result: Any = None
         self._typed: set[Any] = set()  # kernels
@@ -215,7 +215,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
         for margin in reversed(margins):
             above = reads[0].start - margin
             if margin == COARSE_REACH:
-                above -= above % BIN  # means are of the frame's rows, whatever the band
+                above -= above % BLOCK  # blocks are of the frame's rows, whatever the band
             reads.insert(0, slice(max(0, above), min(rows, reads[0].stop + margin)))
         seen = row_source[reads[0].start : reads[0].stop + 2 * radius]
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)

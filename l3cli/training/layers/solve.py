@@ -13,6 +13,7 @@ from l3cli.training.systems import fits_between, solve_positive
 
 Array = NDArray[np.float64]
 NO_STRUCTURE = 0  # the kind of a class whose window shows no more than noise
+FADING = 0.97  # response of a chroma plane to itself, below which it is faded
 NEAR_SHARE = 0.9  # of the pseudo-patches come from the class's level, the others from all levels
 
 
@@ -27,6 +28,7 @@ class LayerGoal:
     white: Array  # (plane) what the layer before makes of a white of Y = 1, and this one shall
     windows: int  # taps of the windows; those behind them are zero on flat areas
     plain: float  # uniform windows, a row of a class without structure, that keep their colour
+    keeps: bool = False  # whether unsaturated classes that would fade the chroma of uniform windows keep it
 
 
 def solve_layer(
@@ -52,8 +54,11 @@ def solve_layer(
             whole = [(moments + goal.plain * _plain_moments(moments, member), noise) for moments, noise in whole]
         for output, factor in enumerate(goal.noise):
             estimates = [_solution(moments, noise, factor, goal.ridge, output, member) for moments, noise in whole]
+            keeps = goal.keeps and not goal.white[output] and not rule.case(rule.split(index).kind)
             constrained = (
-                _constrained(estimates, member, copies, goal.white, output) if equal else [one[:, 0] for one in estimates]
+                _constrained(estimates, member, copies, goal.white, output, keeps)
+                if equal
+                else [one[:, 0] for one in estimates]
             )
             for site, row in enumerate(constrained):
                 rows[site][index, :taps, output] = row
@@ -83,8 +88,11 @@ def _solution(moments: Array, noise: Array, factor: float, ridge: float, output:
     return solve_positive(system, np.column_stack([moments[:taps, taps + 1 + output], member]))[0]
 
 
-def _constrained(estimates: list[Array], member: Array, copies: list[int], white: Array, output: int) -> list[Array]:
-    """Return rows (tap) of the sites with one flat response, of those keeping white white that of least squared error."""
+def _constrained(
+    estimates: list[Array], member: Array, copies: list[int], white: Array, output: int, keeps: bool = False
+) -> list[Array]:
+    """Rows (tap) of the sites with one flat response, of all that answer white with white the one of least squared error;
+    `keeps`: unless it fades the output's own plane, which then stays as it is."""
     stiff = [np.linalg.pinv(member.T @ one[:, 1:]) for one in estimates]
     response = [member.T @ one[:, 0] for one in estimates]
     total = sum((copy * k for copy, k in zip(copies, stiff, strict=True)), np.zeros((len(white), len(white))))
@@ -92,6 +100,8 @@ def _constrained(estimates: list[Array], member: Array, copies: list[int], white
     pull = sum((copy * k @ r for copy, k, r in zip(copies, stiff, response, strict=True)), np.zeros(len(white)))
     common, bend = np.linalg.solve(total, pull), np.linalg.solve(total, white)
     common += bend * (white[output] - white @ common) / (white @ bend)
+    if keeps and common[output] < FADING:
+        common = np.eye(len(white))[output]
     return [one[:, 0] + one[:, 1:] @ (k @ (common - r)) for one, k, r in zip(estimates, stiff, response, strict=True)]
 
 

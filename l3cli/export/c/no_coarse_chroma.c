@@ -1,0 +1,15 @@
+
+/* Chroma of this table's last layer is that of its windows. */
+typedef struct {
+    int nothing;
+} CoarseChroma;
+
+static CoarseChroma coarse_in(Room *room, int rows, int columns) {
+    const CoarseChroma c = {0};
+    (void)room, (void)rows, (void)columns;
+    return c;
+}
+
+static void add_coarse_chroma(const CoarseChroma *c, int side, const int32_t *planes, int rows, int columns, const L3Output *outputs) {
+    (void)c, (void)side, (void)planes, (void)rows, (void)columns, (void)outputs;
+}
