@@ -23,6 +23,7 @@ from l3cli.rendering.conditions import at_gain, gains_of, nearest_step
 from l3cli.rendering.raw_checks import other_gain
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import NoiseRenderer
+from l3cli.rendering.temporal.chunks import filters
 from l3cli.simulation import sensor
 from l3cli.training.patches import expose_patches, white_signal
 from l3cli.training.recipe import APART, learned_gains
@@ -262,6 +263,34 @@ def test_a_gain_that_changes_from_frame_to_frame_makes_no_step(several: Transfor
     noises = [float(each.std()) for each in made.values()]
     assert max(means) < 1.01 * min(means)
     assert noises[0] < noises[1] < noises[2] < 2 * noises[0]
+
+
+@pytest.mark.parametrize("backend", ["reference", "opencl"])
+def test_a_filter_in_time_begins_anew_where_the_gain_changes(several: TransformTable, backend: str) -> None:
+    """And goes by the noise of that gain: the same frames as if they were the first."""
+    assert several.camera is not None
+    rng, make = np.random.default_rng(3), filters(backend, several)
+    frames = [
+        RawFrame(
+            f"{gain}",
+            expose_patches(np.full((32, 32), 0.1, np.float32), several.camera.at_gain(gain), rng).astype(np.uint16),
+            several.black_level,
+            several.white_level,
+            gain=gain,
+        )
+        for gain in (1.0, 1.0, 8.0, 8.0)
+    ]
+    one, other = make(), make()
+    made = [one.filtered(frame) for frame in frames]
+    again = [other.filtered(frame) for frame in frames[2:]]
+    for first, second in zip(made[2:], again, strict=True):
+        np.testing.assert_array_equal(first.values, second.values)
+        assert first.noise_left is not None
+        assert second.noise_left is not None
+        np.testing.assert_array_equal(first.noise_left.shares, second.noise_left.shares)
+    shares = [float(each.noise_left.shares.mean()) / each.noise_left.whole for each in made if each.noise_left]
+    assert shares[2] == 1
+    assert shares[3] < 0.75
 
 
 def test_transforms_for_a_gain_are_exported(
