@@ -18,15 +18,7 @@ from l3cli.classes.statistics import patch_statistics, truncation
 from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
 from l3cli.training.patches import Floats, Patches, colourless_frame, expose_patches, levels_at, noise_share, patches_of
 from l3cli.training.row_weighting import TARGET_FLOOR, RowWeighting
-from l3cli.training.sums import (
-    add_products,
-    add_rounded,
-    empty_sums,
-    grid_steps,
-    pieces_of,
-    rounding_number,
-    runs_of,
-)
+from l3cli.training.sums import add_products, add_rounded, empty_sums, grid_steps, pieces_of, rounding_number, runs_of
 from l3cli.training.training_pass import BATCH, TrainingPass
 
 EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches

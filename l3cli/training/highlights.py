@@ -74,12 +74,7 @@ def grey_patches(
 
 
 def steps_back(
-    common: Array,
-    clipping: NDArray[np.int64],
-    rule: ClassRule,
-    signal: Array,
-    black_level: float,
-    white_level: float,
+    common: Array, clipping: NDArray[np.int64], rule: ClassRule, signal: Array, black_level: float, white_level: float
 ) -> tuple[NDArray[np.int64], Array]:
     """Return places in `clipping` of the classes that a grey falls into where every channel clips, and how much luminance
     each lacks there, beside the brightest that greys are given on the way; `clipping` are the classes with something

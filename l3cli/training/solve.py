@@ -121,12 +121,7 @@ class Transforms:
 
 # Long: what is solved once for all classes stands before the one loop over them.
 def solve(
-    sums: ClassSums,
-    rule: ClassRule,
-    window: NDArray[np.int64],
-    turns: list[Turn],
-    recipe: LearningRecipe,
-    goal: Goal,
+    sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], turns: list[Turn], recipe: LearningRecipe, goal: Goal
 ) -> Solution:
     """Return solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin
     classes helped by their neighbours; `window` (tap) names the channel of each tap, and `turns` are the orientations that

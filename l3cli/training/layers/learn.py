@@ -18,14 +18,7 @@ from l3cli.classes.planes import FixedPoint
 from l3cli.classes.refinement import label_planes
 from l3cli.classes.windows import neighbourhoods
 from l3cli.training.layers.mosaics import Exposed, FirstLayer, Mosaics, PlaneStage, Seen, margin_of, mosaics_of, sheets_of
-from l3cli.training.layers.rows import (
-    GatheredRows,
-    Reading,
-    empty_sums,
-    grid_steps,
-    require_exact,
-    row_weights,
-)
+from l3cli.training.layers.rows import GatheredRows, Reading, empty_sums, grid_steps, require_exact, row_weights
 from l3cli.training.layers.solve import LayerGoal, solve_layer
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
 from l3cli.training.sums import turned_places, width_of
