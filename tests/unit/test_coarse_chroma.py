@@ -16,10 +16,11 @@ from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import mirrored, window_means
 from l3cli.errors import RecipeError
 from l3cli.rendering.conditions import with_edges_for
+from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.training.recipe import LayerRecipe, check_layers
 from tests.helpers.cameras import BAYER
-from tests.helpers.tables import frame_of_all_levels, random_table, with_coarse_chroma, with_refinement
+from tests.helpers.tables import frame_of_all_levels, random_table, with_coarse_chroma, with_low_noise, with_refinement
 
 SIDE, SIGMA = 5, 0.01
 
@@ -99,6 +100,20 @@ def test_an_edge_of_any_plane_keeps_colours_apart(plane: int) -> None:
     blue = 0.02 + (0.15 if plane == 2 else 0.0)
     np.testing.assert_allclose(mean[: 48 - 2 * BLOCK], 0, atol=0.1 * SIGMA)
     np.testing.assert_allclose(mean[48 + 2 * BLOCK :], blue, atol=0.1 * SIGMA)
+
+
+@pytest.mark.parametrize("variant", ["processor", "graphics"])
+def test_less_noise_keeps_more_apart_in_every_backend(variant: str) -> None:
+    """Of frames that a filter in time has cleaned, some of whose pixels have transforms of their own."""
+    table = with_low_noise(with_coarse_chroma(with_refinement(random_table(BAYER, patch=5), 5)))
+    frame = frame_of_all_levels(table, np.random.default_rng(3), (60, 90))
+    reference, device = ReferenceRenderer(table, True), OpenCLRenderer(table, variant=variant, by_noise=True)
+    made = []
+    for share in (1.0, 0.1, 1.0):
+        cleaned = dataclasses.replace(frame, noise_share=share)
+        made.append(reference.exact_outputs(cleaned))
+        np.testing.assert_allclose(device.outputs(cleaned), made[-1], atol=1e-5 * np.abs(made[-1]).max())
+    assert np.abs(made[0] - made[1]).max() > 0.01
 
 
 def test_a_step_is_a_mean_of_nine_and_of_fewer_at_the_edges() -> None:

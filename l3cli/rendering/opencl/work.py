@@ -198,7 +198,8 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
     (rows, columns), radius, cfa = shape, table.first.rule.radius, table.cfa
     row_source = mirrored_indices(rows, radius, cfa.shape[0])
     column_source = constant(_int32(mirrored_indices(columns, radius, cfa.shape[1])))
-    height = max(1, BAND_PIXELS // columns)
+    coarse = bool(table.later and table.later[-1].coarse_chroma)
+    height = max(1, BAND_PIXELS * (2 if coarse else 1) // columns)  # the more, the less margins add
 
     sides = {REACH, *(layer.radius for layer in table.later)}
     across = {margin: constant(_int32(mirrored_indices(columns, margin, 1))) for margin in sides}
@@ -210,7 +211,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
     for first in range(0, rows, height):
         reads = [slice(first, min(first + height, rows))]
         margins = [max(REACH, layer.radius) for layer in table.later] + ([table.spectra.radius] if table.spectra else [])
-        if table.later and table.later[-1].coarse_chroma:
+        if coarse:
             margins[-1] = COARSE_REACH
         for margin in reversed(margins):
             above = reads[0].start - margin
