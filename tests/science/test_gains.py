@@ -293,6 +293,14 @@ def test_a_filter_in_time_begins_anew_where_the_gain_changes(several: TransformT
     assert shares[3] < 0.75
 
 
+def test_a_gain_whose_noise_exceeds_the_black_level_is_warned_of(learned: dict[str, Path], l3: L3, tmp_path: Path) -> None:
+    (tmp_path / "classes.toml").write_text(CLASSES + "gains = [1, 4, 16, 64, 256]\n")
+    how = ("--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5", "--dry-run")
+    code, _, words = l3("train", learned["set1"], *how)
+    assert (code, words.count("more than the black level of 240 DN")) == (0, 1)
+    assert "at gain 256 noise" in words
+
+
 def test_transforms_for_a_gain_are_exported(
     learned: dict[str, Path], several: TransformTable, l3: L3, tmp_path: Path
 ) -> None:

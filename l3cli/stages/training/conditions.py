@@ -2,7 +2,7 @@
 (docs/method.md#noise-sets, docs/method.md#several-lights)."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import msgspec
@@ -51,6 +51,19 @@ def _with_noises(
         execution.console.info(f"transforms for {noise}")
         made.append(learn_refinement_layers(few, learn_first(few, each, execution), execution, like=like))
     return with_noises(usual, made, run.recipe.learning.noises)
+
+
+def beyond_black_level(run: TrainingRun) -> Iterator[str]:
+    """Yield a warning of the lowest gain at which noise in the dark reaches down to 0 DN."""
+    for noise in sorted(run.recipe.learning.noises, key=lambda each: each.gain):
+        camera = run.head.camera.under(noise)
+        deviation = float(np.sqrt(np.max(camera.noise_terms(channel=np.arange(len(camera.channels)))[0])))
+        if noise.gain > 1 and deviation > camera.black_level:
+            yield (
+                f"at gain {noise.gain:g} noise in the dark is {deviation:.0f} DN, more than the black level of "
+                f"{camera.black_level:.0f} DN: values below 0 are cut off, and the dark becomes too bright; name lower gains"
+            )
+            return
 
 
 def run_for(run: TrainingRun, noise: NoiseScale) -> TrainingRun:
