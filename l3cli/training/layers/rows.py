@@ -99,7 +99,7 @@ def row_weights(
     if not recipe.error_power:
         return np.asarray(weight, np.float32)
     if not pictures:
-        of_mosaic = np.repeat((_of_mosaics(seen, basis) / MEAN_FLOOR) ** -recipe.error_power, len(weight) // seen.count)
+        of_mosaic = np.repeat(_of_mosaics(seen, basis) ** -recipe.error_power, len(weight) // seen.count)
         return np.asarray(weight * of_mosaic[:, None], np.float32)
     back = (np.linalg.inv(basis) * PLANE_STEP).astype(np.float32)
     clean, noisy = (np.moveaxis(planes, 0, -1).astype(np.float32) @ back for planes in (seen.clean, seen.noisy))

@@ -205,7 +205,6 @@ def _ridged(moments: Array) -> Array:
 
 PILOT_MOSAICS = 48  # over all frames, that tell how noisy the first layer's luminance is
 BRIGHTEST = 0.8  # share of full scale up to which they tell
-TREE_SHARE = 6  # one mosaic of so many is drawn for the tree, which few pixels of each are grown on
 FEWEST = 1000  # pixels of a level that tell
 LAB_SLOPES = (500.0, 116.0, 200.0)  # of a*, L* and b* with the planes of a white of 1
 
@@ -263,12 +262,11 @@ def sample_tree(
     on."""
     see, reading, sampled = layer.seer(), layer.reading(layer.recipe.side), []
     judged, turns = _judged(layer), layer.turns
-    mosaics = [-(-count // TREE_SHARE) for count in layer.mosaics]
-    rows = -(-layer.recipe.tree_rows // sum(mosaics))
+    rows = -(-layer.recipe.tree_rows // sum(layer.mosaics))
     for index, frame in enumerate(frames, first):
         rng = layer.rng(index, 2)
         parts: dict[int, list[TreeSample]] = {}
-        for mosaic in mosaics_of(frame, mosaics[index], layer.exposed, rng):
+        for mosaic in mosaics_of(frame, layer.mosaics[index], layer.exposed, rng):
             seen = see(mosaic)
             place = layer.rule.split(seen.label)
             site = np.broadcast_to(place.site, seen.label.shape).ravel()
