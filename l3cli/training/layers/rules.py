@@ -26,7 +26,6 @@ from l3cli.training.layers.rows import row_weights
 from l3cli.training.symmetry import orientations
 
 CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
-LIKELY, SCREENED = 4, 4000  # tests whose gain is computed, by scores of about so many rows of a site
 ROWS_PER_TAP = 4  # of a site that a leaf has at least
 FINE = 2.0**16  # steps of a column's largest value: products of a million rows add up to less than 2^53, exactly
 RIDGE = 1e-6  # relative to the mean power of a tap
@@ -126,40 +125,22 @@ def _best_split(samples: Sequence[TreeSample], rows: list[Indices]) -> _Split | 
     if min(map(len, rows)) < 2 * ROWS_PER_TAP * taps:
         return None
     best = None
-    whole = [[each[-1:] for each in _sums(one, of_leaf, [of_leaf.size])] for one, of_leaf in zip(samples, rows, strict=True)]
-    before = [float(_error(*sums)[0]) for sums in whole]
-    chance = SURE * np.sqrt(2 * taps * np.square(np.array(before) / list(map(len, rows))).sum())
-    cuts = [_cuts(samples, rows, test) for test in range(TESTS)]
-    scores = np.sum([_scores(*each) for each in zip(samples, rows, whole, [cuts] * len(rows), strict=True)], axis=0)
-    for test in np.sort(np.argsort(-scores.max(axis=1), kind="stable")[:LIKELY]).tolist():
-        each = zip(samples, rows, before, strict=True)
-        gain = np.sum([_gains(one, of_leaf, test, cuts[test], error) for one, of_leaf, error in each], axis=0)
+    before = [
+        float(_error(*(each[-1:] for each in _sums(one, of_leaf, [of_leaf.size])))[0])
+        for one, of_leaf in zip(samples, rows, strict=True)
+    ]
+    noise = np.array([error / of_leaf.size for error, of_leaf in zip(before, rows, strict=True)])
+    chance = SURE * np.sqrt(2 * taps * np.square(noise).sum())
+    for test in range(TESTS):
+        quotients = np.concatenate([one.quotient(test, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)])
+        cuts = np.quantile(quotients, np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
+        cuts = np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
+        gain = np.zeros(len(cuts))
+        for one, of_leaf, error in zip(samples, rows, before, strict=True):
+            gain += _gains(one, of_leaf, test, cuts, error)
         if gain.max() > (best.gain if best else chance):
-            best = _Split(float(gain.max()), test, cuts[test][gain.argmax()])
+            best = _Split(float(gain.max()), test, cuts[gain.argmax()])
     return best
-
-
-def _cuts(samples: Sequence[TreeSample], rows: list[Indices], test: int) -> Floats:
-    """Return the increasing thresholds of a test that are tried."""
-    quotients = np.concatenate([one.quotient(test, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)])
-    cuts = np.quantile(quotients, np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
-    return np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
-
-
-def _scores(sample: TreeSample, rows: Indices, whole: list[Array], cuts: list[Floats]) -> Array:
-    """Return about how much (test, cut) the error of one site falls: from what correlates with the residuals of the filters
-    of `whole`, the sums of all rows, as if the windows of both sides had its moments."""
-    few = rows[:: max(1, rows.size // SCREENED)]
-    moments, taps = _ridged(whole[0])[0], sample.taps[few]
-    residual = sample.target[few] - taps @ np.linalg.solve(moments, whole[1][0]).astype(np.float32)
-    inverse, scores = np.linalg.inv(moments / rows.size), np.full((TESTS, CUTS), -np.inf)
-    for test, thresholds in enumerate(cuts):
-        above = np.stack([sample.above(test, cut, few) for cut in thresholds], axis=1)  # (row, cut)
-        misfit = taps.T @ (above[:, :, None] * residual[:, None]).reshape(len(few), -1) / np.float32(len(few))
-        gain = (misfit * (inverse @ misfit)).sum(axis=0).reshape(len(thresholds), -1).sum(axis=1)
-        share = above.mean(axis=0).clip(1 / len(few), 1 - 1 / len(few))
-        scores[test, : len(thresholds)] = rows.size * gain / (share * (1 - share))
-    return scores
 
 
 def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, before: float) -> Array:
@@ -193,14 +174,10 @@ def _sums(sample: TreeSample, rows: Indices, ends: list[int]) -> tuple[Array, Ar
 
 def _error(moments: Array, cross: Array, power: Array) -> Array:
     """Return squared error (…) that the best filters of these sums leave."""
-    solved = np.linalg.solve(_ridged(moments), cross)
+    taps = moments.shape[-1]
+    ridge = RIDGE * np.trace(moments, axis1=1, axis2=2) / taps + 1e-9
+    solved = np.linalg.solve(moments + ridge[:, None, None] * np.eye(taps), cross)
     return np.asarray(power - (cross * solved).sum(axis=(1, 2)))
-
-
-def _ridged(moments: Array) -> Array:
-    """Return moments (…, tap, tap) as they are solved."""
-    power = np.diagonal(moments, axis1=1, axis2=2).mean(axis=1)[:, None, None]
-    return moments + (RIDGE * power + 1e-9) * np.eye(moments.shape[-1])
 
 
 PILOT_MOSAICS = 48  # over all frames, that tell how noisy the first layer's luminance is
