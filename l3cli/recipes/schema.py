@@ -171,7 +171,9 @@ RESULTS: dict[str, dict[str, dict[str, Any]]] = {  # command → keys of its res
     "calibrate": {
         "measurements": _described(TEXT, "the draft, where one is asked for"),
         "camera": _described(ANY, "name → value and unit"),
-        **_keys("channels, lights, bands, photos, prior, next light, smoothing, responsivity, declared, left out, defects"),
+        **_keys(
+            "channels, lights, bands, gains, photos, prior, next light, smoothing, responsivity, declared, left out, defects"
+        ),
         **_keys("defect map, corner fall-off %, saturation reached"),
         "curves": _described(ANY, "range, peak and width of each channel, and the files that hold them"),
         "truth": _described(ANY, "where a truth is given: the same of the true camera, and errors"),

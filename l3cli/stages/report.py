@@ -171,7 +171,15 @@ def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
     if camera.fit is not None:
         return figures(camera) | {"shortfall": (shortfall(camera) or "").partition(";")[0]}
     plain = {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()}
-    nothing: dict[str, Any] = {"channels": {}, "lights": {}, "bands": {}, "photos": {}, "left out": [], "defects": []}
+    nothing: dict[str, Any] = {
+        "channels": {},
+        "lights": {},
+        "bands": {},
+        "gains": {},
+        "photos": {},
+        "left out": [],
+        "defects": [],
+    }
     return {"camera": plain, **nothing, "saturation reached": None, "shortfall": ""}
 
 

@@ -42,6 +42,9 @@ class Sensor:
     def dark_signal(self, exposure: float | None) -> float:
         return 0.0
 
+    def gain_at(self, iso: float) -> None:
+        return None
+
 
 def sensor(channels: tuple[str, ...], cfa: np.ndarray) -> Any:
     return Sensor(channels, cfa.astype(np.uint8))

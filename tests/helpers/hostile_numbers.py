@@ -33,6 +33,7 @@ OPTIONS = (  # {n} is the number; "=" holds on to what begins with a minus
     RENDER + " --white={n},0.33", RENDER + " --white=0.31,{n}", RENDER + " --white={n}K",
     RENDER + " --white=D{n}K", RENDER + " --black-level={n}", RENDER + " --white-level={n}", RENDER + " --phase={n},0",
     RENDER + " --exposure-time={n}",
+    RENDER + " --gain={n}",
     BARE + " --size={n}x24", BARE + " --size=20x{n}", BARE + " --size=20x24 --stride={n}",
     "render table.h5 - -o {out}/%d.png --backend reference --size={n}x{n}", RENDER + " --device={n}",
     SEQUENCE + " --frames={n}", SEQUENCE + " --frames=0-{n}", SEQUENCE + " --frames=0-{n} --skip-bad",
