@@ -4,7 +4,7 @@ import importlib
 import itertools
 from collections.abc import Iterable, Iterator
 from operator import itemgetter
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
 from l3cli.frames.frame import RawFrame
-from l3cli.rendering.conditions import at_gain, nearest_step, with_edges_for
+from l3cli.rendering.conditions import at_gain, nearest_step, noise_limits, with_edges_for
 from l3cli.rendering.display import Display
 
 # A new backend is one class, made from a TransformTable, and one line here; its module is imported when it is asked for.
@@ -80,22 +80,27 @@ class NoiseRenderer:
     def __init__(self, backend: str, table: TransformTable, **options: str | None) -> None:
         self.table, self._backend, self._options = table, backend, options
         self._renderers: dict[tuple[float, float | None], Renderer] = {}  # by gain and share of noise; None: by pixel
+        self._tables: dict[float, TransformTable] = {}  # by gain
         self._of((1.0, 1.0))
+
+    def _table(self, gain: float) -> TransformTable:
+        if gain not in self._tables:
+            _make_room(self._tables)
+            self._tables[gain] = at_gain(self.table, gain)
+        return self._tables[gain]
 
     def _of(self, noise: tuple[float, float | None]) -> Renderer:
         if noise not in self._renderers:
             gain, share = noise
-            table = at_gain(self.table, gain)
-            table = table if share in (None, 1.0) else with_edges_for(table, share)
-            if len(self._renderers) == MOST_HELD:
-                del self._renderers[next(iter(self._renderers))]  # the oldest
+            table = self._table(gain) if share in (None, 1.0) else with_edges_for(self._table(gain), share)
+            _make_room(self._renderers)
             self._renderers[noise] = make_renderer(self._backend, table, share is None, **self._options)
         return self._renderers[noise]
 
     def _noise(self, frame: RawFrame) -> tuple[float, float | None]:
         """Return what a frame is rendered by."""
         gain = nearest_step(frame.gain)
-        by_pixel = frame.noise_left is not None and any(each.noise and each.noise.shot < gain for each in self.table.noises)
+        by_pixel = frame.noise_left is not None and bool(noise_limits(self._table(gain)))
         return gain, None if by_pixel else frame.noise_share
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
@@ -112,3 +117,9 @@ class NoiseRenderer:
         shared = ((self._noise(frame), (frame, display)) for frame, display in frames)
         for noise, run in itertools.groupby(shared, key=itemgetter(0)):
             yield from self._of(noise).pictures(each for _, each in run)
+
+
+def _make_room(held: dict[Any, Any]) -> None:
+    """Let go of the oldest of what is held by gain, if there are too many."""
+    if len(held) == MOST_HELD:
+        del held[next(iter(held))]

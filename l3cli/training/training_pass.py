@@ -86,7 +86,7 @@ def at_noise(pass_: TrainingPass, noise: NoiseScale, recipe: TrainingRecipe) -> 
 
 
 def few_of(number: int, noise: NoiseScale) -> int:
-    """The part of a number of patches or mosaics that transforms for a noise are learned from."""
+    """Return the part of a number of patches or mosaics that transforms for a noise are learned from."""
     return number if noise.gain == 1 else math.ceil(number * FEW)
 
 
@@ -127,8 +127,8 @@ class WorkShare:
 
 
 def frame_blocks(patches: Sequence[int], most: int | None = None) -> list[range]:
-    """The frames, with so many `patches` (frame), in runs of about `most`, BATCH if not given, or less, which are sorted
-    together; whole blocks are dealt to shards and processes. Blocks are nearly equal, so that nobody waits for the
+    """Return the frames, with so many `patches` (frame), in runs of about `most`, BATCH if not given, or less, which are
+    sorted together; whole blocks are dealt to shards and processes. Blocks are nearly equal, so that nobody waits for the
     largest."""
     total, before = sum(patches), 0
     blocks = -(-total // (most or BATCH))
@@ -141,8 +141,8 @@ def frame_blocks(patches: Sequence[int], most: int | None = None) -> list[range]
 
 
 def work_shares(pass_: TrainingPass, divisors: Mapping[int, int], blocks: list[range], jobs: int) -> list[WorkShare]:
-    """All blocks of all sites, whose patches are divided by `divisors`, in nearly equal shares for `jobs` processes, each
-    of as few sites as can be."""
+    """Return all blocks of all sites, whose patches are divided by `divisors`, in nearly equal shares for `jobs` processes,
+    each of as few sites as can be."""
     one = empty_sums(pass_.rule, len(pass_.head.outputs))
     most = max(2, SUM_BYTES // one.moments.nbytes)  # sites at a time
     units = [(site, block) for site in divisors for block in blocks]

@@ -17,7 +17,7 @@ from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.frames.frame import RawFrame
+from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.io.raw.files import RawOverrides, frame_of
 from l3cli.rendering.conditions import at_gain, gains_of, nearest_step
 from l3cli.rendering.raw_checks import other_gain
@@ -245,6 +245,8 @@ def test_a_file_tells_its_gain_by_its_iso_speed(several: TransformTable) -> None
     assert [frame.gain for frame in frames] == [16, 4, 1]
     assert frames[0].dark == pytest.approx(4 * frames[1].dark)
     assert frames[1].dark > 0
+    unknown = [frame_of("a.dng", content | {"exposure": None}, table, RawOverrides(gain=gain)).dark for gain in (1.0, 4.0)]
+    assert unknown[0] == unknown[1] > 0  # that of training, whose frames at a higher gain are exposed as much shorter
 
 
 def test_a_gain_that_changes_from_frame_to_frame_makes_no_step(several: TransformTable) -> None:
@@ -312,6 +314,17 @@ def test_transforms_for_a_gain_are_exported(
     found = {name: path.read_bytes() for name, path in source.items()}
     assert found["usual"] == found["one"] != found["high"]
     assert "transforms for other noise: gain 4 · gain 16 · 0.1 of the noise over time" in l3("info", learned["several"])[1]
+
+
+def test_pixels_that_a_filter_has_cleaned_take_the_transforms_for_lower_gains(several: TransformTable) -> None:
+    """At a gain of 4, where a sixteenth of its noise is left, those for the camera's own, of a table of no other sets."""
+    alone = dataclasses.replace(several, conditions=several.conditions[:1])
+    values = np.random.default_rng(1).integers(300, 3000, (24, 40)).astype(np.uint16)
+    left = NoiseLeft(np.full((6, 10), 64, np.uint16), 1024, (4, 4))
+    frame = RawFrame("cleaned", values, alone.black_level, alone.white_level, gain=4.0, noise_share=0.25, noise_left=left)
+    made = NoiseRenderer("reference", alone).outputs(frame)
+    own = dataclasses.replace(frame, gain=1.0, noise_share=1.0, noise_left=None)
+    np.testing.assert_array_equal(made, NoiseRenderer("reference", alone).outputs(own))
 
 
 @given(st.floats(1 / 1000, 1000.0))

@@ -213,7 +213,12 @@ def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
     recorded = frame.exposure if frame.exposure is not None and 0 < frame.exposure <= LONGEST else None
     exposure = recorded if known.exposure is None else known.exposure
     gain = (table.gain_at(frame.shot.iso) or 1.0) if known.gain is None else known.gain
-    dark = gain * table.dark_signal(exposure) * (white_level - black_level) / (table.white_level - table.black_level)
+    dark = (
+        (gain if exposure is not None else 1.0)
+        * table.dark_signal(exposure)
+        * (white_level - black_level)
+        / (table.white_level - table.black_level)
+    )
     if not dark < white_level - black_level:
         raise InputFileError(
             f"{frame.name}: dark current alone fills a pixel with {dark:.4g} of {white_level - black_level:.4g} DN; "
