@@ -8,9 +8,11 @@ import pytest
 
 from tests.helpers.paths import CONFIGS
 
+# A shell starts what runs in its background with SIGINT ignored, and children inherit that.
 PROGRAM = """
-import sys, time
+import signal, sys, time
 from l3cli.system.signals import Terminated, heed
+signal.signal(signal.SIGINT, signal.default_int_handler)
 heed()
 try:
     try:
