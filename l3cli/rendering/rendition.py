@@ -91,7 +91,7 @@ def shown_as(
     if bits not in DEPTHS:
         raise RecipeError(f"{bits} bits is not a depth of pictures; ask for 8, 16 or {FLOAT_BITS}")
     require_xyz(table.outputs)
-    source = white_source(white, table, estimated_by)
+    source = white_source(white, table, photos=True, estimated_by=estimated_by)
     given = None if source else given_white(white, table)
     balance = given.balance if given else usual_balance(table)
     return Rendition(balance, exposure, bits, chosen_space(space, bits == FLOAT_BITS)), source

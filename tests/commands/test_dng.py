@@ -76,6 +76,9 @@ def frames(made: Path) -> list[np.ndarray]:
         return [frame.raw for frame in training]
 
 
+REFERENCE = ("--backend", "reference", "--force")
+
+
 def files(made: Path) -> list[Path]:
     return sorted((made / "d").iterdir())
 
@@ -85,7 +88,8 @@ def test_one_file_a_frame_rendered_to_the_same_pixels(l3: L3, made: Path, frames
     assert names == [path.name.removesuffix("_raw.tif") for path in sorted((made / "p").glob("*_raw.tif"))]
     for name in names:
         for source, output in ((made / f"d/{name}.dng", "dng.png"), (made / f"p/{name}_raw.tif", "tif.png")):
-            assert l3("render", made / "table.h5", source, "-o", made / output, "--backend", "reference", "--force")[0] == 0
+            rendered = l3("render", made / "table.h5", source, "--white", "table", "-o", made / output, *REFERENCE)
+            assert rendered[0] == 0, rendered[2]
         np.testing.assert_array_equal(read_image(made / "dng.png")[0], read_image(made / "tif.png")[0])
 
 

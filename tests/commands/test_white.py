@@ -81,7 +81,9 @@ def test_the_white_that_the_file_states(l3: L3, table: Path, warm: Path, tmp_pat
     assert 3150 < float(line.split(" K,")[0].split()[-1]) < 3250
     assert not [each for each in warnings if "camera" in each or "array" in each]
     assert cast(tmp_path / "a.png") <= ROUNDING
-    assert l3("render", table, warm, "-o", tmp_path / "b.png", *FAST)[0] == 0
+    assert l3("render", table, warm, "-o", tmp_path / "usual.png", *FAST)[2] == err
+    assert (tmp_path / "usual.png").read_bytes() == (tmp_path / "a.png").read_bytes()
+    assert l3("render", table, warm, "--white", "table", "-o", tmp_path / "b.png", *FAST)[2] == ""
     assert cast(tmp_path / "b.png") > 40
 
 
@@ -314,13 +316,13 @@ def stdin_of(path: Path) -> Iterator[None]:
         os.close(before)
 
 
-def test_without_a_white_all_lights_are_taken_in_common(
+def test_by_the_table_s_white_all_lights_are_taken_in_common(
     l3: L3, table: Path, several: Path, warm: Path, tmp_path: Path
 ) -> None:
-    code, _, err = l3("render", several, warm, "-o", tmp_path / "a.png", *FAST)
+    code, _, err = l3("render", several, warm, "--white", "table", "-o", tmp_path / "a.png", *FAST)
     assert code == 0
     assert "for all its lights in common (A, D65) are taken; --white chooses others" in err
-    assert l3("render", table, warm, "-o", tmp_path / "b.png", *FAST)[0] == 0
+    assert l3("render", table, warm, "--white", "table", "-o", tmp_path / "b.png", *FAST)[0] == 0
     one, other = (read_image(tmp_path / name)[0] for name in ("a.png", "b.png"))
     np.testing.assert_array_equal(one, other)
 

@@ -205,7 +205,7 @@ def _turned(places: NDArray[np.floating], frame: RawFrame, axis: int) -> NDArray
     return frame.values.shape[1 - axis] - 1 - places if frame.orientation & (1, 2)[axis] else places
 
 
-CAMERA, AUTO, CHART = "camera", "auto", "chart"
+TABLE, CAMERA, AUTO, CHART = "table", "camera", "auto", "chart"
 USUAL_SIZE = 32  # pixels
 PLACE, SIZE = Quantity(0, 1_000_000, "pixels", whole=True), Quantity(2, 1000, "pixels", whole=True)
 
@@ -229,16 +229,18 @@ class WhiteSource(Protocol):
 
 
 class CameraWhite:
-    """White that the camera took, as the file states it."""
+    """White that the camera took, as the file states it; where it states none an error or, unless asked for, the table's."""
 
     about, held = "as the file states it", False
 
-    def __init__(self, table: TransformTable) -> None:
-        self._whites = Whites(table)
+    def __init__(self, table: TransformTable, asked: bool = True) -> None:
+        self._whites, self._asked = Whites(table), asked
         self._made: dict[tuple[float, ...], SceneWhite] = {}
 
-    def white(self, frame: RawFrame) -> SceneWhite:
+    def white(self, frame: RawFrame) -> SceneWhite | None:
         if frame.neutral is None:
+            if not self._asked:
+                return None
             raise InputFileError(
                 f"{frame.name} does not state what its camera took for white; give ‹white› as auto, as chart, as the "
                 "ROW,COL of a grey, or name the light"
@@ -261,12 +263,14 @@ class SquareWhite:
         return self._whites.of_greys(frame, [self._square.within(frame)])
 
 
-def white_source(text: str | None, table: TransformTable, estimated_by: TransformTable | None = None) -> WhiteSource | None:
+def white_source(
+    text: str | None, table: TransformTable, photos: bool = False, estimated_by: TransformTable | None = None
+) -> WhiteSource | None:
     """Return the source that "camera", "auto", "chart" or "ROW,COL[,SIZE]" asks for; None where `text` is a white by
-    itself, a name or "x,y"; None: the table's.
+    itself, a name, "x,y" or "table"; None: "camera" of `photos`, where their files state it, else "table".
     `estimated_by`: the statistics of estimates; None: the table's (docs/method.md#several-lights)."""
     if text is None:
-        return None
+        return CameraWhite(table, asked=False) if photos else None
     if text == CAMERA:
         return CameraWhite(table)
     if text == AUTO:
@@ -288,7 +292,7 @@ def white_source(text: str | None, table: TransformTable, estimated_by: Transfor
 
 def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
     """Return the white that a name or "x,y" means; None: that of the table. RecipeError if it is neither."""
-    if text is None:
+    if text in (None, TABLE):
         return None
     return Whites(table).of_chromaticity(scene_white(text)) if "," in text else Whites(table).of_light(text)
 

@@ -78,11 +78,13 @@ def render(
         model = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if options.hot == "auto" else None)
-        source = white_source(white, transforms)
+        sequence = find_frames(inputs, transforms, known, options.frames, options.dataset)
+        has_white = not destination.linear or options.space is not None
+        photos = has_white and sequence.are_photos
+        source = white_source(white, transforms, photos)
         lit, mix = transforms, None if source else mix_of_given(white, transforms, nearest_for, console)
         transforms = mixed(lit, mix)
         rendition = _rendition(destination, None if source else white, transforms, options)
-        sequence = find_frames(inputs, transforms, known, options.frames, options.dataset)
         if options.shard is not None:
             if sequence.count == 1 and not (inputs[0].exists() or set("%#*?[") & set(str(inputs[0]))):
                 raise InputFileError(f"{inputs[0]} does not exist; give a folder, a pattern or a stack")
@@ -100,7 +102,10 @@ def render(
         if source is not None and lit.lights:
             mix, sequence = mix_of_first(source, lit, sequence, console)
             transforms = mixed(lit, mix)
-            source, rendition = white_source(white, transforms, lit), replace(rendition, balance=usual_balance(transforms))
+            source, rendition = (
+                white_source(white, transforms, photos, lit),
+                replace(rendition, balance=usual_balance(transforms)),
+            )
         setup = RenderSetup(
             table.absolute(), digest, options.backend, engine, known, rendition, destination.file_suffix, model, mix
         )
