@@ -173,8 +173,8 @@ def render(table: Name | TransformTable, inputs: Name | Sequence[Name], output: 
 
 @by_keyword(EvaluateOptions)
 def evaluate(table: Name | TransformTable, frames: Name, options: EvaluateOptions) -> dict[str, Any]:
-    """Return the document of `l3 evaluate --json`: figures of a table on the frames of a training set that it has not
-    seen."""
+    """Return the document of `l3 evaluate --json`: figures of a table on the frames of a training set not seen in
+    training."""
     from l3cli.stages import evaluation
 
     with file_of(table) as file:

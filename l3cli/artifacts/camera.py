@@ -95,7 +95,7 @@ class Readout:
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """(channel) DN of light over those of the channel whose exposure times gain is largest."""
+        """Return the DN (channel) of light over those of the channel whose exposure times gain is largest."""
         product = self.channel_exposure * self.channel_gain
         return np.asarray(product / product.max())
 
@@ -136,7 +136,7 @@ class NoiseScale:
 
     @property
     def shot(self) -> float:
-        """Variance of the shot noise in DN² over the camera's."""
+        """Return the variance of the shot noise in DN² over the camera's."""
         return self.gain * self.noise_left
 
     def __str__(self) -> str:
@@ -147,7 +147,7 @@ class NoiseScale:
 
 @dataclass(frozen=True)
 class AnalogGains:
-    """Read noise of a camera at other analog gains than that of its figures (docs/method.md#gains)."""
+    """Analog gains of a camera beside that of its figures, and its read noise at each (docs/method.md#gains)."""
 
     analog_gain: NDArray[np.float64] = data(
         "float64", "analog_gain", doc="DN an electron over those at the camera's gain", coordinate=True
@@ -180,12 +180,12 @@ class Optics:
 
     @property
     def image_distance(self) -> float:
-        """Distance in m from lens to sensor when the object is in focus."""
+        """Return the distance in m from lens to sensor when the object is in focus."""
         return lens.image_distance(self.focal_length, self.object_distance)
 
     @property
     def irradiance_per_radiance(self) -> float:
-        """Camera equation, sr: sensor irradiance / scene radiance on the axis (docs/method.md#optics)."""
+        """Return in sr the camera equation: sensor irradiance / scene radiance on the axis (docs/method.md#optics)."""
         return lens.irradiance_per_radiance(self.f_number, lens.magnification(self.focal_length, self.object_distance))
 
 
@@ -279,7 +279,7 @@ class CameraModel(Artifact):
 
     @property
     def full_scale(self) -> float:
-        """Electrons between black and white level."""
+        """Return the electrons between black and white level."""
         return (self.white_level - self.black_level) / self.gain
 
     def at_gain(self, gain: float) -> "CameraModel":
@@ -318,17 +318,17 @@ class CameraModel(Artifact):
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """(channel) DN of light over those of the channel whose exposure times gain is largest; 1 where all are alike."""
+        """Return the DN (channel) of light over those of the most sensitive channel; 1 where all are alike."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.sensitivity
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
-        """(channel) conversion gain over `gain`."""
+        """Return the conversion gain (channel) over `gain`."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:
-        """W (channel, wavelength): mean photo-electrons a second of the frame's exposure = W @ radiance
+        """Return W (channel, wavelength): mean photo-electrons a second of the frame's exposure = W @ radiance
         (photons/s/sr/m²/nm) (docs/method.md#sensor)."""
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         if self.readout is not None:
@@ -337,13 +337,14 @@ class CameraModel(Artifact):
 
     @property
     def signal_weights(self) -> NDArray[np.float64]:
-        """W (channel, wavelength) as `electron_weights`, but signals: electrons that would give as many DN at `gain`."""
+        """Return W (channel, wavelength) as `electron_weights`, but of signals: electrons that give as many DN at `gain`."""
         weights = self.electron_weights
         return weights if self.readout is None else weights * self.readout.channel_gain[:, None]
 
     @functools.cached_property
     def saturation_exposure(self) -> float:
-        """cd s/m²: scene luminance × exposure time at which a perfect white under D65 just fills the brightest channel.
+        """Return in cd s/m² scene luminance × exposure time at which a perfect white under D65 just fills the brightest
+        channel.
 
         InputFileError if the camera collects next to nothing of that light, or its wavelengths are all invisible.
         """
@@ -361,8 +362,8 @@ class CameraModel(Artifact):
 
     @property
     def output_unit(self) -> float:
-        """cd s/m²: what an output of 1 stands for in tables of the camera: the saturation exposure, or a quarter of what
-        fills the least sensitive of channels that differ more than four times (docs/method.md#exposures)."""
+        """Return in cd s/m² what an output of 1 stands for in tables of the camera: the saturation exposure, or a quarter of
+        what fills the least sensitive of channels that differ more than four times (docs/method.md#exposures)."""
         return self.saturation_exposure * max(1.0, 0.25 / float(self.sensitivity.min()))
 
     def dark_signal(self, exposure: float | None) -> float:

@@ -90,8 +90,7 @@ def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, C
 
 
 def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], path: Path) -> Readout | None:
-    """Return the readout of a measurement file, of which the read noise is not yet known; RecipeError if there is no
-    such."""
+    """Return the readout of a measurement file, its read noise not yet known; RecipeError if there is none."""
     refuse_first(channel_faults(channel, channels), path)
     return readout_of(channel, channels, 0.0)
 

@@ -211,7 +211,7 @@ class ClassRule:
 
     @property
     def lost_cases(self) -> int:
-        """Cases in which a filter is lost, and the one of all others."""
+        """Return the cases in which a filter is lost, and the one of all others."""
         return self.cases - self.spared_cases
 
     @property
@@ -224,17 +224,17 @@ class ClassRule:
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """The further features in order."""
+        """Return the further features in order."""
         return self.features.axes if self.features else ()
 
     @property
     def further(self) -> int:
-        """Values of the further features combined."""
+        """Return the values of the further features combined."""
         return math.prod(axis.size for axis in self.axes)
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
-        """Levels, contrasts, values of the further features and kinds: the axes of the classes of a site."""
+        """Return the levels, contrasts, values of the further features and kinds: the axes of the classes of a site."""
         return self.levels, self.contrasts, self.further, self.kinds
 
     @property
@@ -242,8 +242,8 @@ class ClassRule:
         return math.prod(self.shape)
 
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, further: Any = 0) -> Any:
-        """Return the indices of classes from their places, integers or arrays that broadcast; without `site` those within
-        it."""
+        """Return the indices of classes from their places, integers or arrays that broadcast; within the site without
+        `site`."""
         stem = (site * self.levels + level) * self.contrasts + contrast
         return (stem * self.further + further) * self.kinds + kind
 

@@ -82,8 +82,7 @@ class _Sink(io.RawIOBase):
 
 @contextlib.contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """Yield an HDF5 file open for writing that gets its digest, and appears at `path`, when the block ends without an
-    error."""
+    """Yield an HDF5 file open for writing that gets its digest, and its name `path`, when the block ends without error."""
     with atomic_output(path) as temporary, open(temporary, "r+b", buffering=0) as raw:
         sink = _Sink(raw.fileno())
         with h5py.File(sink, "w", libver=("earliest", "v110"), track_order=False, userblock_size=BLOCK) as root:

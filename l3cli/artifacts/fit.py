@@ -141,7 +141,7 @@ class PhotoFit:
 
     @property
     def misfit(self) -> NDArray[np.float64]:
-        """(photo, channel) RMS of what the model leaves of the values used, over the brightest."""
+        """Return the RMS (photo, channel) of what the model leaves of the values used, over the brightest."""
         left = np.where(self.used, self.measured - self.predicted, 0.0)
         count = np.maximum(self.used.sum(axis=1), 1)
         return np.asarray(np.sqrt((left**2).sum(axis=1) / count) / np.where(self.used, self.measured, 0.0).max(axis=1))
@@ -149,7 +149,7 @@ class PhotoFit:
 
 @dataclass(frozen=True)
 class Fit:
-    """Each part is there if it was measured."""
+    """Fit of a camera model; each part is there if it was measured."""
 
     noise: NoiseFit | None = group(default=None)
     sweep: SweepFit | None = group(default=None)

@@ -42,7 +42,7 @@ class GradientScale:
 
     @property
     def scale(self) -> "GradientScale":
-        """The scale alone, of a rule that has one."""
+        """Return the scale alone, of a rule that has one."""
         return GradientScale(self.gradient_factor, self.gradient_shift)
 
     def scaled_as(self, scale: "GradientScale") -> Self:
@@ -59,8 +59,8 @@ class PlanePlace(NamedTuple):
 
 
 class PlaneClasses(GradientScale):
-    """class = (site · levels + level) · kinds + kind. Level and saturation case are those of the first layer; structures are
-    what a rule tells apart where nothing is saturated."""
+    """Classes of a refinement layer: (site · levels + level) · kinds + kind. Level and saturation case are those of the
+    first layer; structures are what a rule tells apart where nothing is saturated."""
 
     cases: int  # saturation cases of the first layer, the unsaturated one included
 
@@ -144,7 +144,7 @@ class StructureRule(PlaneClasses):
 
     @property
     def structures(self) -> int:
-        """Flat, then for each strength no direction and every direction."""
+        """Return the structures: flat, then for each strength no direction and every direction."""
         return 1 + self.strengths * (1 + DIRECTIONS)
 
 
@@ -186,13 +186,13 @@ class TreeRule(PlaneClasses):
 
     @property
     def structures(self) -> int:
-        """Leaves."""
+        """Return the leaves as structures."""
         return len(self.branch) - int(np.count_nonzero(self.branch))
 
     @property
     def leaf(self) -> NDArray[np.int64]:
-        """Number (node) of the first leaf below each node, or of the leaf that it is itself; leaves are numbered as they are
-        met when first branches are taken first."""
+        """Return the number (node) of the first leaf below each node, or of the leaf that it is itself; leaves are numbered
+        as they are met when first branches are taken first."""
         below = np.ones(len(self.branch), np.int64)  # leaves
         inner = np.flatnonzero(self.branch).tolist()
         for node in reversed(inner):  # branches lie behind their node
@@ -205,7 +205,7 @@ class TreeRule(PlaneClasses):
 
     @property
     def depth(self) -> int:
-        """Tests from the root to the deepest leaf."""
+        """Return the number of tests from the root to the deepest leaf."""
         depth = np.zeros(len(self.branch), np.int64)
         for node in np.flatnonzero(self.branch).tolist():  # branches lie behind their node
             depth[self.branch[node] : self.branch[node] + 2] = depth[node] + 1

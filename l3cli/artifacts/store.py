@@ -73,8 +73,7 @@ def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
 
 @contextlib.contextmanager
 def new_artifact(path: Path, kind: str, version: int, history: tuple[Stage, ...]) -> Iterator[h5py.File]:
-    """Yield an HDF5 file open for writing with kind, version and history on the root; renamed to `path` when all went
-    well."""
+    """Yield an HDF5 file open for writing with kind, version and history on the root; it gets the name `path` at the end."""
     stages = json.dumps([dataclasses.asdict(stage) for stage in history], sort_keys=True, ensure_ascii=False)
     with container.new_file(path) as root:
         root.attrs["kind"] = kind

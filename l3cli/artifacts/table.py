@@ -110,12 +110,12 @@ class PlaneLayer:
 
     @property
     def window_taps(self) -> int:
-        """Taps of the windows; what follows are those of the colour ratios (docs/method.md#colour-ratios)."""
+        """Return the taps of the windows; what follows are those of the colour ratios (docs/method.md#colour-ratios)."""
         return self.weights.shape[1] * self.side**2
 
     @property
     def ratio_taps(self) -> int:
-        """RATIO_TAPS or none."""
+        """Return RATIO_TAPS or none."""
         return self.weights.shape[2] - self.window_taps
 
     def with_noise(self, share: float) -> "PlaneLayer":
@@ -280,7 +280,7 @@ def older_conditions(table: h5py.Group, path: Path) -> tuple[Condition, ...]:
 
 @dataclass(frozen=True)
 class SpectralSmoothing:
-    """Every pixel takes the mean spectrum of the pixels of like brightness about it, and keeps its own brightness."""
+    """Mean spectrum of the pixels of like brightness about each pixel, which keeps its own brightness."""
 
     window: int = data("int64", unit="pixel", doc="side of the neighbourhood of a pixel")
     reach: float = data(
@@ -379,7 +379,7 @@ class TransformTable(Artifact):
 
     @property
     def layers(self) -> tuple[MosaicLayer | PlaneLayer, ...]:
-        """All layers in the order in which they render."""
+        """Return all layers in the order in which they render."""
         return (self.first, *self.later)
 
     def pictured(self) -> "TransformTable":
@@ -392,12 +392,12 @@ class TransformTable(Artifact):
 
     @property
     def noises(self) -> tuple[Condition, ...]:
-        """Conditions of other noise than the camera's, under all lights."""
+        """Return the conditions of other noise than the camera's, under all lights."""
         return tuple(each for each in self.conditions if each.light is None)
 
     @property
     def lights(self) -> tuple[SceneLight, ...]:
-        """Lights that there are conditions for."""
+        """Return the lights of the conditions."""
         return tuple(each.light for each in self.conditions if each.light and each.noise is None)
 
     def of_light(self, light: SceneLight | None) -> "TransformTable":

@@ -77,7 +77,7 @@ class TrainingPair:
 
     @property
     def dark_time(self) -> float:
-        """Seconds of dark current that are in `raw`; it has been taken off real pairs already."""
+        """Return the seconds of dark current that are in `raw`; it has been taken off real pairs already."""
         return 0.0
 
     @property

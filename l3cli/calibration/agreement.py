@@ -24,8 +24,7 @@ Array = NDArray[np.float64]
 
 
 def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None:
-    """Raise InputFileError that names the white capture whose signal (capture, channel) DN does not follow its seconds of
-    light."""
+    """Raise InputFileError that names the white capture whose DN (capture, channel) do not follow its seconds of light."""
     top = signal.max(axis=0)
     total = np.maximum(signal.sum(axis=1), 1e-9)
     below = (signal < NEAR_TOP * top).all(axis=1) & (total > LEAST * total.max())

@@ -55,7 +55,7 @@ class Sensor:
 
     @property
     def saturation(self) -> float:
-        """DN from which a pixel counts as saturated."""
+        """Return the DN from which a pixel counts as saturated."""
         black_level = self.dark.black_level.mean()
         return float(black_level + noise.SATURATED * (self.transfer.white_level - black_level))
 
@@ -85,8 +85,7 @@ def measure_sensor(measurements: Measurements, each: Each = map) -> Sensor:
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
-    """Return the photons (…, wavelength) that the area of a pixel on the axis receives during a capture, in each node's
-    hat."""
+    """Return the photons (…, wavelength) that a pixel on the axis receives during a capture, in each node's hat."""
     photons = responsivity.node_photons(capture.wavelength, capture.radiance, nodes)
     return body.photons_per_radiance * capture.lit * photons
 
@@ -129,8 +128,7 @@ def measure_sweep(
 
 
 def measure_charts(captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor, each: Each = map) -> Charts:
-    """Return the mean DN and incident photons of every patch; InputFileError if the measured radiances do not cover the
-    nodes."""
+    """Return the mean DN and incident photons of every patch; InputFileError if measured radiances miss nodes."""
     for capture in captures:
         first, last = capture.wavelength[[0, -1]]
         if first > nodes[0] + responsivity.NODE_STEP or last < nodes[-1] - responsivity.NODE_STEP:

@@ -317,7 +317,7 @@ def check_exposures(responsivity: Array, body: Body) -> None:
 
 
 def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]:
-    """Return the relative curves and bands (channel, wavelength) of what channels give, as those of their filters, peak
+    """Return the relative curves and bands (channel, wavelength) of what channels give, from those of their filters, peak
     1."""
     setting = (body.channel_gains * body.channel_exposures)[:, None]
     peak = float((curves / setting).max())
@@ -325,8 +325,7 @@ def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]
 
 
 def measured_readout(body: Body, noise: NoiseFit | None, read_noise: float) -> Readout | None:
-    """Return the settings with the read noise that was measured, `read_noise` (e-) where none was; None: all channels
-    alike."""
+    """Return the settings with the read noise measured, `read_noise` (e-) where none was; None: all channels alike."""
     if body.readout is None:
         return None
     each = np.full(len(body.channels), read_noise) if noise is None else noise.read_noise

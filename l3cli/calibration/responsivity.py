@@ -211,8 +211,7 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
 
 
 def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
-    """Raise InputFileError if a quantum efficiency (channel, wavelength) is above 1, which is blamed on `odd` captures if
-    any."""
+    """Raise InputFileError if a quantum efficiency (channel, wavelength) is above 1, blamed on `odd` captures if any."""
     peak = float(responsivity.max())
     if peak > 1.0:
         cure = f"check {odd[0]}" if odd else likely_mistake(peak)

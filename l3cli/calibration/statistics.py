@@ -84,8 +84,8 @@ def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> Defect
 
 
 def defect_counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
-    """Return the numbers of hot and dead pixels, rows and columns of a map, and of clusters: pixels off such lines that
-    touch."""
+    """Return the numbers of hot and dead pixels, rows and columns of a map, and of clusters: touching pixels off such
+    lines."""
     from scipy.ndimage import label
 
     kind, (row, col) = np.array(defects.pixel_kind, dtype=str), defects.position.T

@@ -117,7 +117,7 @@ def check(axis: Axis, rule: ClassRule) -> None:
 
 
 def observe(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-    """Do nothing: the camera's noise gives all edges."""
+    """Return nothing: the camera's noise gives all edges."""
     return np.empty((*level.shape, 0))
 
 

@@ -17,8 +17,8 @@ def heading(axis: str, entry: dict[str, Any]) -> str:
 
 
 def further_headings(entry: dict[str, Any]) -> list[str]:
-    """Return a phrase of each further feature for a class from the entry that they have filled, such as "direction 3:
-    along 90°"."""
+    """Return a phrase of each further feature for a class from the entry that they have filled, such as "direction 3: along
+    90°"."""
     return [f"{name} {feature.heading(entry)}" for name, feature in FURTHER.items() if name in entry]
 
 

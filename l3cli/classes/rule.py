@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 else:
 
     def _fields(keys: type[Recipe]) -> list[tuple[str, Any, Any]]:
-        """Name, type and default of the keys of a feature that every rule has."""
+        """Return name, type and default of the keys of a feature that every rule has."""
         return [(field.name, field.type, field.default) for field in msgspec.structs.fields(keys)]
 
     # patch: pixels, side of the neighbourhood. Further features have a table each, which switches them on.

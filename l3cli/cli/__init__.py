@@ -66,7 +66,7 @@ class Pipeline(click.Group):
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list["CompletionItem"]:
-        """Names and meanings from the list above, as completion must not import every command."""
+        """Return names and meanings from the list above, as completion must not import every command."""
         from click.shell_completion import CompletionItem
 
         commands = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]

@@ -13,7 +13,7 @@ from l3cli.options.commands import InitOptions
 
 
 def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Names of recipes for the shell."""
+    """Return the names of recipes for the shell."""
     from l3cli.recipes.builtin import starters
 
     return [name for name in starters() if name.startswith(incomplete)]

@@ -40,7 +40,7 @@ class RecipeFile(click.Path):
         return known_recipes(self.kind)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
-        """Names and, beside them, files: bash completes no files where anything else is offered."""
+        """Return names and, beside them, files: bash completes no files where anything else is offered."""
         from click.shell_completion import CompletionItem
 
         names = [name for name in self.names() if name.startswith(incomplete)]

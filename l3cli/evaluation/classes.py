@@ -15,8 +15,7 @@ LISTED = 10
 
 
 class ClassErrors:
-    """Sums of pixel errors by level, contrast, further features and kind (chroma or saturation case), over the sites of the
-    CFA."""
+    """Sums of pixel errors by level, contrast, further features and kind (chroma or saturation case), over all CFA sites."""
 
     def __init__(self, table: TransformTable, pipelines: tuple[str, ...]) -> None:
         self._rule, self._table = table.first.rule, table
@@ -50,8 +49,7 @@ class ClassErrors:
         return {axis: [entry for entry in entries if entry["pixels"]] for axis, entries in every.items()}
 
     def worst(self, figure: str, pipeline: str) -> list[dict[str, Any]]:
-        """Return the classes of the largest mean error of `pipeline` among those that hold a thousandth of the pixels or
-        more."""
+        """Return the classes of the largest mean error of `pipeline` among those of at least a thousandth of the pixels."""
         pixels = np.maximum(self._pixels, 1)
         seen = self._pixels >= max(LEAST_SHARE * self._pixels.sum(), 1)
         mean = np.where(seen, self._sums[pipeline] / pixels, -1.0)

@@ -47,8 +47,7 @@ class Comparison:
         return next(iter(self.curves.values()))
 
     def sentences(self, figure: str) -> list[str]:
-        """Return which camera is the better by a figure, where, and by how much; none of cameras that were shown other
-        scenes."""
+        """Return which camera is the better by a figure, where, and by how much; none if shown other scenes."""
         pairs = [] if self.alike is False else itertools.combinations(self.curves[figure], 2)
         return [verdict(one, other, figure) for one, other in pairs]
 

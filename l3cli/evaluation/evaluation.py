@@ -41,8 +41,8 @@ class Evaluation:
         border: int | None = None,
         rivals: Sequence[str] = (),
     ) -> None:
-        """`border`: pixels left out at each edge of a frame; None: those whose patch is not inside it. `rivals`: names of
-        further pipelines, of whose pictures `add` is given the XYZ.
+        """Begin with no frame. `border`: pixels left out at each edge of a frame; None: those whose patch is not inside it.
+        `rivals`: names of further pipelines, of whose pictures `add` is given the XYZ.
 
         InputFileError if table and frames are of different CFAs or outputs, RecipeError if a rival cannot be compared or has
         the name of something else."""
@@ -77,7 +77,7 @@ class Evaluation:
 
     @property
     def pipelines(self) -> tuple[str, ...]:
-        """ "ours" first, then the baselines (none where the outputs are neither XYZ nor the camera's bands), then rivals."""
+        """Return "ours", the baselines (none where the outputs are neither XYZ nor the camera's bands), and the rivals."""
         return (OURS, *self._baselines, *self._rivals)
 
     def planes(self, frame: TrainingPair, outputs: Array, rivals: Mapping[str, Array] | None = None) -> dict[str, Array]:

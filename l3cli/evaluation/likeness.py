@@ -71,8 +71,7 @@ def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectru
 
 
 def noise_ratio(one: CameraModel, other: CameraModel) -> float:
-    """Return the noise of `other` over that of `one`, both as shares of full scale, where over the range they differ
-    most."""
+    """Return the noise of `other` over that of `one`, both as shares of full scale, where they differ most."""
     spreads = []
     for camera in (one, other):
         full = camera.white_level - camera.black_level

@@ -167,8 +167,7 @@ def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
 
 
 def psnr(one: Array, other: Array) -> float:
-    """Return the peak signal-to-noise ratio in dB of two arrays of one shape whose peak is 1; 120 dB where they are
-    equal."""
+    """Return the peak signal-to-noise ratio in dB of two arrays of one shape, peak 1; 120 dB where they are equal."""
     return float(-10.0 * np.log10(max(float(np.mean((one - other) ** 2)), LEAST_ERROR)))
 
 

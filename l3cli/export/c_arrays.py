@@ -70,7 +70,7 @@ class Array:
 
     @property
     def alias(self) -> list[str]:
-        """The line that names the values of a packed array."""
+        """Return the line that names the values of a packed array."""
         return [f"#define {self.name} {self.name}_data.value"] if self.packed else []
 
     def public(self) -> list[str]:

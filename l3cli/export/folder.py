@@ -75,7 +75,7 @@ SPECTRA_DOC = (
 
 
 def folder_files(table: TransformTable) -> dict[str, bytes]:
-    """Name → content of every file."""
+    """Return name → content of every file."""
     require_known_layers(table)
     arrays = _Arrays()
     content: dict[str, Any] = {

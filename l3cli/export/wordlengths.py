@@ -186,7 +186,7 @@ class Words:
 
     @property
     def weights(self) -> NDArray[np.float32]:
-        """(class, output, tap)"""
+        """Return the weights (class, output, tap)."""
         return np.ldexp(self.whole.astype(np.float32), -self.fraction[:, None, None].astype(np.int32))
 
 

@@ -109,7 +109,7 @@ class Correction:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that it changes in a picture."""
+        """Return the SHA-256 of all that it changes in a picture."""
         parts = (self.bad_pixels.target, self.bad_pixels.source) if self.bad_pixels else ()
         gains = (self.shading.gain, self.shading.colour) if self.shading else ()
         content = [each.tobytes() for each in (*parts, *gains) if each is not None]
@@ -252,7 +252,7 @@ class DarkFrame:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that it changes in a picture."""
+        """Return the SHA-256 of all that it changes in a picture."""
         return hashlib.sha256(repr(self.level).encode() + self.offset.tobytes()).hexdigest()
 
 

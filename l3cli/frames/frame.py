@@ -32,7 +32,7 @@ class NoiseLeft:
     cell: tuple[int, int]  # rows and columns of a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return of how many of the shares `limits` no more is left, (row, col) of a frame of this shape."""
+        """Return (row, col), for a frame of this shape, the number of the shares `limits` of which no more is left."""
         cells = np.sum([self.shares <= int(limit * self.whole) for limit in limits], axis=0, dtype=np.uint8)
         return cells.repeat(self.cell[1], 1)[:, : shape[1]].repeat(self.cell[0], 0)[: shape[0]]
 
@@ -72,7 +72,7 @@ class RawFrame:
 
     @property
     def light_share(self) -> float:
-        """Share of full scale that dark current leaves to light."""
+        """Return the share of full scale that dark current leaves to light."""
         return 1.0 - self.dark / (self.white_level - self.black_level)
 
     def at_levels(self, black_level: float, white_level: float, bits: int) -> "RawFrame":

@@ -44,22 +44,22 @@ class Body:
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
-        """(channel) conversion gain over that of the camera."""
+        """Return the conversion gain (channel) over that of the camera."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
 
     @property
     def channel_exposures(self) -> NDArray[np.float64]:
-        """(channel) exposure time over that of the frame."""
+        """Return the exposure time (channel) over that of the frame."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_exposure
 
     @property
     def photons_per_radiance(self) -> float:
-        """m² sr: photons/s on a pixel's area for a radiance of 1 photon/s/sr/m² (docs/method.md#optics)."""
+        """Return in m² sr the photons/s on a pixel's area for a radiance of 1 photon/s/sr/m² (docs/method.md#optics)."""
         return self.optics.irradiance_per_radiance * self.pixel_pitch**2
 
     @property
     def relative_illumination(self) -> NDArray[np.float64]:
-        """(row, col) light of an even scene over that on the axis (docs/method.md#optics)."""
+        """Return the light (row, col) of an even scene over that on the axis (docs/method.md#optics)."""
         return relative_illumination(self.optics.image_distance, self.pixel_pitch, (self.rows, self.cols))
 
 
@@ -74,7 +74,7 @@ class Capture:
 
     @property
     def lit(self) -> float:
-        """Seconds of the measured light that the capture amounts to."""
+        """Return the seconds of the measured light that the capture amounts to."""
         return self.exposure * self.monitor
 
 

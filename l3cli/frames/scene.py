@@ -46,8 +46,7 @@ class Scene:
 
     @functools.cached_property
     def fingerprint(self) -> NDArray[np.float64]:
-        """Projections of the reflectances within SHOWN, of all if there are none: the same for whichever camera the scene
-        was drawn."""
+        """Return projections of the reflectances within SHOWN, of all if there are none: the same for any camera."""
         inside = (self.wavelength >= SHOWN[0]) & (self.wavelength <= SHOWN[1])
         return _projections(self.reflectance, inside | (not inside.any()))
 
@@ -65,12 +64,12 @@ class ChannelPicture:
 
     @functools.cached_property
     def fingerprint(self) -> NDArray[np.float64]:
-        """Projections of the signals."""
+        """Return the projections of the signals."""
         return _projections(self.signal, np.ones(self.signal.shape[2], bool))
 
 
 def _projections(values: NDArray[np.float32], planes: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the sums of values (row, col, plane) of some planes under PROJECTIONS patterns of random signs, over the root
+    """Return sums of values (row, col, plane) of some planes under PROJECTIONS patterns of random signs, over the root
     of their number: any other values have other sums, but for rounding, which differs between machines."""
 
     def signs(axis: int, length: int) -> NDArray[np.float32]:

@@ -151,7 +151,7 @@ def measures(path: Path) -> tuple[str, ...]:
 
 
 def serve(talk: int, arrays: int, seconds: float, room: int) -> None:
-    """Have files decoded, each by a worker of its own, until nobody asks any more."""
+    """Decode files, each by a worker of its own, until nobody asks any more."""
     for what, most in ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_AS, room), (resource.RLIMIT_FSIZE, room)):
         resource.setrlimit(what, 2 * (_allowed(what, most),))  # the hard limit, too: none of them is lifted again
     workers: dict[str, _Worker] = {}  # by file and decoder, the one that was asked last at the end

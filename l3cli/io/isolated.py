@@ -70,7 +70,7 @@ def isolated(*libraries: str) -> Callable[[F], F]:
 
 
 def start() -> None:
-    """Let the child start while there is other work, for a caller who knows that it will be needed."""
+    """Start the child while there is other work, for a caller who knows that it will be needed."""
     if not trusted():
         with _lock:
             _the_child()

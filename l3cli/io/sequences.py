@@ -167,8 +167,7 @@ def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], li
 
 
 def read_dark(sequence: FrameSequence) -> DarkFrame:
-    """Return the mean of frames that were exposed without light; InputFileError if one is missing, broken or of another
-    kind."""
+    """Return the mean of frames that were exposed without light; InputFileError if one is missing, broken or other."""
     if sequence.what == STDIN_NAME:
         raise RecipeError("dark frames are files, not a stream; save them first")
     # A video says only by its end how many frames it has.

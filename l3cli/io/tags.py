@@ -132,8 +132,7 @@ SHOT = {  # field of Shot → its names in tifffile, as a tag or in the Exif dir
 
 
 def believable_shot(stated: Mapping[str, Any]) -> Shot:
-    """Return the shot that a file states, of untrusted values: short printable texts, dates that are dates, positive
-    numbers."""
+    """Return the shot that a file states, checked: short printable texts, dates that are dates, positive numbers."""
     usual, fields = Shot(), dict[str, Any]()
     for name in stated.keys() & SHOT.keys():
         wanted, value = type(getattr(usual, name)), stated[name]

@@ -224,7 +224,7 @@ class VideoWriter:
         return stream
 
     def _tag(self, where: Any) -> None:
-        """Say, in a frame or for the whole video, what the values mean."""
+        """Declare, in a frame or for the whole video, what the values mean."""
         names = pyav().video.reformatter
         where.color_primaries = names.ColorPrimaries.BT709
         where.color_trc = names.ColorTrc[self._encoding.transfer]
@@ -365,8 +365,8 @@ class InTurn:
         self._video: DecodedVideo | None = None
 
     def frame(self, path: Path, number: int) -> Any | None:
-        """Return the frame `number`, FFmpeg's; None after the last. InputFileError if it is damaged; the next may be whole
-        again."""
+        """Return the frame `number`, FFmpeg's; None after the last. InputFileError if it is damaged; the next may be
+        whole."""
         return self.video(path, number).following()
 
     def video(self, path: Path, number: int) -> DecodedVideo:

@@ -136,8 +136,7 @@ class Declaration:
 
 
 def option(default: Any, help: str, reader: Reader | None = None, **about: Any) -> Any:
-    """Return the field of an option. `about`: the other attributes of Declaration; without a reader, the field's type has
-    one."""
+    """Return the field of an option. `about`: the other attributes of Declaration; the type's reader without another."""
     return field(default=default, metadata={"option": (help, reader, about)})
 
 

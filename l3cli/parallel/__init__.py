@@ -25,8 +25,8 @@ def one_blas_thread() -> None:
 
 
 def without_plots() -> None:
-    """Have colour-science, in a process that is ours alone, leave out what it draws plots and makes tables with, though that
-    is installed: nothing here asks for it, and it takes half of the time that the import needs."""
+    """Hide from colour-science, in a process of our own, what it draws plots and makes tables with: nothing here asks for
+    it, and it takes half of the time that the import needs."""
     for name in ("matplotlib", "pandas"):
         sys.modules.setdefault(name, None)  # type: ignore[arg-type] # as Python notes that there is none
 

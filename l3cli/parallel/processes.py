@@ -58,7 +58,7 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
 @uninterrupted  # a process that is only half started would wait for its beginning, and we for its end
 def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "Future[R]":
-    """Hand an item to the pool, which may start a process for it: one that leaves Ctrl-C, which reaches the whole group, to
+    """Give an item to the pool, which may start a process for it: one that leaves Ctrl-C, which reaches the whole group, to
     its parent. A blocked signal is inherited from the first instruction on, and still reaches the parent afterwards."""
     old = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

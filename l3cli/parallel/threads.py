@@ -14,7 +14,7 @@ STEP = 0.5  # seconds
 
 
 class _End(Exception):
-    """Put behind the last item of a queue."""
+    """Mark behind the last item of a queue."""
 
 
 def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
@@ -84,7 +84,7 @@ class BackgroundTask:
 
 
 class WriteBehind:
-    """Calls function(item) in other threads, at most `depth` items behind; in order if there is one thread.
+    """Calls of function(item) in other threads, at most `depth` items behind; in order if there is one thread.
 
     As a context manager it waits for the last item, also when the block fails. What goes wrong is raised by the next
     `put`, or at the end; after that, or after an interrupt, what waits is dropped, but what is being done is done: for up to

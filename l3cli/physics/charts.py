@@ -28,7 +28,7 @@ Array = NDArray[np.floating]
 
 
 def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
-    """Names of the patches and reflectances (patch, wavelength), row by row, of a chart of CLASSIC rows and columns.
+    """Return names of the patches and reflectances (patch, wavelength), row by row, of a chart of CLASSIC rows and columns.
 
     "classic" and "passport" are ColorCheckers made before November 2014, the average of thirty (BabelColor), of which ISO
     17321-1 lists another one. Those made since have other dyes, whose spectra nobody publishes: "classic 2014" and

@@ -59,7 +59,7 @@ def white_percentile(values: Array) -> float:
 
 
 def exposure_scale(luminance: Array) -> float:
-    """Scale that brings the 99th percentile of Y (row, col) to display white; 1 where all is dark."""
+    """Return the scale that brings the 99th percentile of Y (row, col) to display white; 1 where all is dark."""
     return 1.0 / white_luminance(luminance)
 
 

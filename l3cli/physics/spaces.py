@@ -56,18 +56,18 @@ class Space:
 
     @property
     def neutral_xyz(self) -> Array:
-        """XYZ (3), Y = 1, of a white surface."""
+        """Return the XYZ (3), Y = 1, of a white surface."""
         return xyz_of(self.neutral) if self.neutral else np.linalg.solve(self.from_xyz, np.ones(3))
 
     @property
     def to_xyz(self) -> Array:
-        """XYZ = M (3, 3) @ linear values, by the definition of the primaries."""
+        """Return M (3, 3), XYZ = M @ linear values, by the definition of the primaries."""
         columns = np.array([(x, y, 1 - x - y) for x, y in self.primaries]).T
         return columns * np.linalg.solve(columns, xyz_of(self.white))
 
     @property
     def from_xyz(self) -> Array:
-        """Linear values = M (3, 3) @ XYZ; that of sRGB as its standard rounds it."""
+        """Return M (3, 3), linear values = M @ XYZ; that of sRGB as its standard rounds it."""
         return SRGB_FROM_XYZ.copy() if self.name == SRGB.name else np.linalg.inv(self.to_xyz)
 
 

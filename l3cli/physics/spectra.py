@@ -256,7 +256,7 @@ COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm: where the chart wa
 
 
 def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
-    """Names and reflectances (24, wavelength) of the classic ColorChecker, row by row from dark skin to black."""
+    """Return the names and reflectances (24, wavelength) of the classic ColorChecker, row by row from dark skin to black."""
     chart = colour_science().SDS_COLOURCHECKERS["ISO 17321-1"]
     reflectance = [np.interp(wavelength, patch.wavelengths, patch.values) for patch in chart.values()]
     return tuple(chart), np.array(reflectance)

@@ -133,7 +133,7 @@ class _Scanner:
         self._next()
 
     def _next(self) -> str:
-        """Go on to the next token, "" at the end; return the one before."""
+        """Return the token, and pass on to the next one, "" at the end."""
         before, self.token = self.token, ""
         for found in self.tokens:
             token = found.group().strip(" \t")
@@ -198,7 +198,7 @@ class _Scanner:
             self._next()
 
     def _entries(self, path: KeyPath, end: str) -> None:
-        """Go through a list, or an inline table, whose bracket is behind."""
+        """Read a list, or an inline table, whose bracket is behind."""
         number = 0
         while self.token != end:
             if self.token in (",", "\n"):

@@ -261,19 +261,19 @@ class NoiseSets:
 
     @functools.cached_property
     def first(self) -> MosaicLayer:
-        """The first layers, one behind the other; the rule is that of the first set."""
+        """Return the first layers, one behind the other; the rule is that of the first set."""
         names = ("weights", "intercept", "samples", "condition")
         return self._joined(names, [table.first for table in self.tables])
 
     @functools.cached_property
     def later(self) -> tuple[PlaneLayer, ...]:
-        """Each refinement layer of all sets in the same way."""
+        """Return each refinement layer of all sets in the same way."""
         layers = zip(*(table.later for table in self.tables), strict=True)
         return tuple(self._joined(("weights", "intercept", "samples"), parts) for parts in layers)
 
     @functools.cached_property
     def first_fixed_point(self) -> FixedPoint:
-        """The first layers as integers."""
+        """Return the first layers as integers."""
         return self._joined(("weights", "intercept", "fraction"), [fixed_point(table) for table in self.tables])
 
     def refinement_rules(self, number: int) -> tuple[PlaneRule, ...]:

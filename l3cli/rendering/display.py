@@ -28,7 +28,7 @@ class Display:
 
     @property
     def top(self) -> int:
-        """The code of 1."""
+        """Return the code of 1."""
         return 2**self.bits - 1
 
     @property

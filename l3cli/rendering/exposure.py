@@ -118,7 +118,7 @@ class SteadyExposure:
         self._log: float | None = None
 
     def scale(self, brightness: float) -> float:
-        """Scale of the next frame; a frame that is all dark leaves it where it was (1 at the beginning)."""
+        """Return the scale of the next frame; a frame that is all dark leaves it where it was (1 at the beginning)."""
         if brightness > 0:
             wanted = -math.log(brightness)
             self._log = wanted if self._log is None else self._log + self._share * (wanted - self._log)

@@ -262,8 +262,7 @@ def _fog(frame: RawFrame, table: TransformTable) -> str:
 
 
 def _torn(frame: RawFrame, period: int) -> str:
-    """Return a warning of rows that would follow one another far more smoothly with rows and columns exchanged, or
-    nothing."""
+    """Return a warning of rows that would follow one another far more smoothly with rows and columns exchanged; or none."""
     rows, cols = frame.values.shape
     if not frame.exchangeable or rows == cols:
         return ""

@@ -38,7 +38,7 @@ class ReferenceRenderer:
         return self.exact_outputs(frame).astype(np.float32)
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as sRGB (row, col, 3); RecipeError unless the table's outputs are X, Y, Z."""
+        """Return the frame as sRGB (row, col, 3); RecipeError unless outputs are X, Y, Z."""
         require_xyz(self.table.outputs)
         return encode(self.exact_outputs(frame), display)
 
@@ -65,7 +65,7 @@ class ReferenceRenderer:
 
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
-        """Fixed-point transforms of all layers but the last."""
+        """Return the fixed-point transforms of all layers but the last."""
         basis = opponent_basis(self.table.white_point)
         return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 

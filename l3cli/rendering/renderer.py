@@ -37,17 +37,15 @@ class Renderer(Protocol):
         """Return outputs of the table, (output, row, col), of the frame's size."""
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as sRGB (row, col, 3), uint8 or uint16 as the display says.
-
-        RecipeError unless the table's outputs are X, Y, Z.
-        """
+        """Return the frame as sRGB (row, col, 3), uint8 or uint16 as the display says. RecipeError unless outputs are X, Y,
+        Z."""
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
         """Return the picture of each frame, in order; while the caller uses one the next may be computed."""
 
 
 def make_ready(backend: str, **options: str | None) -> None:
-    """Do what making a renderer takes for any table: import what it needs, find its device, wake the device's compiler. It
+    """Prepare what a renderer of any table takes: import what it needs, find its device, wake the device's compiler. It
     takes as long as reading a table, beside which it can be done; whatever is wrong is said by `make_renderer`, whose
     `options` these are."""
     importlib.import_module(BACKENDS[backend].partition(":")[0])
@@ -120,6 +118,6 @@ class NoiseRenderer:
 
 
 def _make_room(held: dict[Any, Any]) -> None:
-    """Let go of the oldest of what is held by gain, if there are too many."""
+    """Drop the oldest of what is held by gain, if there are too many."""
     if len(held) == MOST_HELD:
         del held[next(iter(held))]

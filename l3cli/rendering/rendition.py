@@ -51,7 +51,7 @@ class Rendition:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the values of a picture."""
+        """Return the names of the values of a picture."""
         return ("X", "Y", "Z") if self.space and self.space.name == XYZ.name else ("R", "G", "B")
 
 

@@ -149,8 +149,7 @@ class Plot:
         return self
 
     def label(self, x: float, y: float, text: str) -> "Plot":
-        """Add text by a point, in the page's ink, where it lies on nothing that is drawn; none where there is no such
-        place."""
+        """Add text by a point, in the page's ink, where it lies on nothing that is drawn; none without such a place."""
         ((a, b),) = self._points(np.array([x]), np.array([y]))
         self._labels.append((a, b, text))
         return self
@@ -238,8 +237,7 @@ def _axis_labels(x_label: str, y_label: str, centre: float, below: str, middle: 
 
 
 def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bool = False) -> Markup:
-    """Return a drawing of so many pixels, scaled to the page unless of its `fixed_size`; texts `inside` are escaped
-    already."""
+    """Return a drawing of so many pixels, scaled to the page unless of its `fixed_size`; texts `inside` are escaped."""
     label = escape(finding)
     size = f' width="{width:g}" height="{height:g}"' if fixed_size else ""
     return Markup(f'<svg viewBox="0 0 {width:g} {height:g}"{size} role="img" aria-label="{label}">{inside}</svg>')

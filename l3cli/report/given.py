@@ -63,7 +63,7 @@ class Given:
 
     @property
     def arrays(self) -> list["Given"]:
-        """The artifacts of each colour filter array, without sequences."""
+        """Return the artifacts of each colour filter array, without sequences."""
         keys = dict.fromkeys(entry.array for entry in self.entries)
         return [Given([entry for entry in self.entries if entry.array == key], {}, {}) for key in keys]
 

@@ -30,7 +30,7 @@ class Table:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Which columns beside the first hold nothing but numbers, to be set flush right."""
+        """Return which columns beside the first hold nothing but numbers, to be set flush right."""
         columns = range(1, len(self.headings))
         return (False, *(all(NUMBER.match(row[column]) for row in self.rows) for column in columns))
 
@@ -107,7 +107,7 @@ class Comparison:
 
     @property
     def width(self) -> int:
-        """Pixels on the screen beyond which a small frame would only be blurred."""
+        """Return the pixels on the screen beyond which a small frame would only be blurred."""
         return max(3 * self.pictures[0].cols, 480)
 
 

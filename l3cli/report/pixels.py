@@ -46,7 +46,7 @@ class Layer:
 
     @property
     def cropped(self) -> int:
-        """Number of classes in the crop."""
+        """Return the number of classes in the crop."""
         return int(self.labels.max()) + 1
 
 
@@ -144,8 +144,8 @@ def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[
 
 
 def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, int]:
-    """Return the corner of the crop of at most `size` that shows most classes of `labels` (row, col), the first of equal
-    ones."""
+    """Return the corner of the crop of at most `size` that shows most classes of `labels` (row, col), the first if
+    several."""
     best, most = (0, 0), -1
     room = [max(0, whole - part) for whole, part in zip(labels.shape, size, strict=True)]
     tops, lefts = (sorted({length * step // PLACES for step in range(PLACES + 1)}) for length in room)

@@ -46,7 +46,7 @@ class Side:
 
     @property
     def places(self) -> dict[Place, int]:
-        """Number of each frame by what it is called, the first of equal ones."""
+        """Return the number of each frame by what it is called, the first of equal ones."""
         places: dict[Place, int] = {}
         for index, frame in enumerate(self.document["frames"]):
             places.setdefault((frame["scene"], frame["illuminant"], f"{frame['luminance']:.6g}"), index)

@@ -266,7 +266,7 @@ class SimulationRun:
         return self.camera.rows * self.camera.cols * (4 * len(self.camera.channels) + 2 + 4 * len(self.target.outputs))
 
     def frame(self, scene: Scene | ChannelPicture, shot: Shot, seconds: float | None = None) -> TrainingFrame:
-        """Return a frame, exposed for `seconds`; None: as the recipe says. InputFileError if an automatic exposure finds no
+        """Return a frame, exposed for `seconds`; None: by the recipe. InputFileError if automatic exposure finds no
         light."""
         light = self._light(scene, shot)
         exposure = self._exposure(light, shot) if seconds is None else seconds

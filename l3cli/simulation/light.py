@@ -56,7 +56,7 @@ class Light:
 
 
 def mixture(text: str) -> list[tuple[float, str]]:
-    """Return a recipe's light "0.7 D65 + 0.3 lamp.csv" as shares of luminance and names; RecipeError if a share is not above
+    """Return a recipe's light "0.7 D65 + 0.3 lamp.csv" as shares of luminance and names; RecipeError if one is not above
     0."""
     weighted_parts = []
     for term in re.split(r"\s+\+\s+", text.strip()):

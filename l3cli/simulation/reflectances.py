@@ -211,8 +211,7 @@ def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64
 
 
 def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:
-    """Return a linear picture (row, col, 3) with each `by` × `by` pixels averaged to one; what is left over at the end is
-    cut."""
+    """Return a linear picture (row, col, 3) with each `by` × `by` pixels averaged to one; a rest at the end is cut."""
     rows, cols = (length // by * by for length in linear.shape[:2])
     return linear[:rows, :cols].reshape(rows // by, by, cols // by, by, 3).mean(axis=(1, 3))
 

@@ -411,7 +411,7 @@ def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
 
 
 def _normalise(reflectance: np.ndarray) -> None:
-    """Scale so that nearly all pixels are at most a perfect white."""
+    """Scale a picture so that nearly all pixels are at most a perfect white."""
     peak = float(np.quantile(reflectance.max(axis=2), BRIGHT))
     if peak <= 0:
         raise ValueError("is black everywhere")

@@ -399,8 +399,8 @@ def _spdx(path: Path) -> CurveTable:
 
 
 def _read_spdx(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], str | None]:
-    """Return wavelengths (nm), values, and the unit of their quantity, None where it has none; ValueError if the file holds
-    no spectrum."""
+    """Return wavelengths (nm), values, and the unit of their quantity, None without one; ValueError if the file holds no
+    spectrum."""
     if path.stat().st_size > MOST_TEXT:
         raise ValueError(f"larger than {MOST_TEXT >> 20} MB")
     colour = colour_science()

@@ -33,7 +33,7 @@ class CurveTable:
 
     @property
     def note(self) -> str | None:
-        """A line on columns that are left out, if there are any."""
+        """Return a line on columns that are left out, if there are any."""
         return f"{self.path}: left out are the columns {', '.join(self.left_out)}" if self.left_out else None
 
     def counted(self, columns: int) -> "CurveTable":

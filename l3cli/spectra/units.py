@@ -68,8 +68,7 @@ def parse(text: str) -> Unit | None:
 
 
 def below_one_slash(text: str) -> str | None:
-    """Return a unit such as "W/sr·m²/nm" with everything behind its first slash below it; None where that changes
-    nothing."""
+    """Return a unit such as "W/sr·m²/nm" with all behind its first slash below it; None where that changes nothing."""
     above, slash, below = text.partition("/")
     plain = re.sub(r"[/()]", " ", below)
     return f"{above}/({plain})" if slash and plain.strip() else None

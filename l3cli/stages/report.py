@@ -184,7 +184,7 @@ def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
 
 
 def _warn_of_arrays(given: Given, console: Console) -> None:
-    """Warn of every training set of another array than all tables."""
+    """Warn about every training set of another array than all tables."""
     tables = [entry for entry, _ in given.of(TransformTable)]
     for entry, _ in given.of(TrainingSet) if tables else ():
         if all(entry.array != table.array for table in tables):
@@ -193,7 +193,7 @@ def _warn_of_arrays(given: Given, console: Console) -> None:
 
 
 def _warn_of_cameras(given: Given, console: Console) -> None:
-    """Warn of every camera model that is unlike the first table's camera or, without one, unlike the first artifact's."""
+    """Warn about every camera model that is unlike the first table's camera or, without one, unlike the first artifact's."""
     from l3cli.evaluation.likeness import unlike
 
     tables, cameras = given.of(TransformTable), given.of(CameraModel)

@@ -22,10 +22,10 @@ class Console(Protocol):
         name in the plural."""
 
     def info(self, message: str) -> None:
-        """State what has been made, or what comes next."""
+        """Report what has been made, or what comes next."""
 
     def warn(self, message: str) -> None:
-        """Warn of what may make the result worse than expected."""
+        """Warn about what may make the result worse than expected."""
 
     def report(self, message: str) -> None:
         """Report what is left out although it was asked for, or cannot be guarded against, also where messages are few."""
@@ -92,8 +92,8 @@ class Logged(Passing):
     current: "Logged | None" = None  # of the command that is running, for the error that ends it
 
     def __init__(self, console: Console, path: Path, command: str, wording: Callable[[str], str] = str) -> None:
-        """`wording` makes of a message what the log holds. RecipeError if there is something else than a log at `path`,
-        L3Error if it cannot be written."""
+        """Open the log. `wording` makes of a message what the log holds. RecipeError if there is something else than a log
+        at `path`, L3Error if it cannot be written."""
         super().__init__(console)
         self._path, self._command, self._wording = path, command, wording
         self._lost = False  # whether it could not be written

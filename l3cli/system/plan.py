@@ -27,7 +27,7 @@ class Made:
 
 
 class Planned(Exception):
-    """A dry run has come to the work that it leaves out."""
+    """End of a dry run, at the work that it leaves out."""
 
     def __init__(self, reads: Mapping[str, Iterable[Path]], makes: Iterable[Made]) -> None:
         super().__init__("dry run")
@@ -48,7 +48,7 @@ class Planned(Exception):
 
 @contextlib.contextmanager
 def dry_run() -> Iterator[None]:
-    """Within the block stages end where their work would begin, by Planned."""
+    """End stages, within the block, by Planned where their work would begin."""
     token = _DRY.set(True)
     try:
         with without_writing():

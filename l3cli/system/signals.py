@@ -21,7 +21,7 @@ _waiting: type[BaseException] | None = None  # what a signal that waits will be
 
 
 def uninterrupted(function: F) -> F:
-    """Have signals wait until `function`, and what it calls, has returned; if that may take long it checks `is_wanted`."""
+    """Keep signals waiting until `function`, and what it calls, has returned; one that may take long checks `is_wanted`."""
     _uninterrupted.add(function.__code__)
     return function
 
@@ -50,7 +50,7 @@ def raise_pending() -> None:
 
 
 def ignore() -> None:
-    """Heed no more signals: once is enough, nothing must disturb the cleaning up."""
+    """Ignore further signals: once is enough, nothing must disturb the cleaning up."""
     for each in SIGNALS:
         signal.signal(each, signal.SIG_IGN)
 
@@ -67,11 +67,11 @@ uninterrupted(sys.modules["_frozen_importlib"]._find_and_load)
 
 
 class Terminated(BaseException):
-    """SIGTERM has come: a scheduler or a user ends the program, which cleans up as after Ctrl-C."""
+    """Arrival of SIGTERM: a scheduler or a user ends the program, which cleans up as after Ctrl-C."""
 
 
 def heed() -> None:
-    """Have SIGINT and SIGTERM from now on raise KeyboardInterrupt and Terminated, unless they were ignored."""
+    """Make SIGINT and SIGTERM from now on raise KeyboardInterrupt and Terminated, unless they were ignored."""
     sys.unraisablehook = repeat_lost
     for each in SIGNALS:
         if signal.getsignal(each) is not signal.SIG_IGN:  # as a job in the background ignores Ctrl-C
@@ -97,7 +97,7 @@ def end(number: int, frame: FrameType | None) -> None:
 
 @uninterrupted  # or the signal that comes again while its timer still starts would be lost here
 def repeat_lost(what: Any) -> None:
-    """Hear of what is raised where Python cannot pass it on, as in a finaliser: a signal that fell there comes again."""
+    """Send a signal again that was raised where Python cannot pass it on, as in a finaliser."""
     if what.exc_type not in (KeyboardInterrupt, Terminated):
         sys.__unraisablehook__(what)
         return

@@ -107,7 +107,7 @@ def _line(cells: Sequence[str], part: Sequence[int], wide: Sequence[int]) -> str
 
 
 class NoSuchNumber(ValueError):
-    """A text is no number, or one out of its range; the message says what would be right."""
+    """A text that is no number, or one out of its range; the message says what would be right."""
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,8 @@ def sum_sites(
     blocks: Iterable[tuple[int, tuple[int, ...], Iterator[TrainingPair]]],
     weightings: Mapping[int, RowWeighting | None],
 ) -> dict[int, ClassSums]:
-    """Sums of the canonical sites that `weightings` names, whose rows they weigh, over blocks (index of the first frame,
-    sites that take part, frames); a frame is read once and let go."""
+    """Return the sums of the canonical sites that `weightings` names, whose rows they weigh, over blocks (index of the first
+    frame, sites that take part, frames); a frame is read once and let go."""
     neighbours = neighbourhoods(pass_.head.camera.cfa, pass_.rule.patch, len(pass_.head.camera.channels))
     sums = {site: empty_sums(pass_.rule, len(pass_.head.outputs)) for site in weightings}
     for first, sites, frames in blocks:
@@ -135,7 +135,8 @@ class _Batch:
         return np.clip(np.rint(values), 0.0, np.floor(camera.white_level)).astype(np.uint32)
 
     def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
-        """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""
+        """Return the level (patch), a share of full scale: mean over the channels of the means of their `sums` (channel,
+        patch)."""
         camera, shift = self.pass_.head.camera, self.pass_.rule.shift
         mean = (1 / (self.neighbours.count[self.site] * len(sums))) @ sums
         seen = (mean * 2**shift + (truncation(shift) - camera.black_level)) / (camera.white_level - camera.black_level)

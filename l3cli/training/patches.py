@@ -181,7 +181,7 @@ def draw_levels(recipe: LearningRecipe, count: int, rng: np.random.Generator) ->
 
 
 def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Levels at `places`, from 0 to 1, of their distribution."""
+    """Return the levels at `places`, from 0 to 1, of their distribution."""
     share = recipe.highlight_share
     bright = places < share
     within = np.where(bright, places / max(share, 1e-9), (places - share) / max(1 - share, 1e-9))

@@ -77,7 +77,7 @@ class LearningRecipe(Recipe):
 
     @property
     def noises(self) -> tuple[NoiseScale, ...]:
-        """Noises, over the camera's, that further transforms are learned for."""
+        """Return the noises, over the camera's, that further transforms are learned for."""
         gains = tuple(map(NoiseScale, learned_gains(self.gains)))
         return (*gains, NoiseScale(noise_left=self.noise_left)) if self.noise_left else gains
 

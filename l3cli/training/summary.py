@@ -22,7 +22,7 @@ WORST = 8  # classes named
 
 
 def insight(table: TransformTable) -> dict[str, Any]:
-    """Figures of a table, all in plain Python types.
+    """Return the figures of a table, all in plain Python types.
 
     classes: all, trained, thin (fewer patches of their own than taps), filled (none). kinds: name and patches of each
     chroma and saturation case. further: of each value of each further feature, by its name; not there if the rule has none.
@@ -79,8 +79,8 @@ def _light(light: SceneLight) -> dict[str, Any]:
 
 
 def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
-    """Figures of a layer after the first: its classes, side (pixel) and number of its windows, levels, structures (flat, and
-    each strength without a direction and in each of them; or the leaves of a tree, its depth, and how many of its
+    """Return the figures of a layer after the first: its classes, side (pixel) and number of its windows, levels, structures
+    (flat, and each strength without a direction and in each of them; or the leaves of a tree, its depth, and how many of its
     nodes compare what, by name), noise_gain as in `insight`."""
     trained, rule = layer.samples > 0, layer.rule
     gain = np.sqrt((layer.weights.astype(np.float64) ** 2).sum(axis=2))
@@ -106,7 +106,7 @@ def _features(rule: PlaneRule) -> dict[str, Any]:
 
 
 def _further(table: TransformTable, further_class: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
-    """Name and patches of each value of each further feature, which the classes have, `further_class`, (class)."""
+    """Return name and patches of each value of each further feature, which the classes have, `further_class`, (class)."""
     every = {}
     for (feature, axis), value in zip(
         further_features(table.first.rule), table.first.rule.split_further(further_class), strict=True
@@ -117,7 +117,7 @@ def _further(table: TransformTable, further_class: NDArray[np.int64]) -> dict[st
 
 
 def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Median and largest of each column (class, name)."""
+    """Return the median and largest of each column (class, name)."""
     if not len(values):
         return {name: {"median": 0.0, "worst": 0.0} for name in names}
     return {
@@ -127,7 +127,7 @@ def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, di
 
 
 def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
-    """Median over the chosen classes of the sum of the weights of each channel: {output: {channel: gain}}."""
+    """Return the median over the chosen classes of the sum of the weights of each channel: {output: {channel: gain}}."""
     windows = window_channels(table.cfa, table.first.rule.patch)
     site = table.first.rule.split(np.arange(len(chosen))).site
     gain = np.full((len(chosen), len(table.outputs), len(table.channels)), np.nan)
@@ -147,7 +147,7 @@ WEIGHT, OTHERS = 4, 12  # bytes of a weight or intercept; of the number of sampl
 
 
 def learned(insight: dict[str, Any]) -> list[str]:
-    """Lines about classes, patches and gains of a table, from its `insight`."""
+    """Return lines about classes, patches and gains of a table, from its `insight`."""
     classes = insight["classes"]
     figures = " · ".join(
         f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in insight["noise_gain"].items()
@@ -184,7 +184,7 @@ def learned(insight: dict[str, Any]) -> list[str]:
 
 
 def _refine(number: int, layer: dict[str, Any]) -> list[str]:
-    """Lines about a layer after the first."""
+    """Return lines about a layer after the first."""
     classes, side = layer["classes"], layer["side"]
     gains = " · ".join(f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in layer["noise_gain"].items())
     return [

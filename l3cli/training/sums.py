@@ -38,7 +38,7 @@ def width_of(packed: Array) -> int:
 
 
 def empty_sums(rule: ClassRule, outputs: int) -> ClassSums:
-    """Sums of no patches."""
+    """Return sums of no patches."""
     classes, taps = rule.classes_per_site, rule.patch**2
     width = taps + 1 + outputs
     return ClassSums(np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps)), np.zeros(classes))
@@ -102,8 +102,8 @@ def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
 
 
 def intercept_scale(rule: ClassRule, camera: CameraModel) -> Array:
-    """Scale (level) of the intercept, a power of two: rows are relative to their level, so taps and outputs are of the
-    order of one, and the intercept of one over the level."""
+    """Return the scale (level) of the intercept, a power of two: rows are relative to their level, so taps and outputs are
+    of the order of one, and the intercept of one over the level."""
     lower = np.maximum(level.inner_bounds(rule, camera.black_level, camera.white_level), 1e-4)
     return np.asarray(2.0 ** np.rint(-np.log2(np.append(lower[0] / 2, lower))))
 

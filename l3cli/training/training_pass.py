@@ -42,7 +42,7 @@ class TrainingPass:
 
     @property
     def dark(self) -> float:
-        """DN above black that dark current makes, on average, in a frame that the table is for."""
+        """Return the DN above black that dark current makes, on average, in a frame that the table is for."""
         return self.head.camera.dark_signal(self.exposure)
 
     @functools.cached_property
@@ -64,7 +64,7 @@ class TrainingPass:
 
     @property
     def draws(self) -> int:
-        """Levels a patch is rescaled to."""
+        """Return the levels a patch is rescaled to."""
         return self.recipe.first_draws if self.number == FIRST else self.recipe.draws
 
     def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -91,15 +91,15 @@ def few_of(number: int, noise: NoiseScale) -> int:
 
 
 def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fraction] | None) -> tuple[int, ...]:
-    """Patches (frame) of training sets with so many `frames` (set): evenly over all frames or, with `shares` (set), in
-    their proportion over the sets and evenly over the frames of each, rounded up (docs/method.md#patches)."""
+    """Return the patches (frame) of training sets with so many `frames` (set): evenly over all frames or, with `shares`
+    (set), in their proportion over the sets and evenly over the frames of each, rounded up (docs/method.md#patches)."""
     parts = shares if shares is not None else [Fraction(count) for count in frames]
     each = [math.ceil(patches * part / sum(parts) / count) for part, count in zip(parts, frames, strict=True)]
     return tuple(value for value, count in zip(each, frames, strict=True) for _ in range(count))
 
 
 def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
-    """Y of targets (…, output), or their mean where no output is called Y."""
+    """Return Y of targets (…, output), or their mean where no output is called Y."""
     return target[..., outputs.index("Y")] if "Y" in outputs else target.mean(axis=-1)
 
 

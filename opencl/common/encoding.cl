@@ -11,7 +11,7 @@ INLINE ints plane_value(ints sum, ints fraction) {
     return below > -top ? below : -top;
 }
 
-// … and as a layer between reads it, in 16 bits.
+// A plane as a layer between reads it, in 16 bits.
 INLINE ints coarse(ints plane) {
     const ints top = COARSE_TOP, value = (plane + (1 << COARSE >> 1)) >> COARSE, below = value < top ? value : top;
     return below > -top ? below : -top;

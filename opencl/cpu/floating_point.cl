@@ -6,8 +6,8 @@
 #ifndef SIDE_BY_SIDE
 
 #define VECTORS ((TAPS - 1 + LANES - 1) / LANES)
-#define GROUPS ((OUTPUTS + 3) / 4)               // outputs are taken in groups …
-#define GROUP ((OUTPUTS + GROUPS - 1) / GROUPS)  // … of at most four, so that their sums stay in registers
+#define GROUPS ((OUTPUTS + 3) / 4)               // of at most four outputs, so that their sums stay in registers
+#define GROUP ((OUTPUTS + GROUPS - 1) / GROUPS)  // outputs of a group
 #define LAST_TAP (VECTORS * GROUP * LANES)       // where a group's last taps lie, then its intercepts
 #ifdef RATIO_TAPS
 #define TAPS_OF_RATIOS RATIO_TAPS  // after those of the windows, their weights after the intercepts

@@ -10,12 +10,12 @@ INLINE uints variance_part(uints count, uints sum, uints square, uints mean, uin
     return variance > cap ? cap : variance;
 }
 
-// The contrast edges of the darkest level …
+// The contrast edges of the darkest level.
 INLINE void first_contrast_edges(uints *edge, __global const uint *contrast_edges) {
     for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = contrast_edges[k * LEVELS];
 }
 
-// … and those of `level` where it is reached.
+// The contrast edges of `level` where it is reached, else those before.
 INLINE void next_contrast_edges(uints *edge, ints reached, int level, __global const uint *contrast_edges) {
     for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = reached ? (uints)contrast_edges[k * LEVELS + level] : edge[k];
 }

@@ -101,9 +101,9 @@ def test_a_clip_that_fails_stops_no_other_and_is_all_that_is_done_again(
     shutil.copy(shots / "v.mkv", shots / "cut.mkv")
     shutil.copy(shots / "v.mkv", shots / "gone.mkv")
     code, out, _ = l3(*call)
-    assert code == 1  # without --resume what is there is refused …
+    assert code == 1  # without --resume what is there is refused
     assert "not empty" in document(out)["run"]["error"]["message"]
-    code, out, err = l3(*call, "--resume")  # … and the state of the run that failed is still there
+    code, out, err = l3(*call, "--resume")  # the state of the run that failed is still there
     found = document(out)
     assert (code, err) == (0, "")
     assert [clip["state"] for clip in found["clips"]] == ["rendered", "rendered", "kept", "kept"]

@@ -19,8 +19,8 @@ from typing import Any
 
 BATCH = 1000  # inputs a process
 IDENTITIES = "identities"  # as --only: outputs that are inputs alone
-PHYSICS = 100  # of so many seeds one spoils the physics of a lab instead of a file …
-FORKS = 50  # … and one has a process forked that goes on with l3
+PHYSICS = 100  # of so many seeds one spoils the physics of a lab instead of a file
+FORKS = 50  # of so many seeds one has a process forked that goes on with l3
 NAMES = 100  # of so many seeds one names a file in a pipeline of l3 init
 SLOW = 3  # seconds of processor time of an input that are worth a word
 

@@ -21,8 +21,8 @@ from tests.helpers.hostile_inputs import DRAWN, make_inputs
 from tests.helpers.hostile_spoiling import Choices, spoiled_bytes, spoiled_hdf5, spoiled_layer, spoiled_text
 
 CACHE = str(Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "l3cli"))  # l3's cache of kernels
-SECONDS = 10  # of processor time: an input that takes longer hangs …
-PATIENCE = 12  # … as does one that takes so many times longer by the clock
+SECONDS = 10  # of processor time: an input that takes longer hangs
+PATIENCE = 12  # by the clock an input hangs that takes so many times longer
 LONGEST = 1000  # letters of a line
 MEMORY = 1 << 30  # bytes that an input may take beside what the process had, which is far more than MOST_MEGAPIXELS asks for
 MOST_MEGAPIXELS = 0.25

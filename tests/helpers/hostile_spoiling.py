@@ -45,10 +45,10 @@ def spoiled_bytes(content: bytes, choices: Choices) -> bytes:
     for _ in range(choices.integer(1, 4)):
         if not spoilt:
             break
-        reach = min(len(spoilt), one_of(choices, (64, 512, len(spoilt))))  # headers lie at the beginning …
+        reach = min(len(spoilt), one_of(choices, (64, 512, len(spoilt))))  # headers lie at the beginning
         at = choices.integer(0, reach - 1)
         if choices.integer(0, 7) == 0:
-            at = len(spoilt) - 1 - at  # … or at the end
+            at = len(spoilt) - 1 - at  # or at the end
         kind = choices.integer(0, 7)
         if kind <= 1:
             spoilt[at] ^= 1 << choices.integer(0, 7)

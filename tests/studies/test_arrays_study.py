@@ -41,8 +41,8 @@ pytestmark = pytest.mark.slow
 
 class Case(NamedTuple):
     light: str
-    below: tuple[float, ...]  # of mean ΔE00, at each share of full scale …
-    shares: tuple[float, ...] = (0.9,)  # … that a white fills in the brightest channel
+    below: tuple[float, ...]  # of mean ΔE00, for each of `shares`
+    shares: tuple[float, ...] = (0.9,)  # of full scale, that a white fills in the brightest channel
 
 
 APART = (0.9, 14.4)  # 24 dB

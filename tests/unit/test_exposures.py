@@ -97,10 +97,10 @@ def test_no_longest_exposure_is_a_fault() -> None:
 
 def test_channels_clip_and_scatter_separately() -> None:
     model = camera(1 / 8, 2.0)
-    electrons = np.full((400, 400), 0.8 * model.full_scale, np.float32)  # of the long channels …
+    electrons = np.full((400, 400), 0.8 * model.full_scale, np.float32)  # of the long channels
     short = model.channel_map(electrons.shape) >= 2
     electrons[short] /= 8
-    frame = expose(model, 2 * electrons, 0.01, np.random.default_rng(1))  # … twice as bright as they hold
+    frame = expose(model, 2 * electrons, 0.01, np.random.default_rng(1))  # twice as bright as the long channels hold
     assert (frame[~short] == model.white_level).mean() > 0.99
     seen = frame[short].astype(np.float64) - model.black_level
     expected = 2.0 * model.gain * 2 * electrons[short][0]

@@ -50,8 +50,8 @@ def test_kernels_agree_with_the_reference_on_every_value(cfa: ArrayLike, bits: i
     weights = []
     for number in range(5):
         seen = light[2 * number : 2 * number + 101, 5 * number : 5 * number + 123].copy()
-        seen[24:] = light[24:101, :123]  # below nothing moves …
-        seen[50:80, 12 * number : 12 * number + 30] = 400 + 200 * rng.random()  # … but a square
+        seen[24:] = light[24:101, :123]  # below nothing moves but a square
+        seen[50:80, 12 * number : 12 * number + 30] = 400 + 200 * rng.random()
         frame = exposed(rng, seen[::-1] if number == 4 else seen, camera.gain, bits)
         ours, theirs = reference.filtered(frame), kernels.filtered(frame)
         assert reference.history is not None

@@ -205,7 +205,7 @@ NO_TREE = "branch is no tree"
     ("fields", "why"),
     [
         ({"branch": np.array([1, 0, 2, 0, 0], np.int32)}, NO_TREE),  # a node that is its own branch
-        ({"branch": np.array([3, 0, 0, 1, 0], np.int32)}, NO_TREE),  # … or that of one after it
+        ({"branch": np.array([3, 0, 0, 1, 0], np.int32)}, NO_TREE),  # a node that is the branch of one after it
         ({"branch": np.array([1, 0, 1, 0, 0], np.int32)}, NO_TREE),  # two of one branch, and two nodes of none
         ({"branch": np.array([1, 0, 0, 0, 0], np.int32)}, NO_TREE),
         ({"branch": np.array([1, 0, 4, 0, 0], np.int32)}, NO_TREE),  # beyond the last node

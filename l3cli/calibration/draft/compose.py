@@ -126,12 +126,12 @@ class Survey:
 
     @property
     def top(self) -> int:
-        """DN, the largest value of all frames."""
+        """Return the largest DN of all frames."""
         return max(frame.summary.top for group in self.groups for frame in group.frames)
 
     @property
     def black(self) -> float:
-        """DN of a pixel without light: as stated, or as the darkest frames have it."""
+        """Return the DN of a pixel without light: as stated, or as the darkest frames have it."""
         return float(self.scale.black.mean()) if self.black_level is None else self.black_level
 
     def groups_of(self, *kinds: str) -> list[Group]:
@@ -311,8 +311,7 @@ class _Composer:
             self.out.assume("unit", PHOTON_RADIANCE, "the heading states none; it is as large as such radiances are", False)
 
     def _chart_corners(self) -> dict[int, sorting.Corners]:
-        """Return the corners of each chart by the identity of its capture; captures that show something else are left
-        out."""
+        """Return the corners of each chart by the identity of its capture; captures without one are left out."""
         seen, found = self.seen, dict[int, sorting.Corners]()
         for group in list(self.charts):
             corners = sorting.find_corners(self.read(group.first.name.path) - seen.black, seen.period)

@@ -204,8 +204,7 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
 
 
 def channels_of_sweep(spectra: Spectra) -> list[str]:
-    """Return the channels of a sweep with means of light and dark beside a photodiode, by its heading; none of another
-    table."""
+    """Return the channels of a sweep of light and dark means beside a photodiode, by its heading; none of another table."""
     names = spectra.table.names or ()
     channels = [match[1] for name in names if (match := LIGHT.fullmatch(name))]
     diode = any("diode" in DIODE.get(name.casefold(), name).casefold() for name in names)

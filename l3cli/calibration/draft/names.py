@@ -129,7 +129,7 @@ class Summary:
 
     @property
     def level(self) -> Array:
-        """(site) mean DN."""
+        """Return the mean DN (site)."""
         return np.asarray(self.blocks.mean(axis=(0, 1)))
 
     def unevenness(self, black: float) -> float:

@@ -54,7 +54,7 @@ class Group:
 
     @property
     def level(self) -> Array:
-        """(site) mean DN."""
+        """Return the mean DN (site)."""
         return np.asarray(np.mean([frame.summary.level for frame in self.frames], axis=0))
 
 

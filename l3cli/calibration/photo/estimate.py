@@ -118,7 +118,7 @@ class Shot:
 
     @property
     def stimuli(self) -> Array:
-        """(patch, wavelength) photons of each patch."""
+        """Return the photons (patch, wavelength) of each patch."""
         return self.reflectance * self.light
 
 

@@ -53,12 +53,12 @@ class PhotoCamera:
             return ""
         lines = ["", "[gain]", f"iso = {self.stated.iso:g} # at gain_dn_per_e"]
         if self.gains:
-            lines.append(
-                f"gains = [{', '.join(f'{gain:g}' for gain, _ in self.gains)}] # by the ISO speeds of other files, …"
+            gains, noises = (
+                ", ".join(f"{gain:g}" for gain, _ in self.gains),
+                ", ".join(f"{noise:.4g}" for _, noise in self.gains),
             )
-            lines.append(
-                f"read_noise_e = [{', '.join(f'{noise:.4g}' for _, noise in self.gains)}] # … by their noise profiles"
-            )
+            lines.append(f"gains = [{gains}] # by the ISO speeds of other files")
+            lines.append(f"read_noise_e = [{noises}] # by the noise profiles of other files")
         return "\n".join(lines) + "\n"
 
     def learning_gains(self) -> str:

@@ -231,7 +231,7 @@ def curves_of(posterior: Posterior) -> Curves:
 
 @functools.cache
 def candidates() -> Mapping[str, Array]:
-    """Name → (wavelength) relative photon radiance of the lights that a photo may have been taken under."""
+    """Return name → (wavelength) relative photon radiance of the lights that a photo may have been taken under."""
     return {name: spectra.illuminant(name, WAVELENGTH) for name in CANDIDATES}
 
 
@@ -318,7 +318,7 @@ def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
 
 
 def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[SensorFigures, bool]:
-    """Levels, gain and noise: of the data sheet, or of the files and the patches' photon transfer; whether it is these."""
+    """Return levels, gain and noise of the data sheet, or else of files and the patches' photon transfer (True)."""
     first = photographs[0]
     if measurements.datasheet is not None:
         return replace(measurements.datasheet, black_level=first.black_level, white_level=first.white_level), False

@@ -28,8 +28,8 @@ typedef struct {
                                                      /* tree: transposed, mirrored across, mirrored down */
     const uint32_t *first_class;                     /* (class of the first layer) class of structure or leaf 0; with L3_DECIDED */
                                                      /* where a pixel is saturated: the class */
-    const L3Structure *structure;                    /* either this … */
-    const L3Tree *tree;                              /* … or this */
+    const L3Structure *structure;                    /* classes by structure, or null */
+    const L3Tree *tree;                              /* classes by a tree, or null */
     const int16_t *fixed_weights;                    /* (class, plane, tap), */
     const int32_t *fixed_intercept;                  /* (class, plane) */
     const uint8_t *fraction;                         /* and (class) of all but the last layer */

@@ -25,8 +25,7 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
 
 @isolated("h5py")
 def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
-    """Return name and number of frames of the stack called `dataset`, or of the only one; InputFileError if there is
-    none."""
+    """Return name and number of frames of the stack `dataset`, or of the only one; InputFileError without one."""
     root = _open(path)
     held = dict(datasets(root))
     name = _only_stack(path, held) if dataset is None else dataset.strip("/")

@@ -108,8 +108,7 @@ def read(path: Path, layout: Layout) -> RawContent:
 
 
 def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
-    """Return as many frames as the file has room for; one that is cut is noticed when it is read. None where there is no
-    second."""
+    """Return as many frames as the file has room for; one that is cut is noticed when it is read. None without a second."""
     size = path.stat().st_size
     if size < 2 * layout.frame_bytes:
         return None

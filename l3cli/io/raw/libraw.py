@@ -31,8 +31,7 @@ def read(path: Path) -> RawContent:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """Yield rawpy's object of a file with a mosaic. InputFileError if LibRaw cannot read it, or if it is demosaicked
-    already."""
+    """Yield rawpy's object of a file with a mosaic. InputFileError if LibRaw cannot read it, or if it is demosaicked."""
     import rawpy
 
     try:

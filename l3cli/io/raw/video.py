@@ -59,7 +59,7 @@ def _some_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | No
 @isolated("av")
 def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
     """Return the frame `number` (row, col) of a raw video in DN; None after the last. Frames are asked for one after the
-    other, from 0. InputFileError if it is damaged; the next may be whole again."""
+    other, from 0. InputFileError if it is damaged; the next may be whole."""
     frame = _in_turn.frame(path, number)
     return None if frame is None else frame.to_ndarray().astype(np.uint16)
 

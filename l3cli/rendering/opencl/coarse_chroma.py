@@ -23,8 +23,8 @@ class DeviceCoarseChroma:
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], chroma: CoarseChroma,
         variant: str,
     ) -> None:  # fmt: skip
-        """`kernel` makes a kernel of source, macros and name, `run` enqueues one on a track, over rows and columns,
-        `constant` puts an array on the device."""
+        """Build the kernels. `kernel` makes a kernel of source, macros and name, `run` enqueues one on a track, over rows
+        and columns, `constant` puts an array on the device."""
         self._make, self._run, self._constant, self._chroma, self._variant = kernel, run, constant, chroma, variant
         self._kernels: list[Any] = []  # halve, soften, read_far
         self._scales: dict[float, list[Any]] = {}  # by share of the noise, each comparison's
@@ -52,7 +52,7 @@ class DeviceCoarseChroma:
         return events, far
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:
-        """The buffers of a track for planes of a shape; blocks lie within margins that are FAR from all."""
+        """Return the buffers of a track for planes of a shape; blocks lie within margins that are FAR from all."""
         if track.coarse is None or track.coarse[0] != shape:
             cl, context = pyopencl(), track.queue.context
             quads, blocks = _halved(shape), _halved(_halved(shape))

@@ -159,7 +159,7 @@ def survey() -> list[str]:
 
 
 def _platforms() -> list[tuple[str, list[Any], str]]:
-    """Name, devices and, where there are none, the reason, of every platform."""
+    """Return name, devices and, where there are none, the reason, of every platform."""
     cl = pyopencl()
     try:
         platforms = cl.get_platforms()

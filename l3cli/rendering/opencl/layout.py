@@ -38,7 +38,7 @@ TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu
 
 @functools.cache
 def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
-    """A curve, its power part as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
+    """Return a curve's macros, its power part a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
     lowest = curve.knee**0.25
     root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
     terms = np.polynomial.polynomial.polyfit(root, curve.encoded(root**4), degree)
@@ -53,8 +53,8 @@ def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
 
 @functools.cache
 def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
-    """A curve's codes up to `top`, and half a code, as 32 parabolas in u = 2^-8 + CURVE_SHARE · x within 3e-5 of `top`: four
-    an octave, fitted at Chebyshev's nodes, in the order in which the upper bits of u number them."""
+    """Return a curve's codes up to `top`, and half a code, as 32 parabolas in u = 2^-8 + CURVE_SHARE · x within 3e-5 of
+    `top`: four an octave, fitted at Chebyshev's nodes, in the order in which the upper bits of u number them."""
     start, share = 2.0**-8, 1 - 2.0**-8 - 2.0**-22
     octave, quarter = np.divmod(np.arange(32), 4)
     half = start * 2.0**octave / 8
@@ -69,7 +69,7 @@ def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
 
 
 def _literal(value: float) -> str:
-    """A number as OpenCL C writes one in single precision; whole numbers have an exponent, without which they are none."""
+    """Return a number as OpenCL C writes one in single precision: whole numbers, too, with an exponent."""
     return f"{value:.8e}f"
 
 
@@ -98,14 +98,14 @@ def source_folder() -> Path:
 
 
 def first_source(variant: str, rule: ClassRule) -> str:
-    """The .cl files of a variant for the layer that reads the mosaic, with the features of its rule, joined; #line keeps
-    file and line in the compiler's messages."""
+    """Return the .cl files of a variant for the layer that reads the mosaic, with the features of its rule, joined; #line
+    keeps file and line in the compiler's messages."""
     features = [joined_files("common/vectors.cl", *snippets(rule)), f'#line 1 "joined features"\n{joined(rule)}']
     return "\n".join([*features, joined_files(*VARIANTS[variant].sources)])
 
 
 def refinement_source(variant: str, layer: PlaneLayer) -> str:
-    """The .cl files of a variant for a layer that reads planes, with the formula of its rule."""
+    """Return the .cl files of a variant for a layer that reads planes, with the formula of its rule."""
     formula, kernels = rule_snippets(layer.rule)
     chroma = ("common/coarse_chroma.cl",) if layer.coarse_chroma else ()
     shared = ("common/vectors.cl", "common/encoding.cl", "common/gradient.cl", formula, *chroma)
@@ -113,18 +113,18 @@ def refinement_source(variant: str, layer: PlaneLayer) -> str:
 
 
 def encoder_source(variant: str) -> str:
-    """The .cl files of a variant for pictures of outputs."""
+    """Return the .cl files of a variant for pictures of outputs."""
     return joined_files("common/lanes.cl", "common/vectors.cl", "common/encoding.cl", *VARIANTS[variant].encoder_sources)
 
 
 def joined_files(*names: str) -> str:
-    """Files of opencl/, joined."""
+    """Return the files of opencl/, joined."""
     folder = source_folder()
     return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
 
 
 def table_macros(table: TransformTable, sets: int = 1) -> Macros:
-    """Everything about a table that a kernel's loops and formulas depend on; `sets`: number of those of transforms."""
+    """Return as macros all of a table that a kernel's loops and formulas depend on; `sets`: number of sets of transforms."""
     rule = table.first.rule
     further = sum(len(axis.constants) for axis in rule.axes)
     return {
@@ -152,7 +152,7 @@ TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "COARSE": COARSE,
 
 
 def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
-    """Everything about a layer after the first that a kernel's loops and formulas depend on."""
+    """Return as macros everything about a layer after the first that a kernel's loops and formulas depend on."""
     return {
         "PATCH": layer.side,
         "RADIUS": layer.radius,
@@ -181,7 +181,7 @@ def display_macros(display: Display) -> Macros:
 
 
 def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArray, ...]:
-    """The constants of the kernel `classes`, in the order of its arguments, for a table and `others`, further sets of it."""
+    """Return the kernel `classes`' constants in the order of its arguments, for a table and `others`, further sets of it."""
     rule, channels = table.first.rule, len(table.channels)
     neighbours = neighbourhoods(table.cfa, rule.patch, channels)
     period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
@@ -273,7 +273,7 @@ def table_buffers(
 
 
 def by_column(weights: NDArray, planes: int) -> NDArray:
-    """(class, output, tap) from taps plane by plane, row by row, to taps column by column, row by row, plane by plane."""
+    """Return weights (class, output, tap) in order of planes, rows and columns as of columns, rows and planes."""
     classes, outputs, taps = weights.shape
     side = math.isqrt(taps // planes)
     square = weights.reshape(classes, outputs, planes, side, side)
@@ -281,9 +281,9 @@ def by_column(weights: NDArray, planes: int) -> NDArray:
 
 
 def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
-    """(class, …) for side_by_side.cl; or, for floating_point.cl, (class, group, …): vectors (vector, output, lane) of all
-    taps of a window but the last, the last taps of four outputs, their four intercepts, the taps behind the window one by
-    one, and zeros up to a multiple of 16."""
+    """Return weights (class, …) for side_by_side.cl; or, for floating_point.cl, (class, group, …): vectors (vector, output,
+    lane) of all taps of a window but the last, the last taps of four outputs, their four intercepts, the taps behind the
+    window one by one, and zeros up to a multiple of 16."""
     classes, outputs, taps = layer.taps.shape
     taps, ratios = taps - layer.ratio_taps, layer.ratio_taps
     if outputs in SIDE_BY_SIDE_OUTPUTS and taps <= SIDE_BY_SIDE_TAPS and not ratios:
@@ -309,14 +309,14 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
 
 
 def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
-    """(class, …) for side_by_side.cl, the fraction being the intercept of a fourth plane."""
+    """Return weights (class, …) for side_by_side.cl, the fraction being the intercept of a fourth plane."""
     intercept = np.column_stack([layer.intercept, layer.fraction])
     return _side_by_side(layer.taps, intercept, 8)
 
 
 def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
-    """(class, …) of taps (class, output, tap) and intercepts (class, output): four of these, each before three zeros; then,
-    `once` taps at a time, those of four outputs; zeros where there is none."""
+    """Return weights (class, …) of taps (class, output, tap) and intercepts (class, output): four of these, each before
+    three zeros; then, `once` taps at a time, those of four outputs; zeros where there is none."""
     classes, outputs, count = taps.shape
     first = np.zeros((classes, 4, 4), intercept.dtype)
     first[:, : intercept.shape[1], 0] = intercept
@@ -327,7 +327,7 @@ def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
 
 
 def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
-    """(class, 1 + tap, output) for graphics.cl: the intercept, then the taps, outputs filled up to a multiple of four."""
+    """Return weights (class, 1 + tap, output) for graphics.cl: the intercept first, outputs filled up to fours."""
     classes, outputs, taps = layer.taps.shape
     packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), layer.taps.dtype)
     packed[:, 0, :outputs] = layer.intercept
@@ -336,7 +336,7 @@ def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
 
 
 def pack_whole_in_fours(layer: WholeWeights, lanes: int) -> NDArray[np.int32]:
-    """(class, 1 + tap, 4) for graphics.cl: three intercepts and the fraction, then the taps."""
+    """Return weights (class, 1 + tap, 4) for graphics.cl: three intercepts and the fraction, then the taps."""
     classes, planes, taps = layer.taps.shape
     packed = np.zeros((classes, 1 + taps, 4), np.int32)
     packed[:, 0] = np.column_stack([layer.intercept, layer.fraction])
@@ -353,10 +353,10 @@ def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
 class Variant:
     """The same computation, arranged for one kind of device."""
 
-    # Files of opencl/ for the layer that reads the mosaic, joined in this order behind the features', …
+    # Files of opencl/ for the layer that reads the mosaic, joined in this order behind the features'
     sources: tuple[str, ...]
-    refinement_sources: tuple[str, ...]  # … for one that reads planes, …
-    encoder_sources: tuple[str, ...]  # … and for pictures of outputs
+    refinement_sources: tuple[str, ...]  # the same for one that reads planes
+    encoder_sources: tuple[str, ...]  # for pictures of outputs
     encoder_cut: Cut
     joins: bool  # whether classes and transforms of the first layer may be one kernel
     cut: Callable[[TransformTable, int], Cut]  # for a number of lanes that suits the device

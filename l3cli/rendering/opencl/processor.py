@@ -29,8 +29,8 @@ _names = {name: ctypes.create_string_buffer(name) for name in PROCESSORS}
 
 
 def compiled_for(device: Any) -> str:
-    """Have kernels of an OpenCL device compiled for a processor that its compiler knows: its name; empty where PoCL's own
-    choice stands. Nothing is changed twice."""
+    """Return for which processor kernels of an OpenCL device are compiled, after choosing one that its compiler knows; empty
+    where PoCL's own choice stands. Nothing is changed twice."""
     if PLATFORM not in device.platform.version or not UNKNOWN_PROCESSOR.search(device.version):
         return ""
     place, known = int(device.int_ptr) + PLACE, {ctypes.addressof(name): name.value for name in _names.values()}

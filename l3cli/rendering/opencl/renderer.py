@@ -46,8 +46,8 @@ class DeviceShading:
     """Kernel and buffers, made when the first frame with a shading comes; buffers are kept while frames share theirs."""
 
     def __init__(self, kernel: Callable[[str, Macros, str], Any], constant: Callable[[NDArray], Any], lanes: int) -> None:
-        """`kernel` makes a kernel of source, macros and name, `constant` puts an array on the device; `lanes`: of its
-        vectors."""
+        """Begin with no kernel. `kernel` makes one of source, macros and name, `constant` puts an array on the device;
+        `lanes`: of its vectors."""
         self._make, self._constant, self._run = kernel, constant, LONG_RUN if lanes > 1 else 1
         self._kernel: Any = None
         self._shading: Shading | None = None
@@ -59,7 +59,7 @@ class DeviceShading:
         return {} if shading is None else {"SHADED": 1, "GAIN_STEP": STEP}
 
     def gain(self, shading: Shading | None, rows: slice) -> tuple[Any, ...]:
-        """The buffer of a band's gains, which kernels take that are built so."""
+        """Return the buffer of a band's gains, which kernels take that are built so."""
         return () if shading is None else (self._buffer(shading, "gain", rows),)
 
     @staticmethod
@@ -101,14 +101,15 @@ class DeviceSpectra:
     def __init__(
         self, kernel: Callable[[str, Macros, str], Any], run: Callable[..., Any], table: TransformTable, variant: str
     ) -> None:
-        """`kernel` makes a kernel of source, macros and name, `run` enqueues one on a track, over rows and columns."""
+        """Begin with no kernel; `kernel` makes one of source, macros and name, `run` enqueues it over rows and columns of a
+        track."""
         assert table.spectra is not None
         self._make, self._run, self._variant = kernel, run, variant
         self._outputs, self._smoothing = len(table.outputs), table.spectra
         self._kernel: Any = None
 
     def room(self, track: Track, band: Band) -> Any:
-        """The buffer of the track for what the last layer makes of a band."""
+        """Return the buffer of the track for what the last layer makes of a band."""
         size = 4 * self._outputs * (band.made.stop - band.made.start) * band.columns
         track.made = scratch(track.queue.context, track.made, size)
         return track.made
@@ -171,13 +172,13 @@ class OpenCLRenderer:
             self._coarse = chroma and DeviceCoarseChroma(self._kernel, self._run, self._constant, chroma, self.variant)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
-        """Class (row, col) of every pixel in a layer of the table."""
+        """Return the class (row, col) of every pixel in a layer of the table."""
         labels = np.empty(frame.values.shape, np.uint32)
         self._wait(self._start(frame, [labels], None, layer=layer))
         return labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Outputs of the table, (output, row, col)."""
+        """Return the outputs of the table, (output, row, col)."""
         planes, work = self._start_outputs(frame)
         if len(self._bands(frame.values.shape)) == 1:
             self._unread = Unread(frame, frame.values.copy(), self._tracks[-1], self._tracks[-1].result)
@@ -187,14 +188,13 @@ class OpenCLRenderer:
         return planes
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """The frame as the display shows it (row, col, 3), encoded on the device; RecipeError unless the table's outputs are
-        X, Y, Z."""
+        """Return the frame as displayed (row, col, 3), encoded on the device; RecipeError unless outputs are X, Y, Z."""
         picture, work = self._start_picture(frame, display)
         self._wait(work)
         return picture
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """The picture of each frame, in order. While the caller uses one the next is computed."""
+        """Return the picture of each frame, in order. While the caller uses one the next is computed."""
         started: deque[tuple[NDArray, Work]] = deque()
         for frame, display in frames:
             started.append(self._start_picture(frame, display, borrow=False))
@@ -207,7 +207,8 @@ class OpenCLRenderer:
             yield picture
 
     def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
-        """Milliseconds that the device spent in each of `stages` for one picture, or without a display for the outputs.
+        """Return the milliseconds that the device spent in each of `stages` for one picture, or without a display for the
+        outputs.
 
         Classes and transforms of the first layer, which may be one kernel, are timed as two. "transforms" is the time of
         their kernel built without the encoding, which writes one number a pixel instead; "encode" what the whole kernel
@@ -292,13 +293,13 @@ class OpenCLRenderer:
         return work
 
     def _wait(self, work: Work) -> Work:
-        """The work, once it is done. Other threads run on meanwhile."""
+        """Return the work once it is done. Other threads run on meanwhile."""
         with refusals(self.device):
             work.end()
         return work
 
     def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
-        """Upload of a band, with the rows beside it that a refinement layer reads."""
+        """Upload a band, with the rows beside it that a refinement layer reads."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         if self._in_place and not self._shading.corrects(frame):
@@ -329,7 +330,7 @@ class OpenCLRenderer:
         return track.raw, *band.mosaic_source, *self._class_buffers, *track.chosen, track.labels
 
     def _site(self, band: Band, frame: RawFrame) -> tuple[np.int32, np.int32]:
-        """Row and column of the CFA where a band begins."""
+        """Return the row and column of the CFA where a band begins."""
         return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
 
     def _classify_refinement(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
@@ -357,7 +358,7 @@ class OpenCLRenderer:
     def _transform(
         self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work
     ) -> None:
-        """Transforms of the last layer, and its classes if it is alone, and encoding or smoothing of a band into the buffer
+        """Enqueue a band's last transforms, with the classes if the layer is alone, and encoding or smoothing into
         `result`."""
         number = len(self._layers)
         into = self._spectra.room(track, band) if self._spectra else result
@@ -373,8 +374,8 @@ class OpenCLRenderer:
             work.add(SPECTRA, self._spectra.smooth(track, band, result, len(frame.values)))
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
-        """The buffer whose content becomes arrays one after the other: the array itself, if there is one and the device
-        shares the host's memory, else the track's."""
+        """Return the buffer whose content becomes arrays one after the other: the array itself, if there is one and the
+        device shares the host's memory, else the track's."""
         if self._in_place and len(parts) == 1:
             return work.in_place(track.queue, parts[0], written=True)
         track.result = self._scratch(track.result, sum(part.nbytes for part in parts))
@@ -397,11 +398,11 @@ class OpenCLRenderer:
         return track.run(kernel, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
 
     def _kernel(self, source: str, macros: layout.Macros, name: str) -> Any:
-        """A kernel of a program of its own."""
+        """Return a kernel of a program of its own."""
         return pyopencl().Kernel(self._compiler.build(source, {**macros, **self._cut.macros}), name)
 
     def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
-        """The bands of frames of a shape (row, col), kept until a frame of another shape comes."""
+        """Return the bands of frames of a shape (row, col), kept until a frame of another shape comes."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(bands(self.table, shape, self._constant))
         return self._frame_bands[1]

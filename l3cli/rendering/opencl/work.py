@@ -35,14 +35,14 @@ def stages_of(table: TransformTable) -> tuple[str, ...]:
 
 
 def constant(context: Any, array: NDArray, dtype: Any = None) -> Any:
-    """A buffer that holds an array."""
+    """Return a buffer that holds an array."""
     flags = pyopencl().mem_flags
     array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype), dtype)  # no buffer may be empty
     return pyopencl().Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=array)
 
 
 def scratch(context: Any, buffer: Any, size: int) -> Any:
-    """The buffer if it has room for `size` bytes, else one that has."""
+    """Return the buffer if it has room for `size` bytes, else one that has."""
     if buffer is None or buffer.size < size:
         buffer = pyopencl().Buffer(context, pyopencl().mem_flags.READ_WRITE, size)
     return buffer
@@ -52,14 +52,14 @@ class Track:
     """A queue and the buffers of one band; buffers grow to what is asked of them."""
 
     def __init__(self, context: Any, layers: int) -> None:
-        """For a table of so many refinement layers."""
+        """Begin with no buffers, for a table of so many refinement layers."""
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-        self.raw: Any = None  # what is read …
-        self.uploaded: Any = None  # … which is this, unless it is the host's array
+        self.raw: Any = None  # buffer that is read
+        self.uploaded: Any = None  # buffer for a copy of the host's array; `raw`, unless the device reads that
         self.labels: Any = None
-        self.sets: Any = None  # number of the set of transforms that renders each pixel …
-        self.chosen: tuple[Any, ...] = ()  # … or the host's array of them; nothing where there is one set
+        self.sets: Any = None  # buffer for a copy of the number of the set that renders each pixel
+        self.chosen: tuple[Any, ...] = ()  # `sets`, or the host's array of them; empty where there is one set
         self.planes: list[Any] = [None] * layers  # that each refinement layer reads
         self.refined_labels: list[Any] = [None] * layers
         self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers, of coarse chroma
@@ -105,7 +105,7 @@ class Work:
                 queue.finish()
 
     def in_place(self, queue: Any, array: NDArray, written: bool = False) -> Any:
-        """A buffer that is a contiguous array, to be read or `written` by a device that shares the host's memory."""
+        """Return a buffer that is a contiguous array, to be read or `written` by a device that shares the host's memory."""
         flags = pyopencl().mem_flags
         self.arrays.append(array)
         self._queues.append(queue)
@@ -117,7 +117,7 @@ class Work:
         return any(each is buffer for each in self._in_place)
 
     def map_to_host(self, queue: Any, buffer: Any, array: NDArray) -> None:
-        """Have the host see what is written into an array that is a buffer."""
+        """Show the host what is written into an array that is a buffer."""
         cl = pyopencl()
         mapped, event = cl.enqueue_map_buffer(
             queue, buffer, cl.map_flags.READ, 0, array.shape, array.dtype, is_blocking=False
@@ -185,16 +185,16 @@ class Band:
 
     @property
     def made(self) -> slice:
-        """Rows that the last layer makes."""
+        """Return the rows that the last layer makes."""
         return self.reads[len(self.later)]
 
     def shape(self, number: int) -> tuple[int, int]:
-        """Rows and columns of `reads`."""
+        """Return the rows and columns of `reads`."""
         return self.reads[number].stop - self.reads[number].start, self.columns
 
 
 def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDArray], Source]) -> Iterator[Band]:
-    """The bands of frames of a shape (row, col); `constant` puts indices (int32) on the device."""
+    """Return the bands of frames of a shape (row, col); `constant` puts indices (int32) on the device."""
     (rows, columns), radius, cfa = shape, table.first.rule.radius, table.cfa
     row_source = mirrored_indices(rows, radius, cfa.shape[0])
     column_source = constant(_int32(mirrored_indices(columns, radius, cfa.shape[1])))
@@ -205,7 +205,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
     across = {margin: constant(_int32(mirrored_indices(columns, margin, 1))) for margin in sides}
 
     def outside(seen: slice, margin: int, there: slice) -> Source:
-        """Rows of `there` for the rows `seen` and `margin` more."""
+        """Return the rows of `there` for the rows `seen` and `margin` more."""
         return constant(_int32(mirrored_indices(rows, margin, 1)[seen.start : seen.stop + 2 * margin] - there.start))
 
     for first in range(0, rows, height):

@@ -45,17 +45,17 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of whole blocks."""
+        """Return the rows and columns of whole blocks."""
         return self.blocks[0] * self.block[0], self.blocks[1] * self.block[1]
 
     @property
     def cells(self) -> tuple[int, int]:
-        """Number of cells."""
+        """Return the number of cells."""
         return self.shape[0] // self.cell[0], self.shape[1] // self.cell[1]
 
     @property
     def sites(self) -> int:
-        """Pixels of a cell."""
+        """Return the number of pixels of a cell."""
         return self.cell[0] * self.cell[1]
 
     def window(self, level: int) -> tuple[int, int]:

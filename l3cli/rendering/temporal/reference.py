@@ -103,13 +103,13 @@ def _evidence(
 
 
 def _sums(values: Cells, grid: Grid) -> Cells:
-    """Sums of values (row, col) over cells."""
+    """Return sums of values (row, col) over cells."""
     (down, across), (tall, wide) = grid.cells, grid.cell
     return values.reshape(down, tall, across, wide).sum(axis=(1, 3))
 
 
 def _nearby(cells: Cells) -> Cells:
-    """Sums over three by three cells, as far as there are any."""
+    """Return sums over three by three cells, as far as there are any."""
     padded = np.pad(cells, 1)
     tall = padded[:-2] + padded[1:-1] + padded[2:]
     return tall[:, :-2] + tall[:, 1:-1] + tall[:, 2:]

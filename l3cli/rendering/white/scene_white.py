@@ -147,7 +147,7 @@ class Whites:
 
     @functools.cached_property
     def _trained(self) -> NDArray[np.float64] | None:
-        """Signals (channel) of a grey under the light of training; None of a table that does not say."""
+        """Return the signals (channel) of a grey under the light of training; None of a table that does not say."""
         camera, light = self.table.camera, self.table.light
         if camera is None or light is None:
             return None

@@ -171,12 +171,12 @@ class Standing:
 
     @property
     def checkpoint(self) -> Path:
-        """File among the pictures of a run that was stopped."""
+        """Return the file among the pictures of a run that was stopped."""
         return Destination(self.output, "folder", "").checkpoint
 
     @property
     def of_other(self) -> Path | None:
-        """The clip in another place that the output was made of, as long as it is there."""
+        """Return the clip in another place that the output was made of, as long as it is there."""
         if self.entry is None or self.same or self.entry.clip == os.path.realpath(self.source):
             return None
         clip = Path(self.entry.clip)
@@ -248,7 +248,7 @@ class Summary:
 
     @property
     def exit_code(self) -> int:
-        """0 if every frame of every clip is there; that of the error if all clips failed, else 1."""
+        """Return 0 if every frame of every clip is there; that of the error if all clips failed, else 1."""
         if self.code is not None and not (self.counts[RENDERED] or self.counts[KEPT]):
             return self.code
         return 1 if self.counts[FAILED] or self.left_out else 0
@@ -399,7 +399,7 @@ class ClipJob:
         self.summary.add(_report(str(source), output, tally, heard.warnings))
 
     def _fail(self, source: Path, output: Path, heard: Gathering, error: L3Error | OSError) -> None:
-        """Say and count what is wrong with a clip; raise what would be wrong with every other one, too."""
+        """Report and count what is wrong with a clip; raise what would be wrong with every other one, too."""
         self._renderers.forget()
         cause = error if isinstance(error, OSError) else error.__cause__
         if isinstance(error, DeviceError) or (isinstance(cause, OSError) and cause.errno in FULL):

@@ -81,19 +81,19 @@ class Destination:
 
     @property
     def file_suffix(self) -> str | None:
-        """Suffix of every file, where every frame becomes one."""
+        """Return the suffix of every file, where every frame becomes one."""
         return self.file(0, "frame").suffix if self.one_by_one else None
 
     @property
     def checkpoint(self) -> Path:
-        """File of the checkpoint of pictures, beside them."""
+        """Return the file of the checkpoint of pictures, beside them."""
         name = f"{self._of_shard}{UNFINISHED}"
         return self.path / name if self.kind == "folder" else self.path.with_name(f".{self.path.name}{name}")
 
     @property
     def lock(self) -> tuple[Path, str]:
-        """The folder, and what tells these pictures from others in it, of the lock that other runs respect: shards of a
-        sequence are written side by side."""
+        """Return the folder, and what tells these pictures from others in it, of the lock that other runs respect: shards of
+        a sequence are written side by side."""
         folder, name = (self.path, "") if self.kind == "folder" else (self.path.parent, self.path.name)
         return folder, name + self._of_shard
 
@@ -222,7 +222,7 @@ def _nearest(place: int, grid: int) -> int:
 def plan(
     table: Path, inputs: Sequence[Path], sequence: FrameSequence, destination: Destination, options: RenderOptions
 ) -> None:
-    """State the files that are read and made; in a dry run, after the refusals that come before work."""
+    """Report the files that are read and made; in a dry run, after the refusals that come before work."""
     if not (is_dry() or is_noting()):
         return  # there may be many frames
     frames = [] if sequence.is_stream else [frame for place, frame in enumerate(sequence.frames) if sequence.renders(place)]
@@ -251,7 +251,7 @@ class PictureCheckpoint(Checkpoint):
         self._unasked: set[str] = set()  # pictures whose frames have not come up yet
 
     def go_on(self, made_by: Path) -> None:
-        """Go on where the run that wrote the checkpoint stopped; RecipeError, naming the output, if that was another one."""
+        """Continue where the run that wrote the checkpoint stopped; RecipeError, naming the output, if another did."""
         if not self.take_over():
             raise RecipeError(f"{made_by} holds a run with another table, inputs or options; leave ‹resume› out")
         self.items = {name: made for name, made in self.items.items() if self._is_there(name, made)}

@@ -1,4 +1,4 @@
-"""Who renders frames: this process, or the workers of other machines, which read a raw frame or take the one that they are
+"""Renderers of frames: this process, or the workers of other machines, which read a raw frame or take the one that they are
 sent, render it, and send the picture, as the content of its file where it becomes one."""
 
 import collections
@@ -122,7 +122,7 @@ class Remote:
     """Renderer of frames by the workers of other machines."""
 
     def __init__(self, pool: WorkerPool, setup: RenderSetup, by_path: bool, shading: "Shading | None" = None) -> None:
-        """`by_path`: workers read the files themselves; `shading`: that of the setup's camera, which they know."""
+        """Begin with no workers. `by_path`: they read the files; `shading`: of the setup's camera, which they know."""
         self._pool, self._setup, self.by_path, self._shading = pool, setup, by_path, shading
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[FrameReference, Any]]:
@@ -190,7 +190,7 @@ def _renderer(
 def while_reading(
     backend: str, engine: Mapping[str, str | None], suffix: str | None, scheduler: "Scheduler | None"
 ) -> contextlib.AbstractContextManager[None]:
-    """Makes ready, while a table is read, what this process renders and writes files of a suffix with; nothing in a dry
+    """Prepare, while a table is read, what this process renders and writes files of a suffix with; nothing in a dry
     run. `engine`: options of the backend."""
     from l3cli.rendering.renderer import make_ready
 
@@ -231,7 +231,7 @@ class Renderers:
 def executor_of(
     setup: RenderSetup, table: "TransformTable", scheduler: "Scheduler | None", renderers: Renderers
 ) -> "Iterator[Local | Remote]":
-    """Who renders: this process, or the workers of a scheduler."""
+    """Return who renders: this process, or the workers of a scheduler."""
     from l3cli.parallel import workers
 
     if scheduler is None:

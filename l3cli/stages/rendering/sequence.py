@@ -91,7 +91,7 @@ class Tally:
     frame_times: str | None = None  # EVEN, KEPT or LOST of what is shown in time; None: pictures
 
     def leave_out(self, error: L3Error, options: RenderOptions, count: int = 1) -> None:
-        """Say that a frame, or several, are left out; raise why, unless bad frames are skipped."""
+        """Report that a frame, or several, are left out; raise why, unless bad frames are skipped."""
         if not options.skip_bad:
             raise error
         self.failures += count
@@ -177,7 +177,7 @@ def render_frames(
 
 
 def report_times(job: SequenceJob, tally: Tally) -> None:
-    """Say in the tally what became of the frames' times, and warn of gaps and of times that are lost."""
+    """Note in the tally what became of the frames' times, and warn of gaps and of times that are lost."""
     sequence, destination, pacing, console = job.sequence, job.destination, job.pacing, job.options.console
     rate, cure = f"{float(job.choice.rate):.4g} a second", "name a .mp4, .mov or .mkv to keep their times"
     if pacing.stated is not None:

@@ -94,7 +94,7 @@ def _plan(
     run: SimulationRun, files: list[list[Path]], recipes: tuple[Path, Path], sets: list[Path], folders: list[Path],
     going_on: bool,
 ) -> None:  # fmt: skip
-    """State, in a dry run, what would be read and made: training sets and folders of pictures."""
+    """Report, in a dry run, what would be read and made: training sets and folders of pictures."""
     total = sum(len(each) for _, each in shots(run.recipe, files)) if run.recipe.scene else 0
     frames = f"{total + len(run.recipe.pair)} frames of {run.camera.rows}×{run.camera.cols}"
     how = ", some of which are stored" if going_on else ""

@@ -215,8 +215,8 @@ def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
 
 
 def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, digests: Mapping[Path, str]) -> Iterator[int]:
-    """Have units simulated by workers of other machines, which see the same inputs, and store what they send: how many
-    frames are done, again and again."""
+    """Yield numbers of frames done, as workers of other machines, which see the same inputs, simulate units whose frames are
+    stored here."""
     needed = []
     for unit in work:
         most = max(1, SENT // unit.run.frame_bytes)

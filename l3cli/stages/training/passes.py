@@ -25,7 +25,7 @@ MOST_PILOTED = 256  # frames that a worker looks at in one go before the passes
 
 @dataclass(frozen=True)
 class Execution:
-    """Who does the work, and where it is reported."""
+    """Workers of a run, and the console that they report to."""
 
     pool: WorkerPool
     remote: bool  # on other machines, which have to see the same files
@@ -133,7 +133,7 @@ def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> 
 
 
 def sum_unit(unit: WorkUnit) -> dict[int, ClassSums]:
-    """Sums of every site."""
+    """Return the sums of every site."""
     training = unit.training
     blocks = ((block[0], sites, frames_of(training, block, unit.remote)) for block, sites in unit.share.blocks)
     return sum_sites(unit.pass_, blocks, unit.weightings)

@@ -58,7 +58,7 @@ def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]
 
 
 def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
-    """Say that layers the recipe asks for are not learned, if that is so."""
+    """Warn that layers the recipe asks for are not learned, if that is so."""
     if run.recipe.layer and not run.has_refinement_layers:
         outputs = ", ".join(run.head.outputs)
         console.report(
@@ -131,7 +131,7 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
 def summed_layer(
     run: TrainingRun, layer: LayerPass, rule: PlaneRule, blocks: list[range], execution: Execution
 ) -> dict[int, LayerSums]:
-    """Sums of the canonical sites over blocks of frames."""
+    """Return the sums of the canonical sites over blocks of frames."""
     sums = no_sums(layer, rule)
     units = _units(run, layer, rule, blocks, execution)
     for part in execution.console.progress(execution.pool(_sum, units), len(units), f"layer {layer.number}"):

@@ -63,7 +63,7 @@ def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
 
 
 def report_table(table: TransformTable, output: Path, console: Console) -> None:
-    """State what has been learned, in a line."""
+    """Report what has been learned, in a line."""
     for number, (classes, unfilled) in enumerate(filling(table), start=1):
         which = f", layer {number}" if table.later else ""
         console.info(f"{output}{which}: {classes} classes, {unfilled} of them without patches of their own")

@@ -34,7 +34,7 @@ def measured_noise(layer: LayerPass) -> CoarseChroma:
 
 
 def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
-    """The planes (plane, row, col) of greys of rising luminance."""
+    """Return the planes (plane, row, col) of greys of rising luminance."""
     camera, period = layer.camera, layer.camera.cfa.shape
     margin = layer.exposed.margin - layer.margin
     rows, cols = (-(-(SIDE + 2 * margin) // each) * each for each in period)
@@ -49,13 +49,13 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
 
 
 def _variances(planes: list[Array]) -> Array:
-    """Variances (grey, plane) of planes (plane, row, col)."""
+    """Return the variances (grey, plane) of planes (plane, row, col)."""
     return np.array([each[:, CUT:-CUT, CUT:-CUT].var(axis=(1, 2)) for each in planes])
 
 
 def _terms(luminance: Array, variances: Array) -> Array:
-    """Terms (plane, power) of variances (grey, plane), in steps, that rise with luminance: relative least squares,
-    none of them negative."""
+    """Return the terms (plane, power) of variances (grey, plane), in steps, that rise with luminance: relative least
+    squares, none of them negative."""
     from scipy.optimize import nnls
 
     powers = np.stack([luminance**power for power in range(COMPARED[2])], axis=1)

@@ -54,17 +54,17 @@ class LayerPass:
 
     @property
     def margin(self) -> int:
-        """Pixels about each that the layer to be learned reads."""
+        """Return the pixels about each that the layer to be learned reads."""
         return margin_of(self.recipe.side)
 
     @property
     def blocks(self) -> list[range]:
-        """Frames whose rows are sorted together."""
+        """Return the frames whose rows are sorted together."""
         return frame_blocks([count * self.recipe.rows for count in self.mosaics], LAYER_ROWS)
 
     @property
     def number(self) -> int:
-        """Number of the layer to be learned, the first being 1."""
+        """Return the number of the layer to be learned, the first being 1."""
         return 2 + len(self.before)
 
     def rng(self, frame: int, purpose: int) -> np.random.Generator:
@@ -97,7 +97,7 @@ class LayerPass:
 
     @property
     def turns(self) -> list[int]:
-        """Number (site) of the orientation in which a site is learned."""
+        """Return the number (site) of the orientation in which a site is learned."""
         return self._turns()[1]
 
     def _turns(self):  # type: ignore[no-untyped-def]
@@ -108,7 +108,7 @@ class LayerPass:
 
 
 def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
-    """Sums of every canonical site over no frames."""
+    """Return the sums of every canonical site over no frames."""
     reading = layer.reading(layer.recipe.side)
     return {site: empty_sums(rule, reading.taps, 3) for site in np.unique(reading.canonical).tolist()}
 
@@ -116,7 +116,7 @@ def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
 def sum_layer(
     layer: LayerPass, rule: PlaneRule, blocks: Iterable[tuple[int, Iterable[TrainingPair]]]
 ) -> dict[int, LayerSums]:
-    """Sums of every canonical site over blocks (index of the first frame, frames)."""
+    """Return the sums of every canonical site over blocks (index of the first frame, frames)."""
     see, reading, sums = layer.seer(), layer.reading(layer.recipe.side), no_sums(layer, rule)
     gathered = GatheredRows(sums, rule, reading, layer.basis, layer.grid_steps(rule))
     for first, frames in blocks:
@@ -190,8 +190,8 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
 
 
 def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) -> LayerSums:
-    """Sums of a canonical site averaged over the orientations that leave its window of the mosaic as it is, each with the
-    classes that it turns into one another; those of a tree's leaves, which no orientation does, as they are."""
+    """Return the sums of a canonical site averaged over the orientations that leave its window of the mosaic as it is, each
+    with the classes that it turns into one another; those of a tree's leaves, which no orientation does, as they are."""
     if not (layer.learning.symmetry and isinstance(rule, StructureRule)):
         return sums
     window = neighbourhoods(layer.camera.cfa, layer.rule.patch, len(layer.camera.channels)).channel[site]

@@ -48,7 +48,7 @@ class Reading:
 
     @property
     def taps(self) -> int:
-        """Number of taps of a window of all planes, and behind it."""
+        """Return the number of taps of a window of all planes, and behind it."""
         return 3 * self.order.shape[1] + self.ratio_taps
 
     def offsets(self, cols: int) -> Integers:
@@ -60,13 +60,14 @@ class Reading:
 
     @property
     def columns(self) -> Integers:
-        """Places of the taps of each plane, and behind them of ratio taps, 1 and outputs, in rows of four numbers a tap."""
+        """Return the places of each plane's taps, and behind them of ratio taps, 1 and outputs, in rows of four numbers a
+        tap."""
         window, behind = np.arange(self.order.shape[1]), np.arange(self.ratio_taps + 1 + 3)
         return np.concatenate([4 * window, 4 * window + 1, 4 * window + 2, 4 * behind + 3])
 
 
 def empty_sums(rule: PlaneRule, taps: int, outputs: int) -> LayerSums:
-    """Sums of no rows."""
+    """Return sums of no rows."""
     classes, width = rule.classes_per_site, taps + 1 + outputs
     return LayerSums(
         np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps * (taps + 1) // 2)), np.zeros(classes)
@@ -137,7 +138,8 @@ class GatheredRows:
         self, sums: Mapping[int, LayerSums], rule: PlaneRule, reading: Reading, basis: NDArray[np.float64],
         steps: NDArray[np.float64],
     ) -> None:  # fmt: skip
-        """Rows for the `sums` of canonical sites, outputs in planes of the `basis`; `steps` (level, pair) of the grid."""
+        """Begin with no rows. `sums` of canonical sites, outputs in planes of the `basis`; `steps` (level, pair) of the
+        grid."""
         self.sums, self.rule, self.reading, self.basis, self.steps = sums, rule, reading, basis.astype(np.float32), steps
         self._sheets: list[_Rows] = []
         self._cols = 0  # of the sheets

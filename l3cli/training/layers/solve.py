@@ -91,8 +91,8 @@ def _solution(moments: Array, noise: Array, factor: float, ridge: float, output:
 def _constrained(
     estimates: list[Array], member: Array, copies: list[int], white: Array, output: int, keeps: bool = False
 ) -> list[Array]:
-    """Rows (tap) of the sites with one flat response, of all that answer white with white the one of least squared error;
-    `keeps`: unless it fades the output's own plane, which then stays as it is."""
+    """Return the rows (tap) of the sites with one flat response, of all that answer white with white the one of least
+    squared error; `keeps`: unless it fades the output's own plane, which then stays as it is."""
     stiff = [np.linalg.pinv(member.T @ one[:, 1:]) for one in estimates]
     response = [member.T @ one[:, 0] for one in estimates]
     total = sum((copy * k for copy, k in zip(copies, stiff, strict=True)), np.zeros((len(white), len(white))))
@@ -130,7 +130,7 @@ class _Parents:
 
 
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
-    """Sums of a class with its neighbours in level and its parent's pseudo-rows; None: nothing like it was seen."""
+    """Return sums of a class with its neighbours in level and its parent's pseudo-rows; None: nothing like it was seen."""
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
     if case:
