@@ -179,6 +179,11 @@ class TrainingSetReader:
         return len(self._names)
 
     @property
+    def simulated(self) -> int:
+        """Return the number of simulated frames, which come before real pairs."""
+        return sum(group == "frames" for group, _ in self._names)
+
+    @property
     def has_pairs(self) -> bool:
         """Return whether there are real pairs."""
         return "pairs" in self._groups

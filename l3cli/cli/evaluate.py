@@ -90,6 +90,9 @@ def print_tables(document: dict[str, Any]) -> None:
     if len(document["by_illuminant"]) > 1:
         lights = [[g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_illuminant"]]
         show_table(["", "by illuminant"], ["light", "frames", *named], lights)
+    gains = [[f"{g['gain']:g}", g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_gain"]]
+    if gains:
+        show_table(["", "by analog gain over the camera's"], ["gain", "light", "frames", *named], gains)
     _print_patches(document)
     _print_bands(document)
     _print_classes(document, figures[0])

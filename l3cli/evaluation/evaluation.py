@@ -22,7 +22,7 @@ from l3cli.physics.display import XYZ
 from l3cli.physics.figures import known_mean, sign
 
 Array = NDArray[np.floating]
-FORMAT = 2  # of the document; a change of its keys raises it
+FORMAT = 3  # of the document; a change of its keys raises it
 OURS = "ours"
 TAKEN = {
     "scene", "illuminant", "luminance", "frames", "pixels", "from", "to", "band", "case", "varies", *AXES, "ideal", "error",
@@ -133,10 +133,10 @@ class Evaluation:
         counted = np.isfinite(judged[OURS][1])  # the target alone decides
         self._classes.add(cropped(labels, border)[counted], {name: errors[counted] for name, (_, errors) in judged.items()})
 
-    def document(self) -> dict[str, Any]:
+    def document(self, by_gain: Sequence[dict[str, Any]] = ()) -> dict[str, Any]:
         """Return all figures, ready for JSON. The keys are those of `l3 evaluate --json`:
 
-        format         2, raised when keys change
+        format         3, raised when keys change
         camera, outputs, viewing (samples a degree of S-CIELAB), border (pixels left out at each edge), pipelines ("ours"
                        first, rivals last)
         frames         scene, illuminant, luminance (cd/m²), level (mean signal above the dark / full scale), exposure (s),
@@ -146,6 +146,8 @@ class Evaluation:
         better         per other pipeline: in how many frames ours is better, by figure
         by_level       from, to (of the frames' level, a factor of two), frames, then per pipeline the mean figures
         by_illuminant  illuminant, frames, then as by_level
+        by_gain        of a table for several analog gains: gain over its camera's, then as by_illuminant, of a few frames
+                       exposed again at each
         by_patch       plain patches of one kind at frames of one level: from, to, kind, patches, per pipeline mottle
         by_band        outputs that are not XYZ: band, then per pipeline psnr, output_psnr and ssim, means over the frames
         by_class       level, contrast, chroma, saturation: lists of what names a class, pixels, per pipeline the mean error;
@@ -165,6 +167,7 @@ class Evaluation:
             "better": {name: self._better(name, tuple(first[OURS])) for name in self.pipelines[1:]},
             "by_level": self._grouped(lambda frame: _octave(frame["level"]), lambda key: {"from": key[0], "to": key[1]}),
             "by_illuminant": self._grouped(lambda frame: frame["illuminant"], lambda key: {"illuminant": key}),
+            "by_gain": list(by_gain),
             "by_patch": self._by_patch(),
             "by_band": self._by_band(),
             "by_class": self._classes.by_axis(self._figure),

@@ -38,6 +38,10 @@ BAND_MEANINGS = (
     "its target's; PSNR is of 8-bit codes of which the frame's white is 255, linear PSNR of the outputs as they are, 1 "
     "being the 99th percentile of the target's mean output; SSIM is the mean over the outputs."
 )
+GAIN_MEANING = (
+    "Gains are those that the table has transforms for. A few frames under each light are exposed again at each, as much "
+    "shorter as it is higher, with the camera's noise there."
+)
 
 ERROR_KEY = (  # of the error map's colours, as evaluation draws them
     Key("error map: ΔE00 0", "#000000", "box"),
@@ -53,12 +57,14 @@ Pictures = dict[int, dict[str, Pixels]]  # of some frames by index
 def evaluation_section(document: dict[str, Any], names: tuple[str, str]) -> Section:
     """Return the section of an evaluation. `document` is that of `l3 evaluate --json`, `names` the files of table and
     frames."""
-    parts = (
+    parts = [
         Subsection("Quality", _quality_blocks(document)),
         Subsection("Over light level", _level_blocks(document)),
         Subsection("By class", _class_blocks(document)),
-    )
-    return Section(f"Evaluation: {names[0]} on {names[1]}", summary(document), parts)
+    ]
+    if document["by_gain"]:
+        parts.insert(2, Subsection("Over gain and light", _gain_blocks(document)))
+    return Section(f"Evaluation: {names[0]} on {names[1]}", summary(document), tuple(parts))
 
 
 def luminance_section(
@@ -168,6 +174,33 @@ def _level_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
     entries = [(f"{g['from']:.3f}–{g['to']:.3f}", g) for g in groups]
     table = _grouped(document, "By the frame's level (share of full scale)", "level", "frames", entries)
     return (Figures(tuple(figures)), table) if figures else (table,)
+
+
+def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
+    """Return the error over analog gains: of ours under each of several lights, or of each pipeline under the only one."""
+    groups, figure = document["by_gain"], main_of(document)
+    lights = tuple(dict.fromkeys(group["illuminant"] for group in groups))
+    gains = np.array(list(dict.fromkeys(group["gain"] for group in groups)))
+
+    def errors(light: str, owner: str) -> np.ndarray:
+        return np.array([group[owner][figure] for group in groups if group["illuminant"] == light])
+
+    if len(lights) > 1:
+        curves = {light: errors(light, OURS) for light in lights}
+    else:
+        curves = {name: errors(lights[0], name) for name in document["pipelines"]}
+    heading = FIGURES[figure].heading
+    y = spanning(heading, np.concatenate(list(curves.values())), zero=True)
+    plot = Plot(spanning("analog gain over the camera's", gains, log=True), y)
+    keys = plot.curves({name: (gains, curve) for name, curve in curves.items()})
+    ends = "; ".join(
+        f"{name} {figure_text(figure, curve[0])} at gain {gains[0]:g}, {figure_text(figure, curve[-1])} at {gains[-1]:g}"
+        for name, curve in curves.items()
+    )
+    title = "Error of ours over analog gain" if len(lights) > 1 else "Error over analog gain"
+    entries = [(f"{group['gain']:g}, {group['illuminant']}", group) for group in groups]
+    table = _grouped(document, "By analog gain and light", "gain, light", "frames", entries)
+    return Figures((plot.figure(title, f"{heading}: {ends}.", keys),)), Text(GAIN_MEANING), table
 
 
 def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:

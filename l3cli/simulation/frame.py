@@ -3,7 +3,7 @@ simulation, the settings that all its frames share (docs/method.md#simulation, d
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -76,6 +76,14 @@ def simulate(
         seed=seed,
         shown=Shown(scene.fingerprint, light.measured),
     )
+
+
+def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> TrainingFrame:
+    """Return the frame as its camera gives it at `gain` times its analog gain, exposed as much shorter, with all noise."""
+    electrons, seconds = frame.electrons / np.float32(gain), frame.exposure / gain
+    rng, values = np.random.default_rng(frame.seed), sensor.mosaic(electrons, camera.cfa)
+    raw = sensor.expose(camera.at_gain(gain), values, seconds, rng)
+    return replace(frame, raw=raw, electrons=electrons, exposure=seconds)
 
 
 def exposure_time(

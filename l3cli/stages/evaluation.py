@@ -4,6 +4,7 @@ sequence, beside the ideal one or without it → figures over time."""
 import contextlib
 import itertools
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader, frame_name, open_training_set
+from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSetReader, frame_name, open_training_set
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.likeness import unlike
 from l3cli.evaluation.pictures import frame_pictures, planes_of
+from l3cli.evaluation.quality import VIEWING
 from l3cli.evaluation.sequence import CELL, SequenceEvaluation, SequenceFigures
 from l3cli.frames.frame import RawFrame
 from l3cli.io.pictures.registry import write_picture
@@ -29,12 +31,14 @@ from l3cli.rendering.conditions import FAR, Mix, at_gain, described, gain_of_fra
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
+from l3cli.simulation.frame import exposed_again
 from l3cli.system.checkpoint import incomplete_folder, refuse_other_run
-from l3cli.system.console import Console
+from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
 
+FEW = 2  # frames under each light, that are judged at every gain
 MOST_KEPT = 8  # renderers: frames of one scene under several lights follow one another
 Planes = NDArray[np.float32]
 UNLIKE = 1.05  # times as bright: figures of lightness would compare two exposures
@@ -57,9 +61,8 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
             guard.protect(table, frames, *itertools.chain(*(files for _, files in others.values())))
             guard.hold_folder(pictures, "*.png")
         with open_training_set(frames) as reader, contextlib.ExitStack() as unfinished:
-            warn_if_unlike((table, transforms), (frames, reader.head.camera), console)
-            transforms = at_gain(transforms, gain_of_frames(transforms, reader.head.camera))
-            evaluation = Evaluation(transforms, reader.head, options.viewing, options.border, tuple(others))
+            at_own, _ = for_frames((table, transforms), (frames, reader.head.camera), console)
+            evaluation = Evaluation(at_own, reader.head, options.viewing, options.border, tuple(others))
             for path, files in others.values():
                 if len(files) != len(reader):
                     raise InputFileError(
@@ -77,33 +80,75 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
             if any(sha256(frames) in digests for stage in transforms.history for digests in stage.inputs.values()):
                 text = "figures flatter it; simulate other scenes, or the same ones with another ‹seed›"
                 console.warn(f"{table} was trained on {frames}: {text}")
-            renderers = FrameRenderers(options.backend, transforms, console)
+            renderers = FrameRenderers(options.backend, at_own, console)
             for index in console.progress(range(len(reader)), len(reader), "frames"):
                 shown = {name: files[index] for name, (_, files) in others.items()}
                 frame, planes = evaluate_frame(evaluation, renderers, reader, index, shown)
                 if pictures is not None:
                     for name, picture in frame_pictures(frame, planes).items():
                         write_picture(pictures / f"{frame_name(index, frame.scene)}_{name}.png", picture)
+            by_gain = figures_by_gain(transforms, reader, options.backend, console, options.viewing, options.border)
         if reason := cache_warning():
             console.warn(reason)
-        return evaluation.document()
+        return evaluation.document(by_gain)
 
 
-def warn_if_unlike(table: tuple[object, TransformTable], frames: tuple[object, CameraModel], console: Console) -> str:
-    """Warn if a table is judged on frames of another camera than it was trained for; both with the name of their file.
-    Return the warning, or ""."""
+def for_frames(
+    table: tuple[object, TransformTable], frames: tuple[object, CameraModel], console: Console
+) -> tuple[TransformTable, str]:
+    """Return a table at the analog gain of the frames that it is judged on; both are given with the name of their file. Warn
+    if these are of another camera than it was trained for, and return the warning, too, else ""."""
     (name, transforms), (other, camera) = table, frames
     gain, gains = gain_of_frames(transforms, camera), gains_of(transforms)
-    if len(gains) > 1 and gains[0] / FAR < gain < gains[-1] * FAR:
-        transforms = at_gain(transforms, gain)
-    if not (differences := unlike(transforms, camera)):
-        return ""
+    made = at_gain(transforms, gain)
+    known = len(gains) > 1 and gains[0] / FAR < gain < gains[-1] * FAR
+    if not (differences := unlike(made if known else transforms, camera)):
+        return made, ""
     text = (
         f"{name} was trained for another camera ({transforms.camera_name}) than took the frames of {other} ({camera.name}): "
         f"they differ in {differences}; judge it on frames of its own camera"
     )
     console.warn(text)
-    return text
+    return made, text
+
+
+class AtGain:
+    """The simulated frames of a training set, exposed again at `gain` times their own analog gain."""
+
+    def __init__(self, reader: TrainingSetReader, gain: float) -> None:
+        self.head = replace(reader.head, camera=reader.head.camera.at_gain(gain))
+        self._reader, self._gain = reader, gain
+
+    def frame(self, index: int) -> TrainingFrame:
+        frame = self._reader.frame(index)
+        assert isinstance(frame, TrainingFrame)
+        return exposed_again(frame, self._reader.head.camera, self._gain)
+
+
+def figures_by_gain(
+    table: TransformTable,
+    reader: TrainingSetReader,
+    backend: str,
+    console: Console,
+    viewing: float = VIEWING,
+    border: int | None = None,
+) -> list[dict[str, Any]]:
+    """Return the figures of a few simulated frames under each light at each analog gain that a table has transforms for, as
+    `Evaluation.document` has them; none if that is one gain, or all frames are real."""
+    gains, lights = gains_of(table), dict[str, list[int]]()
+    for index in range(reader.simulated if len(gains) > 1 else 0):
+        lights.setdefault(reader.light(index).illuminant, []).append(index)
+    chosen = [index for indices in lights.values() for index in indices[:: -(-len(indices) // FEW)]]
+    entries: list[dict[str, Any]] = []
+    for gain in console.progress(gains, len(gains), "gains") if chosen else ():
+        again = AtGain(reader, gain / gain_of_frames(table, reader.head.camera))
+        transforms = at_gain(table, gain)
+        evaluation = Evaluation(transforms, again.head, viewing, border)
+        renderers = FrameRenderers(backend, transforms, Silent())
+        for index in chosen:
+            evaluate_frame(evaluation, renderers, again, index)
+        entries += ({"gain": gain} | group for group in evaluation.document()["by_illuminant"])
+    return entries
 
 
 class FrameRenderers:
@@ -138,7 +183,7 @@ def _white_of(frame: TrainingPair) -> NDArray[np.floating]:
 def evaluate_frame(
     evaluation: Evaluation,
     renderers: FrameRenderers,
-    reader: TrainingSetReader,
+    reader: TrainingSetReader | AtGain,
     index: int,
     rivals: Mapping[str, Path] | None = None,
     counted: bool = True,

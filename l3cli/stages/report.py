@@ -35,7 +35,7 @@ from l3cli.report.transforms import transform_section
 from l3cli.report.validation import patches_figure, patches_table
 from l3cli.simulation.procedural import chart_places
 from l3cli.stages.check import CAMERA, Judgement
-from l3cli.stages.evaluation import FrameRenderers, evaluate_frame, raw_of, warn_if_unlike
+from l3cli.stages.evaluation import FrameRenderers, evaluate_frame, figures_by_gain, for_frames, raw_of
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256, write_whole
 from l3cli.system.ledger import note_places
@@ -226,23 +226,24 @@ class Judged:
 
 def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], backend: str, console: Console) -> Judged:
     """Evaluate a table; `limits` in bytes are those of its pictures, of pixels that can be looked into, of other classes."""
-    warning = warn_if_unlike((pair.table.name, pair.transforms), (pair.frames.name, pair.head.camera), console)
-    renderers = FrameRenderers(backend, pair.transforms, console)
+    table = (pair.table.name, pair.transforms)
+    transforms, warning = for_frames(table, (pair.frames.name, pair.head.camera), console)
+    renderers = FrameRenderers(backend, transforms, console)
     with open_training_set(pair.frames.path, unchanged=True) as reader:
-        judgement = Evaluation(pair.transforms, reader.head)
-        pictures, chart, front = pair.transforms.outputs == XYZ, None, None
+        judgement = Evaluation(transforms, reader.head)
+        pictures, chart, front = transforms.outputs == XYZ, None, None
         for index in console.progress(range(len(reader)), len(reader), "frames"):
             frame, planes = evaluate_frame(judgement, renderers, reader, index)
             if pictures and chart is None:
                 chart = chart_subsection(frame, index, planes, pair.head)
-        figures = judgement.document()
+        figures = judgement.document(figures_by_gain(pair.transforms, reader, backend, console))
         if pictures:
             shown = {index: _pictures(judgement, renderers, reader, index) for index in shown_frames(figures)}
             pixels = _pixels(reader, renderers, anchor, *next(iter(shown.items())), limits)
             below = (*([chart] if chart else []), pixels)
             title = f"Pictures: {pair.table.name} on {pair.frames.name}"
             front = front_section(figures, shown, title, anchor, limits[0], jpeg, below)
-    return Judged(pair, figures, front, warning)
+    return Judged(pair._replace(transforms=transforms), figures, front, warning)
 
 
 def _pictures(evaluation: Evaluation, renderers: FrameRenderers, reader: TrainingSetReader, index: int) -> dict[str, Pixels]:

@@ -66,10 +66,10 @@ def test_json_holds_the_keys_it_promises(trained: Path, l3: L3) -> None:
     document = json.loads(out)
     assert set(document) == {
         "format", "camera", "outputs", "viewing", "border", "pipelines", "frames", "mean", "better", "by_level",
-        "by_illuminant", "by_patch", "by_band", "by_class", "worst_classes", "run",
+        "by_illuminant", "by_gain", "by_patch", "by_band", "by_class", "worst_classes", "run",
     }  # fmt: skip
-    assert (document["format"], document["viewing"], document["outputs"]) == (2, 50.0, ["X", "Y", "Z"])
-    assert (document["border"], document["by_band"]) == (2, [])
+    assert (document["format"], document["viewing"], document["outputs"]) == (3, 50.0, ["X", "Y", "Z"])
+    assert (document["border"], document["by_band"], document["by_gain"]) == (2, [], [])
     pipelines = document["pipelines"]
     assert pipelines[:2] == ["ours", "basic"]
     assert set(pipelines[2:]) in ({"malvar", "menon"}, set())

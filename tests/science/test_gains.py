@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -336,11 +337,23 @@ def test_gains_are_rendered_within_three_percent(gain: float) -> None:
 # ------------------------------------------------------------------------------------------------------- commands
 
 
-def test_frames_of_another_gain_are_judged_by_its_transforms(learned: dict[str, Path], l3: L3) -> None:
-    """No word of another camera: its gain is one that the table has transforms for."""
-    code, _, words = l3("evaluate", learned["several"], learned["set8"])
+def test_frames_of_another_gain_are_judged_by_its_transforms(learned: dict[str, Path], l3: L3, tmp_path: Path) -> None:
+    """No word of another camera: its gain is one that the table has transforms for. Two of four frames are exposed again at
+    each of its gains; near their own they are nearly what they were."""
+    code, out, words = l3("evaluate", learned["several"], learned["set16"], "--json")
     assert (code, "was trained for another camera" in words) == (0, False)
-    assert "was trained for another camera" in l3("evaluate", learned["one"], learned["set8"])[2]
+    document = json.loads(out)
+    groups = document["by_gain"]
+    assert [(each["gain"], each["illuminant"], each["frames"]) for each in groups] == [(g, "D65", 2) for g in (1, 4, 16)]
+    error = [each["ours"]["mean_delta_e"] for each in groups]
+    own = np.mean([document["frames"][index]["ours"]["mean_delta_e"] for index in (0, 2)])
+    assert error[2] == pytest.approx(own, rel=0.03)
+    assert error[0] < error[1] < error[2] < 0.9 * groups[2]["basic"]["mean_delta_e"]
+    assert l3("report", learned["several"], learned["set16"], "-o", tmp_path / "page.html")[0] == 0
+    page = (tmp_path / "page.html").read_text()
+    assert f"mean ΔE00: ours {error[0]:.2f} at gain 1, {error[2]:.2f} at 16; basic " in page
+    assert f"mean ΔE00 over 4 frames: ours {document['mean']['ours']['mean_delta_e']:.2f} (" in page.replace("Mean", "mean")
+    assert "was trained for another camera" in l3("evaluate", learned["one"], learned["set16"])[2]
 
 
 def test_render_takes_the_gain_that_is_given(
