@@ -20,7 +20,7 @@ CONTENTS = {
     "Start": ["tutorial", "own-lab", "arrays"],
     "Use": ["raw-files", "video", "jobs", "python"],
     "Reference": ["commands", "reference/commands", "reference/recipes", "artifacts", "reference/artifacts"],
-    "What to expect": ["gallery", "benchmarks", "peers", "limits", "robustness", "method", "notebook"],
+    "What to expect": ["gallery", "benchmarks", "measurement", "peers", "limits", "robustness", "method", "notebook"],
     "Project": ["architecture", "contributing", "changelog", "security", "reference/licences"],
 }
 

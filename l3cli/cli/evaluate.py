@@ -66,6 +66,7 @@ def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> R
 
 WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
+NOT_SHOWN = ("visual_noise",)  # JSON and report hold it
 BAND_FIGURES = ("psnr", "output_psnr", "ssim")
 
 
@@ -73,7 +74,9 @@ def print_tables(document: dict[str, Any]) -> None:
     """Print frames, means, light levels, illuminants, classes, the worst of them; with the main figure of each baseline."""
     width = terminal.width()
     wide = width is None or width >= WIDE
-    figures = [figure for figure in document["frames"][0]["ours"] if wide or figure not in LESS_NEEDED]
+    figures = [
+        figure for figure in document["frames"][0]["ours"] if figure not in (NOT_SHOWN if wide else LESS_NEEDED + NOT_SHOWN)
+    ]
     baselines = document["pipelines"][1:]
     main = [figures[0]] + [figure for figure in figures if figure == "psnr" and wide]
     shown = [("ours", figure) for figure in figures] + [(baseline, figure) for baseline in baselines for figure in main]
@@ -94,6 +97,7 @@ def print_tables(document: dict[str, Any]) -> None:
     if gains:
         show_table(["", "by analog gain over the camera's"], ["gain", "light", "frames", *named], gains)
     _print_patches(document)
+    _print_standards(document["standards"]["figures"])
     _print_bands(document)
     _print_classes(document, figures[0])
     for baseline, counts in document["better"].items():
@@ -111,6 +115,13 @@ def _print_patches(document: dict[str, Any]) -> None:
     ]
     if rows:
         show_table(["", "mottle of plain patches"], named, rows)
+
+
+def _print_standards(figures: dict[str, dict[str, float | None]]) -> None:
+    """Print sharpness, cycles a pixel, and the least light of each pipeline (docs/measurement.md)."""
+    names = list(next(iter(figures.values())))
+    rows = [[owner, *(figure_text(name, of[name]) for name in names)] for owner, of in figures.items()]
+    show_table(["", "by standards"], ["pipeline", *(FIGURES[name].short for name in names)], rows)
 
 
 def _print_bands(document: dict[str, Any]) -> None:

@@ -93,6 +93,10 @@ class Evaluation:
             raise InputFileError(
                 f"frame {frame.scene} has {size} pixels, none inside a border of {border}; give larger frames"
             )
+        return self.developed(frame, outputs) | dict(rivals or {})
+
+    def developed(self, frame: TrainingPair, outputs: Array) -> dict[str, Array]:
+        """Return `planes` of every pipeline but rivals, of a frame of any size; InputFileError as there."""
         if self._pictures and not frame.white[1] > 0:
             raise InputFileError(f"frame {frame.scene} has a white without luminance; simulate it again")
         with np.errstate(over="ignore"):
@@ -105,7 +109,7 @@ class Evaluation:
                 planes[name] = develop(frame, self._camera, self._colour(frame), demosaic, self._merges.get(name))
             else:
                 planes[name] = develop_bands(frame, self._camera, self._wanted is not None, demosaic)
-        return planes | dict(rivals or {})
+        return planes
 
     def add(self, frame: TrainingPair, planes: dict[str, Array], labels: NDArray[np.integer]) -> None:
         """Count a frame by the `planes` of every pipeline, and the classes `labels` (row, col) of the table's."""
@@ -152,6 +156,9 @@ class Evaluation:
         by_band        outputs that are not XYZ: band, then per pipeline psnr, output_psnr and ssim, means over the frames
         by_class       level, contrast, chroma, saturation: lists of what names a class, pixels, per pipeline the mean error;
                        pixels without an angle are left out
+        standards      edge (by direction: frequency in cycles/pixel, mtf and mtf50 of lens and pixel and of each pipeline),
+                       grey (null without absolute curves: SNR of a grey at each lux in closed form, of raw and of
+                       pipelines, and where it is 10), figures (per pipeline mtf50_rows, mtf50_columns, snr10)
         worst_classes  level, from, to, contrast, chroma (null if saturated), case, pixels, per pipeline the mean error
         """
         first = self._frames[0]

@@ -1,4 +1,5 @@
-"""Mottling: blotches of colour in plain patches, which means over all pixels hide (docs/method.md#quality-figures)."""
+"""Noise in plain patches: blotches of colour, which means over all pixels hide, and all of it as the eye weighs it
+(docs/method.md#quality-figures)."""
 
 from typing import Any
 
@@ -13,6 +14,7 @@ LEAST = 24 * 24  # pixels of a patch
 MOST = 64  # patches of a frame, the largest
 DARK, WHITE, GREY = 30.0, 85.0, 10.0  # L* below and above which a patch is dark or white; C*ab below which it has no hue
 HUES = ((-30.0, "red"), (60.0, "yellow"), (120.0, "green"), (200.0, "blue"))  # degrees from which on a patch is of a hue
+VISUAL = np.array([1.0, 0.852, 0.323])  # weights of the standard deviations of L*, a*, b*: ISO 15739:2013, there of L*u*v*
 KINDS = ("white", "grey", "dark", *(name for _, name in HUES))
 
 
@@ -53,6 +55,12 @@ class PlainPatches:
             blurred = gaussian_filter(error, (BLUR, BLUR, 0))[inside] / weight[inside][:, None]
             found.append(blurred.var(axis=0).sum())
         return np.array(found)
+
+    def visual_noise(self, seen: Array, wanted: Array) -> float | None:
+        """Return the weighted standard deviations of CIELAB, mean over the patches, of a picture (row, col, 3) after the
+        eye's blur, less the target after the same; None without a patch."""
+        errors = [(seen[place] - wanted[place])[inside] for place, inside in self._patches]
+        return float(np.mean([VISUAL @ each.std(axis=0) for each in errors])) if errors else None
 
 
 def mottle(variances: Array) -> float | None:

@@ -47,6 +47,7 @@ class Quality:
     p95_delta_e: float
     scielab: float  # mean CIEDE2000 after the eye's blur
     mottle: float | None  # C*ab of blotches in plain patches, root mean square; None: the target has no such patches
+    visual_noise: float | None  # of plain patches after the eye's blur: σ of L*, a* and b*, weighted; None: as mottle
     psnr: float  # dB, of non-linear sRGB in 0…1
     output_psnr: float  # dB, of XYZ before clipping; 1 is the luminance shown white, times each output's share in the white
     ssim: float  # of the luma of non-linear sRGB
@@ -99,6 +100,7 @@ class Target:
                 p95_delta_e=float(np.percentile(difference, 95)),
                 scielab=float(seen.mean()),
                 mottle=mottle(variances),
+                visual_noise=self.patches.visual_noise(labs[1], self._labs[1]),
                 psnr=psnr(curve, self._curve),
                 output_psnr=psnr(rendered / self._peaks, self._target / self._peaks),
                 ssim=ssim(curve @ LUMA, self._curve @ LUMA),

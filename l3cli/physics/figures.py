@@ -17,18 +17,24 @@ class Figure:
     digits: int = 2
 
 
-FIGURES = {  # those of frames, in the order in which they are shown
+FIGURES = {  # those of frames, in the order in which they are shown, then those of standards (docs/measurement.md)
     "mean_delta_e": Figure("mean ΔE00", "ΔE00 mean", " ΔE00"),
     "median_delta_e": Figure("median ΔE00", "median", " ΔE00"),
     "p95_delta_e": Figure("95 % ΔE00", "95 %", " ΔE00"),
     "scielab": Figure("S-CIELAB ΔE00", "S-CIELAB", " ΔE00"),
     "mottle": Figure("mottle of plain patches (C*ab)", "mottle", " C*ab"),
+    "visual_noise": Figure("visual noise of plain patches", "visual noise"),
     "psnr": Figure("PSNR (dB)", "PSNR dB", " dB", more_is_better=True),
     "output_psnr": Figure("linear PSNR (dB)", "linear dB", " dB", more_is_better=True),
     "ssim": Figure("SSIM (1)", "SSIM", more_is_better=True, digits=4),
     "mean_angle": Figure("mean spectral angle (°)", "SAM mean °", "°"),
     "median_angle": Figure("median angle (°)", "median", "°"),
     "p95_angle": Figure("95 % angle (°)", "95 %", "°"),
+    "mtf50_rows": Figure("MTF50 along rows (cycles/pixel)", "MTF50\nrows", " cycles/pixel", more_is_better=True, digits=3),
+    "mtf50_columns": Figure(
+        "MTF50 along columns (cycles/pixel)", "MTF50\ncolumns", " cycles/pixel", more_is_better=True, digits=3
+    ),
+    "snr10": Figure("SNR10 (lux)", "SNR10\nlux", " lux", digits=1),
 }
 
 

@@ -198,7 +198,7 @@ RESULTS: dict[str, dict[str, dict[str, Any]]] = {  # command → keys of its res
     },
     "evaluate": _keys(
         "format, camera, outputs, viewing, border, pipelines, frames, mean, better, by_level, by_illuminant, by_gain, "
-        "by_patch, by_band, by_class, worst_classes, kind, rendered, ideal, motion, still_share, temporal_sigma, "
+        "by_patch, by_band, by_class, worst_classes, standards, kind, rendered, ideal, motion, still_share, temporal_sigma, "
         "patch_sigma, largest_jump, largest_jump_frame, warped_error, psnr, mean_delta_e"
     ),
     "report": {"page": TEXT},

@@ -23,6 +23,7 @@ from l3cli.report.parts import (
     Text,
     fitted,
 )
+from l3cli.report.standards import standard_blocks
 from l3cli.system.text import counted, tidy
 from l3cli.system.text import figure as number
 
@@ -30,7 +31,8 @@ OURS = "ours"
 MEANINGS = (
     "ours is the table; basic is a pipeline that learns nothing (interpolation, white balance, colour matrix). Pictures are "
     "compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown white. ΔE00: CIEDE2000; "
-    "S-CIELAB: the same after the eye's blur; mottle: C*ab of blotches in plain patches, after a Gaussian of 4 pixels; PSNR "
+    "S-CIELAB: the same after the eye's blur; mottle: C*ab of blotches in plain patches, after a Gaussian of 4 pixels; "
+    "visual noise: standard deviations of L*, a* and b* there after the eye's blur, weighed 1, 0.852 and 0.323; PSNR "
     "of sRGB, linear PSNR of XYZ."
 )
 BAND_MEANINGS = (
@@ -54,13 +56,14 @@ SEEN = 3  # frames shown of an evaluation: the middle, the worst, the best
 Pictures = dict[int, dict[str, Pixels]]  # of some frames by index
 
 
-def evaluation_section(document: dict[str, Any], names: tuple[str, str]) -> Section:
+def evaluation_section(document: dict[str, Any], names: tuple[str, str], height: int) -> Section:
     """Return the section of an evaluation. `document` is that of `l3 evaluate --json`, `names` the files of table and
-    frames."""
+    frames, `height` the rows of the camera's pictures."""
     parts = [
         Subsection("Quality", _quality_blocks(document)),
         Subsection("Over light level", _level_blocks(document)),
         Subsection("By class", _class_blocks(document)),
+        Subsection("By standards", standard_blocks(document["standards"], height)),
     ]
     if document["by_gain"]:
         parts.insert(2, Subsection("Over gain and light", _gain_blocks(document)))

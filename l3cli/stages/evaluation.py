@@ -3,7 +3,7 @@ sequence, beside the ideal one or without it → figures over time."""
 
 import contextlib
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSetReader, frame_name, open_training_set
+from l3cli.artifacts.training_set import (
+    TrainingFrame,
+    TrainingPair,
+    TrainingSet,
+    TrainingSetReader,
+    frame_name,
+    open_training_set,
+)
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.likeness import unlike
@@ -32,6 +39,7 @@ from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.simulation.frame import exposed_again
+from l3cli.stages.standards import standard_figures
 from l3cli.system.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256
@@ -88,9 +96,21 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
                     for name, picture in frame_pictures(frame, planes).items():
                         write_picture(pictures / f"{frame_name(index, frame.scene)}_{name}.png", picture)
             by_gain = figures_by_gain(transforms, reader, options.backend, console, options.viewing, options.border)
+            document = document_of(evaluation, renderers, reader.head, by_gain)
         if reason := cache_warning():
             console.warn(reason)
-        return evaluation.document(by_gain)
+        return document
+
+
+def document_of(
+    evaluation: Evaluation, renderers: "FrameRenderers", head: TrainingSet, by_gain: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """Return the document of all frames counted, with figures of standards for their camera."""
+
+    def planes(frame: TrainingPair) -> dict[str, NDArray]:
+        return evaluation.developed(frame, renderers.of(frame).outputs(raw_of(frame, 0, head.camera)))
+
+    return evaluation.document(by_gain) | {"standards": standard_figures(head.camera, head.outputs, planes)}
 
 
 def for_frames(

@@ -35,7 +35,7 @@ from l3cli.report.transforms import transform_section
 from l3cli.report.validation import patches_figure, patches_table
 from l3cli.simulation.procedural import chart_places
 from l3cli.stages.check import CAMERA, Judgement
-from l3cli.stages.evaluation import FrameRenderers, evaluate_frame, figures_by_gain, for_frames, raw_of
+from l3cli.stages.evaluation import FrameRenderers, document_of, evaluate_frame, figures_by_gain, for_frames, raw_of
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256, write_whole
 from l3cli.system.ledger import note_places
@@ -220,7 +220,9 @@ class Judged:
     @property
     def section(self) -> Section:
         """Return the section of its figures."""
-        section = evaluation_section(self.document, (self.pair.table.name, self.pair.frames.name))
+        section = evaluation_section(
+            self.document, (self.pair.table.name, self.pair.frames.name), self.pair.head.camera.rows
+        )
         return replace(section, lead=f"{section.lead} But {self.warning}.") if self.warning else section
 
 
@@ -236,7 +238,8 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], backend: str, 
             frame, planes = evaluate_frame(judgement, renderers, reader, index)
             if pictures and chart is None:
                 chart = chart_subsection(frame, index, planes, pair.head)
-        figures = judgement.document(figures_by_gain(pair.transforms, reader, backend, console))
+        by_gain = figures_by_gain(pair.transforms, reader, backend, console)
+        figures = document_of(judgement, renderers, reader.head, by_gain)
         if pictures:
             shown = {index: _pictures(judgement, renderers, reader, index) for index in shown_frames(figures)}
             pixels = _pixels(reader, renderers, anchor, *next(iter(shown.items())), limits)

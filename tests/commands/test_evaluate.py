@@ -19,7 +19,17 @@ from l3cli.evaluation.evaluation import Evaluation
 from l3cli.io.images import read_image
 from tests.helpers.calls import L3, Refused
 
-QUALITY = {"mean_delta_e", "median_delta_e", "p95_delta_e", "scielab", "mottle", "psnr", "output_psnr", "ssim"}
+QUALITY = {
+    "mean_delta_e",
+    "median_delta_e",
+    "p95_delta_e",
+    "scielab",
+    "mottle",
+    "visual_noise",
+    "psnr",
+    "output_psnr",
+    "ssim",
+}
 
 
 SCENES = """
@@ -66,7 +76,7 @@ def test_json_holds_the_keys_it_promises(trained: Path, l3: L3) -> None:
     document = json.loads(out)
     assert set(document) == {
         "format", "camera", "outputs", "viewing", "border", "pipelines", "frames", "mean", "better", "by_level",
-        "by_illuminant", "by_gain", "by_patch", "by_band", "by_class", "worst_classes", "run",
+        "by_illuminant", "by_gain", "by_patch", "by_band", "by_class", "worst_classes", "standards", "run",
     }  # fmt: skip
     assert (document["format"], document["viewing"], document["outputs"]) == (3, 50.0, ["X", "Y", "Z"])
     assert (document["border"], document["by_band"], document["by_gain"]) == (2, [], [])
@@ -257,7 +267,7 @@ def test_an_evaluation_needs_no_file(trained: Path) -> None:
     assert planes["ours"] == pytest.approx(np.asarray(frame.target), rel=1e-5)
     document = evaluation.document()
     assert document["mean"]["ours"]["mean_delta_e"] < 1e-3
-    assert document["better"]["basic"] == dict.fromkeys(QUALITY - {"mottle"}, 1)  # it has no plain patches
+    assert document["better"]["basic"] == dict.fromkeys(QUALITY - {"mottle", "visual_noise"}, 1)  # it has no plain patches
 
 
 def test_errors_are_laid_to_the_class_of_their_pixel(trained: Path) -> None:

@@ -89,7 +89,7 @@ def test_the_picture_comes_first_with_figures_and_verdict_next_to_it(page: Path)
     aside = first[first.index("<aside") : first.index("</aside>")]
     assert re.search(r'class="score"><strong>\d+\.\d\d</strong> mean ΔE00 of ours, mean over 4 frames', aside)
     assert re.search("<p>Ours is (not )?nearer to the ideal than basic by", aside)
-    assert aside.count('<th scope="row">') == 8
+    assert aside.count('<th scope="row">') == 9
     assert "The first is, of 4 frames, the one of median mean ΔE00" in first
     assert "The worst and the best frame" in first
 

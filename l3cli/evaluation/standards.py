@@ -1,0 +1,148 @@
+"""Figures of standards: sharpness by slanted edges, and signal over noise of a grey over lux (docs/measurement.md). What
+pictures give stands beside what lens, pixel and the camera's noise give in closed form."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import TrainingFrame
+from l3cli.evaluation.basic import electrons_of, lit_library
+from l3cli.evaluation.edge import FREQUENCIES, EdgeError, Sharpness, edge_sharpness
+from l3cli.physics.lens import diffraction_transfer
+
+Array = NDArray[np.floating]
+DARK_SIDE, BRIGHT_SIDE = 0.1, 0.4  # of an edge: reflectances, 4:1 as ISO 12233 has it
+ANGLE, SIDE = 5.0, 192  # degrees of the edge; pixels of a frame
+EXPOSED = 0.8  # of full scale, a perfect white in the frames of edges
+GREY, EXPOSURE = 0.18, 1 / 15  # reflectance; s
+LIGHT = "D65"
+SNR = 10.0
+OCTAVES = np.arange(-6.0, 3.0)  # of lux about the camera's SNR10, at which greys are taken
+RAW_SIDE, GREY_SIDE = 400, 160  # pixels of their raw frames, and of the part that is rendered
+KNOWN = "lens and pixel"  # the name of what optics and pixels leave
+MARGIN = 24  # pixels left out at each edge of a frame
+
+
+@dataclass(frozen=True)
+class GreyNoise:
+    """Signal over noise of a grey in each channel of a camera, in closed form; `per_lux` (channel): DN on the scale of noise
+    terms `constant` (DN²), `linear` (DN) and `quadratic`."""
+
+    per_lux: Array
+    constant: Array
+    linear: Array
+    quadratic: float
+    top: float  # DN, of full scale
+
+    @classmethod
+    def of(cls, camera: CameraModel, frame: TrainingFrame) -> "GreyNoise":
+        """Return that of a grey of reflectance GREY in the light and exposure time of a frame. ValueError if dark current
+        alone fills a pixel."""
+        assert frame.light is not None
+        white, falling = lit_library(frame.light)
+        electrons = electrons_of(camera, frame.light, white[:1] * falling)[0] * GREY / np.pi * frame.exposure
+        dark, channel = camera.dark_signal(frame.exposure), np.arange(len(camera.channels))
+        constant, linear, quadratic = camera.noise_terms(dark, channel)
+        span = camera.white_level - camera.black_level
+        signal = electrons * camera.gain * camera.channel_gains * span / (span - dark)
+        ones = np.ones(channel.size)
+        return cls(signal, constant * ones, linear * ones, quadratic, span)
+
+    def snr(self, lux: Array) -> Array:
+        """Return signal over noise (lux, channel)."""
+        signal = np.asarray(lux)[:, None] * self.per_lux
+        return np.asarray(signal / np.sqrt(self.constant + (self.linear + self.quadratic * signal) * signal))
+
+    def lux(self, snr: float = SNR) -> list[float | None]:
+        """Return lux (channel) at which a channel reaches a signal-to-noise ratio s, the root of S² = s² (c + l S + q S²);
+        None if its pixels differ too much, or are full before."""
+        found: list[float | None] = []
+        for per_lux, constant, linear in zip(self.per_lux, self.constant, self.linear, strict=True):
+            rest = 1.0 - snr**2 * self.quadratic
+            half = snr**2 * linear / 2
+            signal = (half + math.sqrt(half**2 + snr**2 * constant * rest)) / rest if rest > 0 else math.inf
+            found.append(float(signal / per_lux) if signal < self.top and per_lux > 0 else None)
+        return found
+
+
+def measured_snr(plane: Array) -> float:
+    """Return mean over standard deviation of a plane of an even grey; 0 where the mean is not above zero."""
+    return max(float(plane.mean() / max(plane.std(), 1e-30)), 0.0)
+
+
+def crossing(lux: Array, snr: Array, wanted: float = SNR) -> float | None:
+    """Return the lux from which on a measured ratio stays at `wanted` or above, linear between logarithms; None if that is
+    not among them."""
+    below = np.flatnonzero(snr < wanted)
+    if not below.size or below[-1] == len(lux) - 1 or not snr[below[-1]] > 0:
+        return None
+    at = np.s_[below[-1] : below[-1] + 2]
+    return float(np.exp(np.interp(np.log(wanted), np.log(snr[at]), np.log(lux[at]))))
+
+
+def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> Sharpness:
+    """Return the transfer of diffraction and pixels across an edge at ANGLE, for light of such `weights` (wavelength
+    nm)."""
+    lens = diffraction_transfer(FREQUENCIES / camera.pixel_pitch, wavelength, camera.optics.f_number)
+    pixel = np.sinc(FREQUENCIES * np.cos(np.radians(ANGLE))) * np.sinc(FREQUENCIES * np.sin(np.radians(ANGLE)))
+    return Sharpness(FREQUENCIES, lens @ weights / weights.sum() * np.abs(pixel), ANGLE)
+
+
+def brightness(planes: Array, outputs: tuple[str, ...]) -> Array:
+    """Return the luminance (row, col) of a picture, or the mean of outputs without a Y, without the margin of a frame."""
+    plane = planes[outputs.index("Y")] if "Y" in outputs else planes.mean(axis=0)
+    return np.asarray(plane[MARGIN:-MARGIN, MARGIN:-MARGIN], np.float64)
+
+
+def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Array], across: str) -> dict[str, Any]:
+    """Return curves and MTF50 (cycles/pixel) of each pipeline's brightness (row, col) of an edge, across "rows" (a nearly
+    vertical one) or "columns", null where it shows none; beside them lens and pixel, from `known`: the camera, and light as
+    of `known_sharpness`."""
+    curves: dict[str, Sharpness | None] = {KNOWN: known_sharpness(*known)}
+    for name, plane in planes.items():
+        try:
+            curves[name] = edge_sharpness(plane if across == "rows" else plane.T)
+        except EdgeError:
+            curves[name] = None
+    return {
+        "frequency": FREQUENCIES.tolist(),
+        "mtf": {name: curve and curve.transfer.tolist() for name, curve in curves.items()},
+        "mtf50": {name: curve and curve.mtf50 for name, curve in curves.items()},
+    }
+
+
+def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array, snr: dict[str, Array]) -> dict[str, Any]:
+    """Return signal over noise of a grey at each lux: of each channel in closed form and as measured in `raw` (lux,
+    channel), and of each pipeline's brightness (lux); with the lux at which each reaches SNR."""
+    closed, names = noise.snr(lux), camera.channels
+    return {
+        "reflectance": GREY, "light": LIGHT, "exposure": EXPOSURE, "f_number": camera.optics.f_number,
+        "pixel_pitch": camera.pixel_pitch, "lux": lux.tolist(),
+        "closed_form": {name: closed[:, index].tolist() for index, name in enumerate(names)},
+        "raw": {name: raw[:, index].tolist() for index, name in enumerate(names)},
+        "pipelines": {name: each.tolist() for name, each in snr.items()},
+        "snr10": {
+            "closed_form": dict(zip(names, noise.lux(), strict=True)),
+            "raw": {name: crossing(lux, raw[:, index]) for index, name in enumerate(names)},
+            **{name: crossing(lux, each) for name, each in snr.items()},
+        },
+    }  # fmt: skip
+
+
+def figures_of(document: dict[str, Any]) -> dict[str, dict[str, float | None]]:
+    """Return the figures of each pipeline: MTF50 along rows and along columns, and SNR10 where the camera's curves are
+    absolute."""
+    edge, grey = document["edge"], document["grey"]
+    return {
+        name: {
+            "mtf50_rows": edge["rows"]["mtf50"][name],
+            "mtf50_columns": edge["columns"]["mtf50"][name],
+            "snr10": grey["snr10"][name] if grey else None,
+        }
+        for name in edge["rows"]["mtf50"]
+        if name != KNOWN
+    }
