@@ -1,4 +1,5 @@
-"""l3 init: a folder with the recipes of one kind of camera and pipelines from them to a picture, or with a benchmark."""
+"""l3 init: a folder with the recipes of a camera, one kind or by name, and pipelines from them to a picture, or with a
+benchmark."""
 
 from pathlib import Path
 
@@ -13,10 +14,10 @@ from l3cli.options.commands import InitOptions
 
 
 def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Return the names of recipes for the shell."""
-    from l3cli.recipes.builtin import starters
+    """Return the names of recipes and cameras for the shell."""
+    from l3cli.recipes.builtin import cameras_by_name, starters
 
-    return [name for name in starters() if name.startswith(incomplete)]
+    return [name for name in (*starters(), *cameras_by_name()) if name.startswith(incomplete)]
 
 
 @click.command()
@@ -26,18 +27,19 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 @declared.of(InitOptions, declared.dry_run)
 def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options: InitOptions) -> Result:
     """Make DIR with the recipes of one kind of camera and a Makefile that makes a picture and a report from them, and
-    the same pipeline for Snakemake and for job arrays of Slurm. With --from, the recipe is that of the camera which took
-    the raw files; of several cameras, each gets a folder in DIR. A benchmark's Makefile learns from one folder of your
-    pictures and evaluates on another.
+    the same pipeline for Snakemake and for job arrays of Slurm. RECIPE is also the name of a camera whose measured curves
+    come with l3 (--list). With --from, the recipe is that of the camera which took the raw files; of several cameras, each
+    gets a folder in DIR. A benchmark's Makefile learns from one folder of your pictures and evaluates on another.
 
     Without arguments, list the recipes.
 
     \b
     Example: l3 init bayer demo && make -C demo
+             l3 init nikon_d810 mine && make -C mine PHOTO=$PWD/photo.nef
              l3 init --from photo.dng mine && make -C mine picture.png
     """
-    from l3cli.recipes.builtin import starters, summary
-    from l3cli.stages.starting import start, start_from
+    from l3cli.recipes.builtin import cameras_by_name, starters, summary
+    from l3cli.stages.starting import start, start_from, start_named
 
     if options.photos:  # the shell may have made several files of a pattern
         named = [Path(each) for each in (recipe, folder, *more) if each is not None]
@@ -49,16 +51,26 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
         raise click.UsageError("--light is that of photos; give them with --from")
     if more:
         raise click.UsageError(f'one recipe and one folder are wanted, not "{more[0]}"; give raw files with --from')
-    known = starters()
+    if options.named:
+        words = " ".join(str(each) for each in (recipe, folder) if each is not None)
+        cameras = {name: ", ".join(names) for name, names in cameras_by_name(words).items()}
+        if not cameras:
+            raise click.UsageError(f'no camera by the name "{words}"; l3 init --list without words lists all')
+        return Result({"cameras": cameras}, lambda: _list(cameras))
+    known, by_name = starters(), cameras_by_name()
     if recipe is None:
         recipes = {name: summary(path) for name, path in known.items()}
+        options.console.info(f"{len(by_name)} cameras by name: l3 init --list")
         options.console.info('next: one of them and a new folder, such as "l3 init bayer demo"')
         return Result({"recipes": recipes}, lambda: _list(recipes))
-    if recipe not in known:
-        raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, known)}')
+    if recipe not in known and recipe not in by_name:
+        raise click.UsageError(f'no recipe or camera "{recipe}"; {suggestion(recipe, (*known, *by_name))}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
-    start(known[recipe], folder, options)
+    if recipe in known:
+        start(known[recipe], folder, options)
+    else:
+        start_named(recipe, folder, options)
     return Result({"folders": [str(folder)]})
 
 

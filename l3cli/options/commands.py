@@ -241,6 +241,7 @@ class InitOptions(ForceOptions):
         metavar="RAW",
         several=True,
     )
+    named: bool = option(False, "List the cameras by name, of RECIPE as words to look for only those.", flag="list")
     light: str | None = option(
         None, 'Light of a ColorChecker in them: "D65", "3200K"…; without, it is guessed.', metavar="LIGHT"
     )

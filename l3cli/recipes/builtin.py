@@ -79,6 +79,20 @@ def starters() -> dict[str, Path]:
     return known_recipes("cameras") | known_benchmarks()
 
 
+def slug_of(name: str) -> str:
+    """Return the name of a camera as it is typed."""
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+def cameras_by_name(text: str = "") -> dict[str, tuple[str, ...]]:
+    """Return all names of the cameras whose curves come with l3, by the name that is typed; of those alone that have all
+    words of `text` in their names, capitals or not."""
+    known = tomllib.loads((recipe_folder() / "priors" / "cameras.toml").read_text(encoding="utf-8"))["camera"]
+    names = {slug: (each["name"], *each.get("also", ())) for slug, each in known.items()}
+    words = slug_of(text).split("_")
+    return {slug: each for slug, each in names.items() if all(word in slug_of(" ".join(each)) for word in words)}
+
+
 def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
     """Return the pipelines among `contents` as those of a camera that its recipe describes: nothing is measured."""
     known = {}

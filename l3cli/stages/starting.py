@@ -5,15 +5,18 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration import figures, model
 from l3cli.calibration.photo import responsivity
-from l3cli.calibration.photo.recipe import CURVES, PhotoCamera, SensorNoise, gains_of, noise_of
+from l3cli.calibration.photo.recipe import CURVES, PhotoCamera, SensorNoise, gains_of, noise_of, without_photo
 from l3cli.calibration.photo.responsivity import ColourMatrix
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.measurement import Measurements, Stated
 from l3cli.io.curves import shipped_statistics
+from l3cli.io.known_cameras import ROLES, known_as, known_cameras, known_curves
 from l3cli.io.measurements import photo_measurements
 from l3cli.io.raw.cfa_codes import code_of
 from l3cli.io.raw.files import BY_SUFFIX, is_photo
@@ -48,6 +51,24 @@ def start(starter: Path, folder: Path, options: InitOptions) -> None:
         options.console.info(f"{folder}: {summary(starter)}; next: {edits}make -C {shlex.quote(str(folder))}")
 
 
+def start_named(name: str, folder: Path, options: InitOptions) -> None:
+    """Write the recipe folder of a camera by its name (l3cli/io/known_cameras). L3Error as `start`."""
+    with OutputGuard(options.console) as guard:
+        guard.guard_folder(folder, options.force, *COMMON, "camera.toml", CURVES)
+        camera = named_camera(name)
+        contents = _contents(camera)
+        before_work({}, *(Made(folder / each, "recipe", len(content)) for each, content in contents.items()))
+        write_folder(folder, contents)
+        load_camera(folder / "camera.toml")
+        options.console.info(_camera_line(folder, camera))
+
+
+def named_camera(name: str) -> PhotoCamera:
+    """Return a camera by its name: its measured curves, facts published of it; the rest is assumed."""
+    known, curves = known_cameras().camera[name], known_curves(name)
+    return without_photo(known.body, known.levels, known.stated, curves, known_cameras().source)
+
+
 def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Write files, each whole or not at all, into a folder, which is made; scripts may be run."""
     for name, content in contents.items():
@@ -80,7 +101,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
         }
         contents = {place: _contents(camera) for place, camera in made.items()}
         sizes = {place / name: len(content) for place, texts in contents.items() for name, content in texts.items()}
-        links = {place / _shown(camera): camera.photo.resolve() for place, camera in made.items()}
+        links = {place / _shown(camera): camera.photo.resolve() for place, camera in made.items() if camera.photo}
         for link in links:
             if not link.is_symlink():  # a link of an earlier call leads to the photo, and may go
                 refuse_protected(link)
@@ -93,7 +114,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
             write_folder(place, contents[place])
             load_camera(place / "camera.toml")  # what cannot be simulated is refused now
             _link(place / _shown(camera), links[place / _shown(camera)])
-            console.info(_photo_line(place, camera))
+            console.info(_camera_line(place, camera))
     return list(made)
 
 
@@ -122,7 +143,7 @@ def _contents(camera: PhotoCamera) -> dict[str, bytes]:
     common = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
     common |= known_camera(common)
     makefile = common["Makefile"].decode()
-    for line, value in (("PHOTO ?=\n", _shown(camera)), ("WHITE ?=\n", camera.light)):
+    for line, value in (("PHOTO ?=\n", camera.photo and _shown(camera)), ("WHITE ?=\n", camera.light)):
         assert line in makefile
         makefile = makefile.replace(line, f"{line.rstrip()} {value}\n" if value else line)
     common["classes.toml"] = common["classes.toml"].replace(
@@ -141,21 +162,23 @@ def _link(path: Path, photo: Path) -> None:
 
 def _shown(camera: PhotoCamera) -> str:
     """Return the name, in the folder, of the photo that its picture.png shows."""
+    assert camera.photo is not None
     suffix = camera.photo.suffix.lower()
     return f"{SHOWN}{suffix if is_photo(camera.photo) else ''}"
 
 
-def _photo_line(place: Path, camera: PhotoCamera) -> str:
+def _camera_line(place: Path, camera: PhotoCamera) -> str:
     """Return one line on a folder: the camera, what is from where, what is assumed, what comes next."""
-    body, frame = camera.body, camera.frame
+    body = camera.body
     pattern = "/".join("".join(body.channels[site] for site in row) for row in body.cfa)
     white = f" ‹white› {camera.light}" if camera.light else ""
     others = f"l3 render {shlex.quote(str(place / 'table.h5'))} RAW{white} -o PICTURE.png"
-    levels = f"{frame.black_level:g}…{frame.white_level:g} DN"
+    levels = f"{camera.black_level:g}…{camera.white_level:g} DN"
+    photo = "" if camera.photo else " PHOTO=RAW"
     return (
         f"{place}: {camera.name}, {pattern}, {body.rows}×{body.cols}, {levels}; curves {camera.origin}; noise "
-        f"{camera.noise.source}; assumed: {', '.join(camera.assumed)}; next: make -C {shlex.quote(str(place))} picture.png; "
-        f"another photo: {others}"
+        f"{camera.noise.source}; assumed: {', '.join(camera.assumed)}; next: make -C {shlex.quote(str(place))} "
+        f"picture.png{photo}; another photo: {others}"
     )
 
 
@@ -215,7 +238,8 @@ def photographed(taken: Taken, light: str | None, console: Console) -> PhotoCame
     gains = gains_of(known, [each for _, each in taken])
     measured = _measurements(path, light)
     frame = measured.photos[0].frames[0]
-    noise = noise_of(known, frame.white_level - frame.black_level)
+    levels = frame.black_level, frame.white_level
+    noise = noise_of(known, levels[1] - levels[0])
     for other, _ in taken[:SEARCHED]:
         found = _by_chart(measured if other == path else _measurements(other, light), console)
         if found is None or found.channels != measured.body.channels:
@@ -228,9 +252,11 @@ def photographed(taken: Taken, light: str | None, console: Console) -> PhotoCame
         if known.noise is None:
             noise = SensorNoise(found.gain, found.noise.read_noise, "as the patches of the chart show it")
         curves = found.responsivity / found.responsivity.max()
-        return PhotoCamera(other, measured.body, frame, known, found.wavelength, curves, origin, noise, fit.lights[0], gains)
+        return PhotoCamera(
+            other, measured.body, *levels, known, found.wavelength, curves, origin, noise, fit.lights[0], gains
+        )
     curves, origin = _without_chart(path, known, measured)
-    return PhotoCamera(path, measured.body, frame, known, curves.wavelength, curves.relative, origin, noise, gains=gains)
+    return PhotoCamera(path, measured.body, *levels, known, curves.wavelength, curves.relative, origin, noise, gains=gains)
 
 
 def _measurements(path: Path, light: str | None) -> Measurements:
@@ -257,6 +283,12 @@ def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
 def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[responsivity.Curves, str]:
     """Return the curves by the colour matrices of a file, or the usual ones, and where they are from."""
     channels = measured.body.channels
+    if (name := known_as(known.camera)) and sorted(channels) == sorted(ROLES):
+        measured_curves = known_curves(name)
+        relative = measured_curves.responsivity[[ROLES.index(channel) for channel in channels]]
+        return responsivity.Curves(
+            measured_curves.wavelength, relative, np.zeros_like(relative)
+        ), f"of {name}, {known_cameras().source}"
     prior = responsivity.prior_of(channels, shipped_statistics())
     codes = [code_of(name) for name in channels]
     chosen = [each for each in known.matrices if set(codes) <= each.rows.keys()]

@@ -1,4 +1,5 @@
-"""Writes configs/priors/rgb.toml, statistics of the measured cameras of rawtoaces: python -m tests.helpers.priors."""
+"""Writes configs/priors/rgb.toml, statistics of the measured cameras of rawtoaces, and cameras.csv, their curves:
+python -m tests.helpers.priors."""
 
 import os
 from pathlib import Path
@@ -9,9 +10,11 @@ from numpy.typing import NDArray
 from l3cli.calibration.photo.estimate import ROLES, statistics
 from l3cli.frames.measurement import CurveStatistics
 from l3cli.io.curves import prior_files, read_cameras
+from l3cli.recipes.builtin import slug_of
 from tests.helpers.paths import ROOT
 
-TABLE = ROOT / "configs" / "priors" / "rgb.toml"
+TABLE, CURVES = (ROOT / "configs" / "priors" / name for name in ("rgb.toml", "cameras.csv"))
+NM = slice(0, 69)  # 380 to 720 nm of the files' 380 to 780 by 5: above, no camera here sees 0.6 % of its peak
 SOURCE = (
     "statistics of the spectral sensitivities of 52 cameras measured for rawtoaces (Academy Software Foundation, "
     "rawtoaces-data, Apache-2.0): means and principal modes, no camera's curves"
@@ -38,5 +41,20 @@ def as_toml(known: CurveStatistics) -> str:
     return "\n".join(lines) + "\n"
 
 
+def curves_as_csv(data: Path) -> str:
+    """The curves of all cameras, per photon, to a common peak of 1: columns "nikon_d810 r" and so on."""
+    files = prior_files(data / "sensitivities/rawtoaces/data/camera")
+    curves = read_cameras(files)
+    names = [f"{slug_of(path.stem.removesuffix('_380_780_5'))} {role}" for path in files for role in ROLES]
+    columns = np.vstack([each.responsivity / each.responsivity.max() for each in curves])[:, NM]
+    lines = (
+        f"{at:g}," + ",".join(f"{value:.4f}".rstrip("0").rstrip(".") for value in row)
+        for at, row in zip(curves[0].wavelength[NM], columns.T, strict=True)
+    )
+    return "\n".join([",".join(["wavelength_nm", *names]), *lines]) + "\n"
+
+
 if __name__ == "__main__":
-    TABLE.write_text(as_toml(measured(Path(os.environ["L3_DATA"]))))
+    given = Path(os.environ["L3_DATA"])
+    TABLE.write_text(as_toml(measured(given)))
+    CURVES.write_text(curves_as_csv(given))

@@ -1,5 +1,5 @@
-"""Text of a camera recipe and its file of curves from the facts that raw files state about their camera; the rest is
-assumed, in comments."""
+"""Text of a camera recipe and its file of curves from the facts that raw files state about their camera, or that are known
+of a camera by its name; the rest is assumed, in comments."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, LEAST_F_NUMBER, LEAST_FOCAL_MM, PITCH_UM
-from l3cli.frames.frame import RawFrame
-from l3cli.frames.measurement import Body, Stated
+from l3cli.frames.measurement import Body, FinishedCurves, Stated
 from l3cli.recipes.toml import toml_value
 from l3cli.system.text import printable
 
@@ -19,6 +18,7 @@ PEAK_EFFICIENCY = 0.4  # of usual silicon cameras behind their lens
 ELECTRONS_PER_UM2 = 1500.0  # that fill a pixel of usual sensors at ISO 100
 BASE_ISO = 100.0
 READ_NOISE_E = 3.0  # of usual sensors
+USUAL_GAINS = (4.0, 16.0, 64.0)  # over the lowest ISO speed, for which transforms are learned
 FEWEST_ELECTRONS = 100.0  # at full scale
 Array = NDArray[np.floating]
 
@@ -34,11 +34,12 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class PhotoCamera:
-    """A camera as its raw files show it."""
+    """A camera as its raw files show it, or as it is known by its name."""
 
-    photo: Path
+    photo: Path | None  # None: of a camera by its name
     body: Body
-    frame: RawFrame
+    black_level: float  # DN
+    white_level: float  # DN
     stated: Stated
     wavelength: Array  # (wavelength) nm
     curves: Array  # (channel, wavelength) per photon, to a common peak of 1
@@ -57,8 +58,8 @@ class PhotoCamera:
                 ", ".join(f"{gain:g}" for gain, _ in self.gains),
                 ", ".join(f"{noise:.4g}" for _, noise in self.gains),
             )
-            lines.append(f"gains = [{gains}] # by the ISO speeds of other files")
-            lines.append(f"read_noise_e = [{noises}] # by the noise profiles of other files")
+            source = "assumed" if self.photo is None else "by the ISO speeds and noise profiles of other files"
+            lines += [f"gains = [{gains}] # {source}", f"read_noise_e = [{noises}] # {source}"]
         return "\n".join(lines) + "\n"
 
     def learning_gains(self) -> str:
@@ -73,7 +74,7 @@ class PhotoCamera:
 
     @property
     def assumed(self) -> list[str]:
-        """Return the facts that the files do not state and the recipe assumes."""
+        """Return the facts that nothing states and the recipe assumes."""
         known = self.stated
         names = {"pixel pitch": known.pitch_um, "focal length": self._focal_mm, "f-number": self._f_number}
         return ["peak efficiency", *(name for name, value in names.items() if value is None)]
@@ -90,24 +91,26 @@ class PhotoCamera:
 
     def recipe(self) -> str:
         """Return the camera recipe, with a comment on what each figure is from."""
-        body, frame = self.body, self.frame
+        body = self.body
+        known = "as it is known by its name" if self.photo is None else f"as its raw file shows it ({self.photo.name})"
+        source = "nominal; a file states its own" if self.photo is None else "the file's"
         rows = "\n".join(f'  "{" ".join(body.channels[site] for site in row)}",' for row in body.cfa)
-        pitch, full = self.stated.pitch_um, (frame.white_level - frame.black_level) / self.noise.gain
+        pitch, full = self.stated.pitch_um, (self.white_level - self.black_level) / self.noise.gain
         return f"""\
-# {printable(f"{self.name}, as its raw file shows it ({self.photo.name})")}. What the file does not say is assumed,
-# and marked so: correct it if you know better.
+# {printable(f"{self.name}, {known}")}. What is not known is assumed, and marked so: correct it if you
+# know better.
 name = {toml_value(self.name)}
 
-[sensor] # size, bits and levels are the file's
+[sensor] # size, bits and levels are {source}
 rows = {body.rows}
 cols = {body.cols}
 pixel_pitch_um = {pitch or PITCH_UM:.4g}{"" if pitch else " # assumed"}
 bits = {body.bits}
 gain_dn_per_e = {self.noise.gain:.4g} # {self.noise.source}: {full:.3g} e- at full scale
-black_level_dn = {frame.black_level:g}
-white_level_dn = {frame.white_level:g}
+black_level_dn = {self.black_level:g}
+white_level_dn = {self.white_level:g}
 
-[cfa] # from the first pixel of the file on
+[cfa] # from the first pixel on
 channels = {toml_value(body.channels)}
 pattern = [
 {rows}
@@ -134,6 +137,15 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
             for at, row in zip(self.wavelength, self.curves.T, strict=True)
         )
         return "\n".join([heading, *lines]) + "\n"
+
+
+def without_photo(
+    body: Body, levels: tuple[float, float], known: Stated, curves: FinishedCurves, origin: str
+) -> PhotoCamera:
+    """Return a camera known by its name, with its black and white level, in DN."""
+    noise = noise_of(known, levels[1] - levels[0])
+    gains = tuple((gain, noise.read_noise_e) for gain in USUAL_GAINS) if known.iso else ()
+    return PhotoCamera(None, body, *levels, known, curves.wavelength, curves.responsivity, origin, noise, gains=gains)
 
 
 def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, float], ...]:
