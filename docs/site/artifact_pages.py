@@ -6,12 +6,15 @@ from collections.abc import Iterator
 from markup import code, page, plain, table
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.design import Design, SceneMoments
 from l3cli.artifacts.partial_sums import PartialLayerSums, PartialSums
 from l3cli.artifacts.schema import Artifact, Spec, declared
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import GROUPS, TrainingSet
 
-KINDS: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable, PartialSums, PartialLayerSums)
+KINDS: tuple[type[Artifact], ...] = (
+    CameraModel, TrainingSet, TransformTable, PartialSums, PartialLayerSums, SceneMoments, Design,
+)  # fmt: skip
 INTRO = (
     "Every dataset that l3 writes, made of the declarations that saving, loading and `l3 info` follow. "
     "[Artifacts](../artifacts.md) says what the files promise. Datasets in brackets may be absent."

@@ -31,6 +31,7 @@ COMMANDS = {
     "evaluate": "quality of a table on frames it was not trained on",
     "report": "artifacts → one page with plots and pictures",
     "compare": "evaluations of several cameras over luminance",
+    "design": "filters × scenes × lights → arrays by predicted error",
     "info": "kind, version, axes, units, history of an artifact",
     "export": "camera or table → files that other software reads, C source",
     "bench": "frame times on this machine, stage by stage",

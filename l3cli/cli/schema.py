@@ -7,15 +7,15 @@ from l3cli.cli.results import Result
 from l3cli.cli.terminal import show_json
 from l3cli.options.option import Options
 
-KINDS = ("camera", "lab", "scenes", "classes", "measurements", "output")
+KINDS = ("camera", "lab", "scenes", "classes", "design", "measurements", "output")
 
 
 @click.command()
 @click.argument("kind", type=click.Choice(KINDS), metavar="KIND")
 @declared.of(Options)
 def schema(kind: str, options: Options) -> Result:
-    """Print the JSON schema of a KIND of recipe: camera, lab, scenes, classes or measurements. With it editors (taplo, Even
-    Better TOML) check a recipe whose first line is "#:schema camera.schema.json", the file that holds it.
+    """Print the JSON schema of a KIND of recipe: camera, lab, scenes, classes, design or measurements. With it editors
+    (taplo, Even Better TOML) check a recipe whose first line is "#:schema camera.schema.json", the file that holds it.
 
     With output as KIND, print the schema of what commands print with --json.
 

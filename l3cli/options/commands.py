@@ -231,6 +231,30 @@ class LabOptions(ForceOptions, JobsOptions, SeedOptions):
 
 
 @options
+class PartsOptions(ForceOptions, JobsOptions):
+    """Choice of what is done with the parts of an earlier run."""
+
+    resume: bool = option(False, "Continue with what is finished in OUTPUT.parts.", bytes=False, shared=True)
+
+
+@options
+class MomentsOptions(PartsOptions, SeedOptions):
+    """Options of l3 design moments."""
+
+    patches: int = option(4000, "Patches of a scene.", Number(100, 1_000_000, "patches", whole=True), metavar="N")
+
+
+@options
+class DesignOptions(PartsOptions, SeedOptions):
+    """Options of l3 design."""
+
+    moments: OnePath = option(None, 'Moments of scenes, which "l3 design moments" writes.', metavar="SCENES.h5")
+    top: int = option(
+        100, "Arrays that are listed, the best ones.", Number(1, 10_000, "arrays", whole=True), metavar="1…10000"
+    )
+
+
+@options
 class InitOptions(ForceOptions):
     """Options of l3 init."""
 

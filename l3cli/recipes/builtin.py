@@ -15,6 +15,7 @@ KINDS = {
     "lab": "lab",
     "scenes": "scene",
     "classes": "class",
+    "designs": "design",
 }  # folders of configs/: what they hold
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
 COMMON = {

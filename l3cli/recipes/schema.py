@@ -208,6 +208,15 @@ RESULTS: dict[str, dict[str, dict[str, Any]]] = {  # command → keys of its res
         "same_scenes": _described(_maybe({"type": "boolean"}), "null where not every frame says what it shows"),
         "verdicts": _described(_listed(TEXT), "which camera is better where, and by how much; where each clips"),
     },
+    "design": {
+        **_keys("moments, patches, tried, unit, bayer"),
+        "lights": _described(ANY, "of moments: illuminant → principal spectra and the share of power that they leave out"),
+        "design": TEXT,
+        "levels": _listed(TEXT),
+        "arrays": _described(
+            ANY, "best first: rows of filters, predicted error at each level, that of Bayer of its filters"
+        ),
+    },
     "info": _keys(
         "kind, version, history, datasets, insight, digest, different, l3, python, system, libraries, devices, decoding"
     ),

@@ -49,6 +49,7 @@ KIND_KEYS = {  # keys at the top of a file by which its kind is known: no other 
         "exposure_s", "lens", "target",
     ),
     "a class recipe": ("classes", "learning", "layer"),
+    "a design recipe": ("filters", "pattern", "level", "pixel", "optimise"),
 }  # fmt: skip
 
 

@@ -27,6 +27,7 @@ from l3cli.simulation.light import (
     electron_weights,
     make_light,
     output_weights,
+    photon_weights,
     scene_light,
     white_rates,
 )
@@ -120,6 +121,25 @@ def _collected(
         distance, shape = camera.optics.image_distance, (rates.shape[1], rates.shape[2])
         rates *= relative_illumination(distance, pitch, shape).astype(np.float32)
     return ideal, rates, output_weights(target, camera, light, light.wavelength).sum(axis=1)
+
+
+def spectral_planes(
+    camera: CameraModel, scene: Scene, light: Light, lens: Lens, basis: Array
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Return the photons of a scene in each spectrum of an orthogonal `basis` (wavelength, term), (term, row, col), behind
+    the lens and before it, whatever the filters; and XYZ over that of white (output, row, col), before it."""
+    bands, pitch = scene.wavelength, camera.pixel_pitch
+    wanted = output_weights(XYZ, camera, light, bands)
+    wanted = wanted / output_weights(XYZ, camera, light, light.wavelength).sum(axis=1, keepdims=True)
+    coefficients = basis.T @ photon_weights(camera, light, bands) / np.square(basis).sum(axis=0)[:, None]
+    transfer = lens_transfer(camera.optics, pitch, bands, lens.diffraction, lens.defocus_um * 1e-6)
+    terms = np.zeros((0, bands.size)) if transfer is None else transfer.spectral
+    through = (coefficients[:, None] * terms).reshape(-1, bands.size)
+    planes = project(scene.reflectance, np.concatenate([wanted, coefficients, through]))
+    target, sharp, parts = np.split(planes, [len(wanted), len(wanted) + len(coefficients)])
+    if transfer is None:
+        return sharp, sharp, target
+    return blurred_channels(parts.reshape(len(coefficients), len(terms), *parts.shape[1:]), transfer, pitch), sharp, target
 
 
 def _signalled(

@@ -153,6 +153,14 @@ def electron_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
     return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)
 
 
+def photon_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
+    """Return the photons a second (wavelength, band) that a pixel gets in each step of the camera's grid, of unit
+    reflectance in each band; `electron_weights` are responsivities times these."""
+    photons = camera.optics.irradiance_per_radiance * camera.pixel_pitch**2 * spectra.bin_widths(camera.wavelength)
+    seen = photons[:, None] * spectra.sampling_matrix(light.wavelength, camera.wavelength)
+    return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)
+
+
 def matching_weights(functions: Array, light: Light, bands: Array) -> Array:
     """Return W (output, band) of unit reflectance in each band, for matching functions (output, sample of the light) per
     watt."""

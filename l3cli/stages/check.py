@@ -14,6 +14,7 @@ import msgspec
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, load_camera
 from l3cli.classes import chroma, contrast, level, saturation
+from l3cli.design.recipe import DesignRecipe
 from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
 from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
 from l3cli.recipes.builtin import known_benchmarks, known_recipes
@@ -30,6 +31,9 @@ from l3cli.stages.recipes import (
     camera_recipe_faults,
     class_meaning,
     class_recipe_faults,
+    design_lines,
+    design_meaning,
+    design_recipe_faults,
     files_named,
     key_in,
     lab_meaning,
@@ -70,6 +74,7 @@ KINDS = {
         Kind("lab", (LabRecipe,), "lab"),
         Kind("scenes", (SceneRecipe,), "scenes"),
         Kind("classes", (TrainingRecipe,), "classes"),
+        Kind("design", (DesignRecipe,), "designs"),
         Kind("measurements", (MeasurementRecipe, CorrectionRecipe), None),
     )
 }
@@ -128,6 +133,7 @@ JUDGES = {
     "lab": Judge(lab_recipe_faults, lab_meaning, lab_lines),
     "scenes": Judge(scene_recipe_faults, scene_meaning, scene_lines),
     "classes": Judge(class_recipe_faults, class_meaning, class_lines),
+    "design": Judge(design_recipe_faults, design_meaning, design_lines),
     "measurements": Judge(measurement_faults, measurement_meaning, measurement_lines),
 }
 INDENT = "  "

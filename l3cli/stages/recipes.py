@@ -16,6 +16,7 @@ from l3cli.artifacts.camera_curves import responsivity
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_faults, columns_left_out, load_camera
 from l3cli.artifacts.class_rule import MAX_PATCH
 from l3cli.classes import contrast, level
+from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves, level_name
 from l3cli.errors import InputFileError, L3Error, shortened
 from l3cli.io.curves import prior_files
 from l3cli.io.file_names import find_scenes
@@ -43,6 +44,7 @@ from l3cli.simulation.sources import FileSource, name_of, wanted_scenes
 from l3cli.simulation.sources import Source as SceneSource
 from l3cli.simulation.summary import array_lines, camera_figures, lab_figures, seconds_text
 from l3cli.spectra.file import read_table
+from l3cli.stages.design.moments import pixel_of
 from l3cli.stages.simulation.preparation import prepare, refusals, size_of
 from l3cli.system.text import counted
 from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults
@@ -164,6 +166,31 @@ def class_recipe_faults(recipe: TrainingRecipe, source: Source) -> Iterator[Faul
 def class_meaning(recipe: TrainingRecipe, source: Source) -> Meaning:
     """Return the classes of each layer, and the bytes of the table for a camera."""
     return class_figures(recipe, source.camera), []
+
+
+def design_recipe_faults(recipe: DesignRecipe, source: Source) -> Iterator[Fault]:
+    """Yield all that is wrong with a recipe, and with the files that it names."""
+    wrong = list(design_faults(recipe))
+    yield from wrong
+    if not wrong:
+        yield from source.attempt(None, _design_curves, recipe, source)
+
+
+def _design_curves(recipe: DesignRecipe, source: Source) -> Any:
+    camera = pixel_of(recipe.pixel, source.path.parent)
+    return filter_curves(recipe, camera, camera.wavelength, source.path.parent)
+
+
+def design_meaning(recipe: DesignRecipe, source: Source) -> Meaning:
+    """Return the peak efficiency of each filter, and the lights and exposures."""
+    peaks = _design_curves(recipe, source).max(axis=1).tolist()
+    return {"filters": dict(zip(recipe.filters, peaks, strict=True)), "levels": list(map(level_name, recipe.level))}, []
+
+
+def design_lines(figures: dict[str, Any], width: int | None) -> list[str]:
+    """Return the figures of a design recipe as lines."""
+    filters = ", ".join(f"{name} {100 * peak:.0f} %" for name, peak in figures["filters"].items())
+    return [f"filters, peak quantum efficiency: {filters}", f"levels: {'; '.join(figures['levels'])}"]
 
 
 def scene_recipe_faults(recipe: SceneRecipe, source: Source) -> Iterator[Fault]:

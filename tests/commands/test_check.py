@@ -15,12 +15,15 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.classes.rule import make_rule
+from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves
 from l3cli.errors import L3Error
+from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.lab import LabRecipe, plan
 from l3cli.simulation.light import automatic_exposure, make_light
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.stages.check import KINDS, judge, names
+from l3cli.stages.design.moments import pixel_of
 from l3cli.stages.simulation.preparation import fitting, prepare
 from l3cli.system.console import Silent
 from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
@@ -425,7 +428,7 @@ def test_the_classes_of_a_site_are_those_of_the_rule() -> None:
     rule = make_rule(recipe.classes, camera, np.arange(8).astype(np.uint16))
     document = class_figures(recipe, camera)
     assert document["layers"][0]["classes_per_site"] == rule.classes_per_site
-    assert [*KINDS] == ["camera", "lab", "scenes", "classes", "measurements"]
+    assert [*KINDS] == ["camera", "lab", "scenes", "classes", "design", "measurements"]
 
 
 # ------------------------------------------------------------------------------- it agrees with what commands refuse
@@ -440,6 +443,11 @@ def use(kind: str, path: Path, camera: CameraModel) -> None:
     elif kind == "scenes":
         recipe = load_recipe(path, SceneRecipe)
         fitting(*prepare(recipe, path, camera, 0), path, False, Silent())
+    elif kind == "design":
+        designed = load_recipe(path, DesignRecipe)
+        refuse_first(design_faults(designed))
+        pixel = pixel_of(designed.pixel, path.parent)
+        filter_curves(designed, pixel, pixel.wavelength, path.parent)
     else:
         classes = load_recipe(path, TrainingRecipe)
         check_learning(classes.learning)

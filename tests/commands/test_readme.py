@@ -12,6 +12,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, load_camera
 from l3cli.artifacts.store import load
 from l3cli.cli import COMMANDS, l3
+from l3cli.design.recipe import DesignRecipe
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.recipes import builtin
 from l3cli.recipes.toml import KIND_KEYS, Recipe
@@ -26,6 +27,7 @@ from tests.helpers.readme import shown as code_of
 ROOT = CONFIGS.parent
 RECIPES: dict[str, type[Recipe]] = {
     "cameras": CameraRecipe, "lab": LabRecipe, "scenes": SceneRecipe, "classes": TrainingRecipe,
+    "designs": DesignRecipe,
 }  # fmt: skip
 LINES = [line.removeprefix("$ ") for line in code_of(ALL) if re.match(r"(\$ )?(l3 |.*\| l3 )", line)]
 

@@ -1,0 +1,159 @@
+"""Scene moments, what scenes are to any array behind a lens and pixel; and a design, arrays with their predicted errors."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.schema import Artifact, check, data, group
+
+SHARP, SOFT = slice(0, 3), slice(3, 6)  # of targets: X, Y, Z; the same, blurred as an eye sees chroma
+WEIGHTINGS = ("seen", "linear")
+
+
+@dataclass(frozen=True)
+class LightMoments:
+    """Second moments of patches and targets under one light, summed over all patches.
+
+    A patch holds `terms` coefficients of each of its side × side taps, tap by tap; behind these stand the targets of its
+    centre: X, Y, Z over those of white, the same blurred, and its coefficients before the lens.
+    """
+
+    illuminant: str = data("str", doc="name of the light")
+    basis: NDArray[np.float64] = data(
+        "float64", "wavelength", "term", unit="photons/s", doc="of a pixel and a step of the grid, white being 1 cd/m^2"
+    )
+    white_photons: NDArray[np.float64] = data(
+        "float64", "wavelength", unit="photons/s", doc="the same of a perfect white of 1 cd/m^2"
+    )
+    lost: float = data("float64", doc="share of the power of spectra that the terms leave out")
+    patches: NDArray[np.float64] = data("float64", "group", doc="patches of each group")
+    weight: NDArray[np.float64] = data("float64", "weighting", "group", doc="sum of squared weights")
+    mean: NDArray[np.float64] = data("float64", "weighting", "group", "coefficient", doc="weighted sum of coefficients")
+    moment: NDArray[np.float64] = data(
+        "float64", "weighting", "group", "entry", "entry", doc="weighted sum of products of coefficients and targets"
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if (
+            self.moment.shape[-1] != self.mean.shape[-1] + SOFT.stop + self.terms
+            or self.moment.shape[-2:] != (self.moment.shape[-1],) * 2
+        ):
+            raise ValueError("moments do not hold taps, targets and terms")
+        if not (self.patches.min(initial=0) >= 0 and self.patches.sum() > 0 and 0 <= self.lost < 1):
+            raise ValueError("moments are of no patches")
+
+    @property
+    def terms(self) -> int:
+        return self.basis.shape[1]
+
+    @property
+    def share(self) -> NDArray[np.float64]:
+        """(group) share of the patches."""
+        return np.asarray(self.patches / self.patches.sum())
+
+
+@dataclass(frozen=True)
+class SceneMoments(Artifact):
+    """Second moments of scenes behind one lens and pixel, whatever its filters (docs/arrays.md#design)."""
+
+    kind: ClassVar[str] = "scene moments"
+    version: ClassVar[int] = 2
+    made_by: ClassVar[str] = '"l3 design moments"'
+
+    pixel_pitch: float = data("float64", unit="m", doc="distance of pixel centres")
+    f_number: float = data("float64", doc="of the lens")
+    side: int = data("int64", unit="pixel", doc="side of a patch")
+    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="grid of filters")
+    level_edge: NDArray[np.float64] = data(
+        "float64", "level_edge", doc="of groups: mean luminance of 5x5 pixels over white", coordinate=True
+    )
+    contrast_edge: NDArray[np.float64] = data(
+        "float64", "contrast_edge", doc="of groups: standard deviation of these over their mean", coordinate=True
+    )
+    weightings: tuple[str, ...] = data("str", "weighting", doc="seen: of a patch (Y + 0.02)^(-2/3); linear: 1")
+    light: tuple[LightMoments, ...] = group()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        groups = (self.level_edge.size + 1) * (self.contrast_edge.size + 1)
+        taps = self.side**2
+        for each in self.light:
+            if each.patches.size != groups or each.mean.shape[-1] != taps * each.terms:
+                raise ValueError("moments do not fit their groups or the side of a patch")
+        if not (self.light and self.side % 2 and self.pixel_pitch > 0 and self.f_number > 0):
+            raise ValueError("moments need a light, an odd side, a pixel and a lens")
+        if self.weightings != WEIGHTINGS:
+            raise ValueError(f"weightings are not {', '.join(WEIGHTINGS)}")
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Names of the groups, in order."""
+        levels = _named(self.level_edge, ("dark", "middle", "bright"))
+        contrasts = _named(self.contrast_edge, ("plain", "texture", "edge"))
+        return tuple(f"{level} {contrast}" for contrast in contrasts for level in levels)
+
+
+def _named(edges: NDArray[np.float64], names: tuple[str, ...]) -> list[str]:
+    return list(names) if len(edges) + 1 == len(names) else [f"{number + 1}" for number in range(len(edges) + 1)]
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """Filters of one array that were tuned."""
+
+    pattern: str = data("str", doc="the array, rows of names")
+    parameters: NDArray[np.float64] = data(
+        "float64", "tuned_filter", "parameter", unit="nm, nm, 1", doc="centre, sigma and peak of each filter"
+    )
+    tuned_filters: tuple[str, ...] = data("str", "tuned_filter", doc="their names")
+    tuned_efficiency: NDArray[np.float64] = data("float64", "filter", "wavelength", unit="e-/photon", doc="of all filters")
+    before: NDArray[np.float64] = data("float64", "level", doc="predicted error with the given filters")
+    after: NDArray[np.float64] = data("float64", "level", doc="with the tuned ones")
+    bayer: NDArray[np.float64] = data("float64", "level", doc="of the best Bayer array of the tuned filters")
+    ends: NDArray[np.float64] = data("float64", "start", doc="error over all levels that each start came to")
+
+
+@dataclass(frozen=True)
+class Design(Artifact):
+    """Arrays of a library of filters, best first, with their predicted errors."""
+
+    kind: ClassVar[str] = "design"
+    version: ClassVar[int] = 2
+    made_by: ClassVar[str] = '"l3 design"'
+
+    name: str = data("str", doc="what the design is called")
+    unit: str = data("str", doc="of errors")
+    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="grid of filters")
+    filters: tuple[str, ...] = data("str", "filter", doc="names of the library's filters")
+    efficiency: NDArray[np.float64] = data(
+        "float64", "filter", "wavelength", unit="e-/photon", doc="lens and pixel included"
+    )
+    levels: tuple[str, ...] = data("str", "level", doc="lights and exposures that arrays are judged at")
+    groups: tuple[str, ...] = data("str", "group", doc="kinds of patches")
+    share: NDArray[np.float64] = data("float64", "level", "group", doc="share of the patches")
+    tried: int = data("int64", doc="arrays that were judged")
+    patterns: tuple[str, ...] = data("str", "candidate", doc="arrays, best first: rows of names, divided by /")
+    error: NDArray[np.float64] = data("float64", "candidate", "level", "group", doc="predicted error, mean over sites")
+    dyes: NDArray[np.float64] = data(
+        "float64", "candidate", "level", doc="predicted error of the best Bayer array of the same filters; 0: there is none"
+    )
+    bayer: int = data("int64", doc="place among the candidates of the best Bayer array of the library; -1: there is none")
+    tuned: Tuned | None = group(default=None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (self.patterns and -1 <= self.bayer < len(self.patterns) and self.error.min(initial=0) >= 0):
+            raise ValueError("a design holds arrays and errors from 0")
+
+    @property
+    def predicted(self) -> NDArray[np.float64]:
+        """(candidate, level) predicted error, mean over patches."""
+        return np.asarray(np.einsum("clg,lg->cl", self.error, self.share))
+
+    @property
+    def score(self) -> NDArray[np.float64]:
+        """(candidate) predicted error over all levels, their geometric mean."""
+        return np.asarray(np.exp(np.log(np.maximum(self.predicted, 1e-12)).mean(axis=1)))

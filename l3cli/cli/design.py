@@ -1,0 +1,99 @@
+"""l3 design: which array? Filters × scenes × lights → arrays by predicted error; and the moments of scenes that it needs."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from l3cli.cli import options as declared
+from l3cli.cli.results import Result
+from l3cli.cli.terminal import show_table
+from l3cli.options.commands import DesignOptions, MomentsOptions
+
+if TYPE_CHECKING:
+    from l3cli.artifacts.design import Design
+
+SHOWN = 20  # arrays that are printed
+TIE = 0.02  # relative difference of errors that means nothing
+
+
+@click.command()
+@click.argument("scenes", type=declared.RecipeFile("scenes"), metavar="SCENES.toml")
+@click.option(
+    "--camera",
+    type=declared.CAMERA,
+    required=True,
+    metavar="CAMERA|DESIGN.toml",
+    help="Camera model or recipe, its name, or design recipe: lens and pixel count, its filters do not.",
+)
+@declared.output("Moments to write")
+@declared.of(MomentsOptions, declared.trust, declared.dry_run)
+def moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> Result:
+    """Gather what the error of any array follows from: second moments of the spectra of scenes behind a lens and pixel.
+
+    \b
+    Example: l3 design moments default --camera bayer -o scenes.h5
+    """
+    from l3cli.stages.design.moments import gather_moments
+
+    made = gather_moments(scenes, camera, output, options)
+    lights = {each.illuminant: {"spectra": each.terms, "lost": each.lost} for each in made.light}
+    return Result({"moments": str(output), "patches": int(made.light[0].patches.sum()), "lights": lights})
+
+
+class _WithMoments(click.Command):
+    """A command whose first word may be `moments`, another command."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        if args[:1] == ["moments"]:
+            return moments.make_context(f"{info_name} moments", args[1:], parent, **extra)
+        return super().make_context(info_name, args, parent, **extra)
+
+
+@click.command(cls=_WithMoments)
+@click.argument("recipe", type=declared.RecipeFile("designs"), metavar="DESIGN.toml")
+@declared.output("Design to write")
+@declared.of(DesignOptions, declared.dry_run)
+def design(recipe: Path, output: Path, options: DesignOptions) -> Result:
+    """Rank colour filter arrays by the error that they will reach, without training them. DESIGN.toml is a recipe or the
+    name of one that comes with l3: pixel, filters, arrays to try, lights. "l3 design moments SCENES.toml --camera CAMERA -o
+    SCENES.h5" gathers, once, what scenes are behind that lens and pixel.
+
+    \b
+    Example: l3 design dyes --moments scenes.h5 -o design.h5
+    """
+    from l3cli.stages.design.run import design as stage
+
+    made = stage(recipe, output, options)
+    return Result({"design": str(output), **_document(made)}, lambda: _text(made))
+
+
+def _document(made: "Design") -> dict[str, Any]:
+    predicted, dyes = made.predicted, made.dyes
+    arrays = [
+        {"array": pattern, "error": predicted[place].tolist(), "bayer_of_its_filters": dyes[place].tolist()}
+        for place, pattern in enumerate(made.patterns)
+    ]
+    return {"tried": made.tried, "levels": list(made.levels), "unit": made.unit, "bayer": made.bayer, "arrays": arrays}
+
+
+def _text(made: "Design") -> None:
+    predicted, score = made.predicted, made.score
+    places = [*range(min(SHOWN, len(score))), *([made.bayer] if made.bayer >= SHOWN else [])]
+    rows = []
+    for place in places:
+        tie = "=" if place and score[place] <= score[0] * (1 + TIE) else ""
+        to_bayer = "–" if made.dyes[place].min() <= 0 else f"{_gain(score[place], made.dyes[place]):+.1f} %"
+        name = f"{made.patterns[place]}{' (Bayer)' if place == made.bayer else ''}"
+        rows.append([f"{place + 1}{tie}", *(f"{error:.3f}" for error in predicted[place]), to_bayer, name])
+    title = [f"{made.tried} arrays, predicted error ({made.unit}); =: within {TIE:.0%} of the best"]
+    show_table(title, ["", *made.levels, "to Bayer", "array"], rows)
+
+
+def _gain(score: float, dyes: Any) -> float:
+    """Return the % by which an array differs from the best Bayer array of its filters."""
+    import numpy as np
+
+    return float(100 * (score / np.exp(np.log(dyes).mean()) - 1))

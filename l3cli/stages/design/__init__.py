@@ -1,0 +1,1 @@
+"""The design stages: scenes → moments (`moments`), a design recipe → arrays and their errors (`run`)."""

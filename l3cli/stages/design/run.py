@@ -1,0 +1,280 @@
+"""The stage of a design: moments of scenes × library of filters → arrays by their predicted error."""
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.design import Design, LightMoments, SceneMoments
+from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.store import load, save
+from l3cli.design.error import Cfa, Level, clips_everything, noise_of, seen_by, wanted_outputs
+from l3cli.design.recipe import (
+    DesignRecipe,
+    PatternRecipe,
+    design_faults,
+    filter_curves,
+    level_name,
+    require_exposed,
+    sites_of,
+)
+from l3cli.design.search import Problem, anneal, bayer_arrays, canonical, every_array, independent_outputs, least_period
+from l3cli.errors import InputFileError, RecipeError, listed
+from l3cli.options.commands import DesignOptions
+from l3cli.parallel import WorkerPool, workers
+from l3cli.recipes.faults import refuse_first
+from l3cli.recipes.toml import load_recipe, read_text
+from l3cli.stages.design.moments import pixel_files, pixel_of
+from l3cli.stages.design.parts import Parts
+from l3cli.stages.simulation.units import key_of
+from l3cli.system.console import Console
+from l3cli.system.files import sha256
+from l3cli.system.output_guard import OutputGuard
+from l3cli.system.plan import Made, before_work
+
+AT_ONCE = 64  # arrays that a process judges in a go
+UNITS = {"lab": "ΔE00, about", "scielab": "ΔE, chroma softened", "luminance": "L*", "linear": "% of white"}
+SAME = 1e-6  # relative; of numbers that agree
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """A design recipe with all that it names, as every process can make it again."""
+
+    recipe: Path
+    moments: Path
+
+    @functools.cached_property
+    def wanted(self) -> DesignRecipe:
+        recipe = load_recipe(self.recipe, DesignRecipe)
+        refuse_first(design_faults(recipe), self.recipe)
+        return recipe
+
+    @functools.cached_property
+    def scenes(self) -> SceneMoments:
+        return load(SceneMoments, self.moments)
+
+    @functools.cached_property
+    def curves(self) -> NDArray[np.float64]:
+        """(filter, wavelength) quantum efficiency."""
+        pixel = pixel_of(self.wanted.pixel, self.recipe.parent)
+        return filter_curves(self.wanted, pixel, self.scenes.wavelength, self.recipe.parent)
+
+    @functools.cached_property
+    def centres(self) -> NDArray[np.float64]:
+        """(filter) nm, centroid of what each passes."""
+        return np.asarray(self.curves @ self.scenes.wavelength / self.curves.sum(axis=1))
+
+    @functools.cached_property
+    def levels(self) -> tuple[Level, ...]:
+        lights = [light.illuminant for light in self.scenes.light]
+        levels = []
+        for one in self.wanted.level:
+            if one.illuminant not in lights:
+                known = f"{self.moments} holds moments under {', '.join(lights)}"
+                raise RecipeError(f'level "{level_name(one)}": {known}; gather them under {one.illuminant}')
+            luminance = one.lux / np.pi if one.lux is not None else one.luminance_cd_m2 or 100.0
+            place = lights.index(one.illuminant)
+            levels.append(Level(level_name(one), place, one.share, luminance, one.exposure_s or 0.0))
+        return tuple(levels)
+
+    @functools.cached_property
+    def problem(self) -> Problem:
+        return self.problem_of(self.curves)
+
+    def problem_of(self, curves: NDArray[np.float64]) -> Problem:
+        """Return the problem with other filters."""
+        wanted, used = self.wanted, {level.light for level in self.levels}
+        lights: Sequence[LightMoments] = self.scenes.light
+        seen = tuple(
+            seen_by(light, curves, wanted_outputs(wanted.output, wanted.counts, light, self.curves))
+            for number, light in enumerate(lights)
+            if number in used
+        )
+        order = sorted(used)
+        levels = tuple(dataclasses.replace(level, light=order.index(level.light)) for level in self.levels)
+        return Problem(seen, levels, noise_of(pixel_of(wanted.pixel, self.recipe.parent)))
+
+    def allowed(self, filters: Sequence[int]) -> bool:
+        """Return whether an array of these filters has as many independent outputs as are needed."""
+        responses = self.curves[list(filters)] @ self.scenes.light[0].basis
+        return len(filters) >= self.wanted.needed and independent_outputs(responses) >= self.wanted.needed
+
+
+_task = functools.lru_cache(maxsize=1)(Task)  # of this process
+
+
+def design(recipe: Path, output: Path, options: DesignOptions) -> Design:
+    """Write the design of a recipe: its arrays by predicted error. RecipeError or InputFileError if recipe, moments or files
+    cannot be used, L3Error if the output cannot be written."""
+    if options.moments is None:
+        raise RecipeError('‹moments› is missing; make them with "l3 design moments"')
+    console = options.console
+    with OutputGuard(console) as guard:
+        guard.protect(recipe, options.moments)
+        guard.guard_file(output, options.force)
+        task = Task(recipe, options.moments)
+        files = [*pixel_files(recipe), *_curve_files(task.wanted, recipe.parent)]
+        guard.protect(*files)
+        _check_pixel(task)
+        problem = task.problem
+        clipped = [clips_everything(problem.seen[level.light], level, problem.noise) for level in problem.levels]
+        require_exposed([level.name for level in problem.levels], clipped)
+        lists = [_arrays(task, pattern, number) for number, pattern in enumerate(task.wanted.pattern)]
+        before_work({"recipe": files, "moments": [options.moments]}, Made(output, "design"))
+        sums = {"recipe": [sha256(path) for path in files], "moments": [sha256(options.moments)]}
+        stage = Stage("design", options.chosen(), read_text(recipe), sums)
+        parts = Parts(output, key_of(stage))
+        with parts.held(options.resume, options.force), workers(options.jobs) as pool:
+            arrays = list(_candidates(task, lists, parts, pool, options))
+            errors = _judged(task, arrays, parts, pool, console)
+            made = _design(task, arrays, errors, options.top)
+            made = dataclasses.replace(made, history=(*task.scenes.history, stage))
+            save(made, output)
+        console.info(f"{output}: {made.tried} arrays, {len(made.filters)} filters, {len(made.levels)} levels")
+        return made
+
+
+def _curve_files(recipe: DesignRecipe, folder: Path) -> list[Path]:
+    """Return the files of curves that a recipe names."""
+    names = [one.file for one in recipe.filters.values() if one.file is not None]
+    bare = [recipe.pixel.bare] if isinstance(recipe.pixel.bare, str) else []
+    return [folder / name for name in (*names, *bare)]
+
+
+def _check_pixel(task: Task) -> None:
+    """Raise InputFileError if the moments are of another lens or pixel."""
+    pixel, scenes = pixel_of(task.wanted.pixel, task.recipe.parent), task.scenes
+    for what, unit, ours, theirs in (
+        ("pixels", "µm", pixel.pixel_pitch * 1e6, scenes.pixel_pitch * 1e6),
+        ("f-number", "", pixel.optics.f_number, scenes.f_number),
+    ):
+        if abs(ours - theirs) > SAME * ours:
+            given = f"{what} of {theirs:g} {unit}".strip()
+            raise InputFileError(
+                f"{task.moments} is of {given}, the design of {ours:g}; gather moments with ‹camera› {task.recipe}"
+            )
+
+
+def _names(task: Task) -> list[str]:
+    return list(task.wanted.filters)
+
+
+def _numbered(task: Task, rows: list[str]) -> Cfa:
+    """Return an array of names as numbers of filters."""
+    names = _names(task)
+    return np.array([[names.index(name) for name in row] for row in sites_of(rows)])
+
+
+def shown(cfa: Cfa, names: Sequence[str]) -> str:
+    """Return an array as text, rows of names divided by /."""
+    return " / ".join(" ".join(names[site] for site in row) for row in cfa)
+
+
+def _arrays(task: Task, pattern: PatternRecipe, number: int) -> list[Cfa] | None:
+    """Return the arrays of a pattern that are judged; None: there are too many, and they are annealed. RecipeError if none
+    has as many independent outputs as are needed."""
+    needed, where = task.wanted.needed, f"{task.recipe}: pattern {number + 1}"
+    if pattern.shape is None:
+        listed_arrays = [_numbered(task, rows) for rows in pattern.arrays]
+        if wrong := [cfa for cfa in listed_arrays if not task.allowed(np.unique(cfa).tolist())]:
+            shortage = listed(shown(cfa, _names(task)) for cfa in wrong)
+            raise RecipeError(f"{where}: {shortage} has fewer than {needed} independent outputs; add a filter")
+        return listed_arrays
+    filters = _filters(task, pattern)
+    if not task.allowed(filters):
+        raise RecipeError(f"{where}: its filters have fewer than {needed} independent outputs; add one")
+    counts = list(pattern.counts.values()) if pattern.counts else None
+    every = every_array(pattern.shape, filters, counts, task.allowed)
+    if every == []:
+        raise RecipeError(f"{where}: no array of that shape has {needed} independent outputs; make it larger")
+    return every
+
+
+def _filters(task: Task, pattern: PatternRecipe) -> list[int]:
+    names = _names(task)
+    return [names.index(name) for name in (pattern.counts or pattern.filters or names)]
+
+
+def _candidates(
+    task: Task, lists: Sequence[list[Cfa] | None], parts: Parts, pool: WorkerPool, options: DesignOptions
+) -> Iterator[Cfa]:
+    """Yield every array that is judged, Bayer's of the library among them, each once."""
+    annealed = [
+        (number, run)
+        for number, arrays in enumerate(lists)
+        if arrays is None
+        for run in range(task.wanted.pattern[number].runs)
+    ]
+    work = functools.partial(_annealed, task.recipe, task.moments, options.seed)
+    found = [part["cfa"] for part in parts.each("annealings", work, annealed, pool, options.console)] if annealed else []
+    bayer = (cfa for cfa in bayer_arrays(range(len(task.curves)), task.centres) if task.allowed(np.unique(cfa).tolist()))
+    known: set[tuple[Any, ...]] = set()
+    for cfa in map(least_period, itertools.chain(*filter(None, lists), found, bayer)):
+        key = (cfa.shape, canonical(cfa))
+        if key not in known:
+            known.add(key)
+            yield cfa
+
+
+def _annealed(recipe: Path, moments: Path, seed: int, which: tuple[int, int]) -> dict[str, NDArray]:
+    """Return the array that annealing of a pattern comes to, in whatever process."""
+    task, (number, run) = _task(recipe, moments), which
+    pattern = task.wanted.pattern[number]
+    assert pattern.shape is not None
+    rng = np.random.default_rng([seed, number, run])
+    counts = list(pattern.counts.values()) if pattern.counts else None
+    _, cfa = anneal(task.problem, pattern.shape, _filters(task, pattern), counts, task.allowed, pattern.steps, rng)
+    return {"cfa": cfa}
+
+
+def _judged(task: Task, arrays: Sequence[Cfa], parts: Parts, pool: WorkerPool, console: Console) -> NDArray[np.float64]:
+    """Return the errors (array, level, group)."""
+    groups = [list(arrays[start : start + AT_ONCE]) for start in range(0, len(arrays), AT_ONCE)]
+    work = functools.partial(_errors, task.recipe, task.moments)
+    return np.concatenate([part["errors"] for part in parts.each("arrays", work, groups, pool, console)])
+
+
+def _errors(recipe: Path, moments: Path, arrays: list[Cfa]) -> dict[str, NDArray]:
+    problem = _task(recipe, moments).problem
+    return {"errors": np.array([problem.errors(cfa) for cfa in arrays])}
+
+
+def _design(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64], top: int) -> Design:
+    """Return the design, its best `top` arrays and the best of Bayer's among them."""
+    problem, names = task.problem, _names(task)
+    scores = np.array([problem.score(each) for each in errors])
+    order = np.lexsort((np.arange(len(scores)), np.round(np.log(scores), 9)))
+    places = {canonical(cfa): place for place, cfa in enumerate(arrays) if cfa.shape == (2, 2)}
+    listed_places = list(order[:top])
+    best = _best_bayer(task, range(len(names)), places, scores)
+    if best is not None and best not in listed_places:
+        listed_places.append(best)
+    dyes = [_best_bayer(task, np.unique(arrays[place]).tolist(), places, scores) for place in listed_places]
+    levels = (errors * problem.share).sum(axis=2)
+    return Design(
+        name=task.wanted.name,
+        unit=UNITS[task.wanted.counts if task.wanted.output == "XYZ" else "linear"],
+        wavelength=task.scenes.wavelength,
+        filters=tuple(names),
+        efficiency=task.curves,
+        levels=tuple(level.name for level in problem.levels),
+        groups=task.scenes.groups,
+        share=problem.share,
+        tried=len(arrays),
+        patterns=tuple(shown(arrays[place], names) for place in listed_places),
+        error=errors[listed_places],
+        dyes=np.array([np.zeros(len(problem.levels)) if each is None else levels[each] for each in dyes]),
+        bayer=-1 if best is None else listed_places.index(best),
+    )
+
+
+def _best_bayer(task: Task, filters: Sequence[int], places: dict[bytes, int], scores: NDArray[np.float64]) -> int | None:
+    """Return the place of the best Bayer array of some filters; None: there is none."""
+    keys = map(canonical, bayer_arrays(filters, task.centres))
+    return min((places[key] for key in keys if key in places), key=lambda place: scores[place], default=None)

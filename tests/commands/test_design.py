@@ -1,0 +1,181 @@
+"""l3 design: moments of scenes and designs, the same bytes for any jobs and after a stop; wrong recipes in one line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.design import Design, SceneMoments
+from l3cli.artifacts.store import load
+from l3cli.stages.design import parts
+from tests.helpers.calls import L3, Refused
+from tests.helpers.cameras import bayer_camera
+
+SCENES = """
+illuminants = ["D65", "A"]
+exposure_share = [0.9]
+[[scene]]
+source = "dead leaves"
+size = [40, 40]
+count = 3
+"""
+DESIGN = """
+name = "four"
+[pixel]
+camera = "camera.toml"
+bare = "bare.csv"
+[filters]
+r = { channel = "r" }
+g = { centre_nm = 535, sigma_nm = 40 }
+b = { file = "blue.csv" }
+w = {}
+gb = { stack = ["g", "b"] }
+[[pattern]]
+shape = [2, 2]
+filters = ["r", "g", "b", "w"]
+[[pattern]]
+shape = [2, 4]
+counts = { g = 4, r = 2, b = 2 }
+[[pattern]]
+arrays = [["g r w r", "b g b g"]]
+[[level]]
+share = 0.9
+[[level]]
+illuminant = "A"
+lux = 10
+exposure_s = 0.02
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from l3cli.cli import run
+
+    made = tmp_path_factory.mktemp("design")
+    (made / "camera.toml").write_text(bayer_camera())
+    (made / "scenes.toml").write_text(SCENES)
+    (made / "design.toml").write_text(DESIGN)
+    (made / "bare.csv").write_text("nm,bare (e-/photon)\n380,0.5\n720,0.6\n")
+    (made / "blue.csv").write_text("nm,b\n380,0.7\n440,0.9\n500,0.2\n560,0\n720,0\n")
+    gathering = ["--camera", "design.toml", "--patches", "300", "-o", "scenes.h5", "--quiet"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(made)
+        assert run(["design", "moments", "scenes.toml", *gathering]) == 0
+        assert run(["design", "design.toml", "--moments", "scenes.h5", "-o", "design.h5", "--quiet"]) == 0
+    return made
+
+
+def test_moments_and_designs_have_the_same_bytes_for_any_jobs(
+    folder: Path, tmp_path: Path, l3: L3, same_workers: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    call = ("design", "moments", "scenes.toml", "--camera", "design.toml", "--patches", 300, "-o", tmp_path / "m.h5")
+    assert l3(*call, "--jobs", 2)[0] == 0
+    assert (tmp_path / "m.h5").read_bytes() == (folder / "scenes.h5").read_bytes()
+    ranking = ("design", "design.toml", "--moments", "scenes.h5", "-o", tmp_path / "d.h5")
+    assert l3(*ranking, "--jobs", 2)[0] == 0
+    assert (tmp_path / "d.h5").read_bytes() == (folder / "design.h5").read_bytes()
+    assert not list(tmp_path.glob("*.parts"))
+
+
+def test_a_stopped_run_goes_on(
+    folder: Path, tmp_path: Path, l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    call = ("design", "moments", "scenes.toml", "--camera", "design.toml", "--patches", 300, "-o", tmp_path / "m.h5")
+    saved: list[Path] = []
+    again: list[Path] = []
+    write = parts.write_whole
+    with monkeypatch.context() as patch:
+
+        def stop(path: Path, content: bytes) -> None:
+            if len(saved) == 4:
+                raise KeyboardInterrupt
+            saved.append(path)
+            write(path, content)
+
+        patch.setattr(parts, "write_whole", stop)
+        assert l3(*call)[0] == 130
+    assert len(list((tmp_path / "m.h5.parts").glob("*.npz"))) == 4
+    assert "leave --resume out" in refused(2, *call, "--resume", "--seed", 1)
+
+    def follow(path: Path, content: bytes) -> None:
+        again.append(path)
+        write(path, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(parts, "write_whole", follow)
+        assert l3(*call, "--resume")[0] == 0
+    assert [path.name for path in again] == ["scenes-00001.npz", "scenes-00002.npz"]  # of three scenes two parts each
+    assert (tmp_path / "m.h5").read_bytes() == (folder / "scenes.h5").read_bytes()
+
+
+def test_a_design_ranks_arrays_beside_bayer_of_their_filters(folder: Path, l3: L3, tmp_path: Path) -> None:
+    made = load(Design, folder / "design.h5")
+    assert load(SceneMoments, folder / "scenes.h5").groups[:3] == ("dark plain", "middle plain", "bright plain")
+    assert made.levels == ("white at 0.9", "10 lx, 0.02 s A")
+    assert (np.diff(np.log(made.score)) > -1e-8).all()
+    assert "g r w r / b g b g" in made.patterns
+    bayer = made.patterns[made.bayer]
+    assert sorted(bayer) == sorted("g r / b g")
+    assert bayer.count("g") == 2
+    assert "r b r b / g g g g" not in made.patterns  # of a shorter period
+    place = made.patterns.index("g r w r / b g b g")
+    assert (made.dyes[place] > 0).all()
+    assert np.allclose(made.dyes[made.bayer], made.predicted[made.bayer])
+    call = ("design", folder / "design.toml", "--moments", folder / "scenes.h5", "-o", tmp_path / "d.h5")
+    code, out, err = l3(*call, "--top", 3)
+    assert code == 0, err
+    assert "array" in out.splitlines()[1]
+    assert out.count("(Bayer)") == 1
+    code, out, _ = l3(*call, "--json", "--force")
+    document = json.loads(out)
+    assert document["arrays"][0]["array"] == made.patterns[0]
+    assert l3("info", tmp_path / "d.h5")[0] == 0
+    code, out, _ = l3("check", folder / "design.toml")
+    assert (code, "levels: white at 0.9; 10 lx, 0.02 s A" in out) == (0, True)
+
+
+WRONG = """
+    shape = [2, 2]                      | shape = [2, 9]                     | 2 | larger than 8×8
+    arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "r g"]]          | 2 | fewer than 3 independent outputs
+    arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "b x"]]          | 2 | "x" is no filter
+    counts = { g = 4, r = 2, b = 2 }    | counts = { g = 4, r = 2 }          | 2 | counts add up to 6, and the shape has 8
+    counts = { g = 4, r = 2, b = 2 }    | counts = { g = 4, r = 4 }          | 2 | fewer than 3 independent outputs
+    g = { centre_nm = 535, sigma_nm = 40 } | g = { centre_nm = 535 }         | 2 | centre_nm and sigma_nm go together
+    g = { centre_nm = 535, sigma_nm = 40 } | g = { centre_nm = 900, sigma_nm = 9, floor = 0 } | 2 | filter g passes nothing
+    r = { channel = "r" }               | r = { channel = "q" }              | 2 | has no channel "q"
+    r = { channel = "r" }               | r = { stack = ["g", "gb"] }        | 2 | gb is no single filter
+    lux = 10                            | lux = 1e9                          | 2 | every filter clips
+    lux = 10                            | luminance_cd_m2 = 1; lux = 10      | 2 | give either luminance_cd_m2 or lux
+    illuminant = "A"                    | illuminant = "F2"                  | 2 | gather them under F2
+    share = 0.9                         | name = "x"                         | 2 | give either share
+    bare = "bare.csv"                   | bare = 1.5                         | 2 | lies in 0…1
+    bare = "bare.csv"                   | pitch_um = 2.0                     | 3 | gather moments with --camera
+    file = "blue.csv"                   | file = "none.csv"                  | 3 | none.csv
+"""
+
+
+@pytest.mark.parametrize("line", [line for line in WRONG.splitlines() if line.strip()])
+def test_wrong_designs_are_refused(line: str, folder: Path, tmp_path: Path, refused: Refused) -> None:
+    old, new, code, words = (part.strip() for part in line.split("|"))
+    assert old in DESIGN
+    recipe = folder / "wrong.toml"
+    recipe.write_text(DESIGN.replace(old, new.replace("; ", "\n")))
+    call = ("design", recipe, "--moments", folder / "scenes.h5", "-o", tmp_path / "d.h5")
+    assert words in refused(int(code), *call)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('["D65", "A"]', '["D65", "scene"]', "scene"),
+        ("[[scene]]", "[lens]\ntransmittance = 0.9\n[[scene]]", "belongs to the filters"),
+    ],
+)
+def test_wrong_moments_are_refused(old: str, new: str, words: str, folder: Path, tmp_path: Path, refused: Refused) -> None:
+    recipe = folder / "wrong_scenes.toml"
+    recipe.write_text(SCENES.replace(old, new))
+    assert words in refused(2, "design", "moments", recipe, "--camera", "bayer", "-o", tmp_path / "m.h5")
+    assert "--moments is missing" in refused(2, "design", folder / "design.toml", "-o", tmp_path / "d.h5")
