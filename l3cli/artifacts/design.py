@@ -51,7 +51,7 @@ class LightMoments:
 
     @property
     def share(self) -> NDArray[np.float64]:
-        """(group) share of the patches."""
+        """Return the share (group) of the patches."""
         return np.asarray(self.patches / self.patches.sum())
 
 
@@ -90,7 +90,7 @@ class SceneMoments(Artifact):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Names of the groups, in order."""
+        """Return the names of the groups, in order."""
         levels = _named(self.level_edge, ("dark", "middle", "bright"))
         contrasts = _named(self.contrast_edge, ("plain", "texture", "edge"))
         return tuple(f"{level} {contrast}" for contrast in contrasts for level in levels)
@@ -150,10 +150,10 @@ class Design(Artifact):
 
     @property
     def predicted(self) -> NDArray[np.float64]:
-        """(candidate, level) predicted error, mean over patches."""
+        """Return the predicted error (candidate, level), mean over patches."""
         return np.asarray(np.einsum("clg,lg->cl", self.error, self.share))
 
     @property
     def score(self) -> NDArray[np.float64]:
-        """(candidate) predicted error over all levels, their geometric mean."""
+        """Return the predicted error (candidate) over all levels, their geometric mean."""
         return np.asarray(np.exp(np.log(np.maximum(self.predicted, 1e-12)).mean(axis=1)))

@@ -57,7 +57,7 @@ class _WithMoments(click.Command):
 @declared.output("Design to write")
 @declared.of(DesignOptions, declared.dry_run)
 def design(recipe: Path, output: Path, options: DesignOptions) -> Result:
-    """Rank colour filter arrays by the error that they will reach, without training them. DESIGN.toml is a recipe or the
+    """Judge colour filter arrays by the error that they will reach, without training them. DESIGN.toml is a recipe or the
     name of one that comes with l3: pixel, filters, arrays to try, lights. "l3 design moments SCENES.toml --camera CAMERA -o
     SCENES.h5" gathers, once, what scenes are behind that lens and pixel.
 

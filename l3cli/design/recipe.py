@@ -93,7 +93,7 @@ class DesignRecipe(Recipe):
 
     @property
     def needed(self) -> int:
-        """Independent outputs that an array needs."""
+        """Return the independent outputs that an array needs."""
         if self.output != "XYZ":
             return min(2, len(self.filters))
         return 1 if self.counts == "luminance" else 3

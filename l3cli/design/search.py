@@ -37,7 +37,7 @@ class Problem:
 
     @functools.cached_property
     def share(self) -> NDArray[np.float64]:
-        """(level, group) share of the patches."""
+        """Return the share (level, group) of the patches."""
         return np.array([self.seen[level.light].share for level in self.levels])
 
     def score(self, errors: NDArray[np.float64]) -> float:

@@ -61,13 +61,13 @@ class Task:
 
     @functools.cached_property
     def curves(self) -> NDArray[np.float64]:
-        """(filter, wavelength) quantum efficiency."""
+        """Return the quantum efficiency (filter, wavelength)."""
         pixel = pixel_of(self.wanted.pixel, self.recipe.parent)
         return filter_curves(self.wanted, pixel, self.scenes.wavelength, self.recipe.parent)
 
     @functools.cached_property
     def centres(self) -> NDArray[np.float64]:
-        """(filter) nm, centroid of what each passes."""
+        """Return the centroid (filter) in nm of what each passes."""
         return np.asarray(self.curves @ self.scenes.wavelength / self.curves.sum(axis=1))
 
     @functools.cached_property
