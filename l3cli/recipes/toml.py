@@ -38,6 +38,7 @@ class Recipe(msgspec.Struct, forbid_unknown_fields=True):
     """Base of all recipe structures; a field without a default is a required key."""
 
     title: ClassVar[str] = "a recipe"  # of a whole file, and what is asked for where another kind is given
+    former: ClassVar[Mapping[str, str]] = {}  # by a key of before what to write now
 
 
 KIND_KEYS = {  # keys at the top of a file by which its kind is known: no other kind has them
@@ -269,6 +270,9 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     name = shortened(wrong[3])
     known = _keys(recipe, table) if wrong[1] == "unknown key" else _values(recipe, table)
     line = f"{wrong[1]} {wrong[2]}{name}{wrong[2]} {where}"
+    former = {key: now for each in _tables(recipe, table) for key, now in each.former.items()}
+    if wrong[1] == "unknown key" and name in former:
+        return f"{line}; write {former[name]}"
     return f"{line}; {suggestion(name, known)}" if known else line
 
 

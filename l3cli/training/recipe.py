@@ -1,7 +1,7 @@
 """Class and learning recipes (configs/classes)."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
@@ -33,6 +33,8 @@ class LearningRecipe(Recipe):
     """Recipe by which the transforms of the classes are learned (docs/method.md#training). Levels are shares of full
     scale."""
 
+    former: ClassVar[Mapping[str, str]] = {"per_light": 'the lights, lights = ["A", "D65"]'}
+
     patches: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 60000  # patches a canonical CFA position, over all frames
     draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (docs/method.md#level-rescaling)
     # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
@@ -51,9 +53,9 @@ class LearningRecipe(Recipe):
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
     # analog gains over the camera's for which transforms are learned, 1 among them (docs/method.md#gains)
     gains: tuple[Positive, ...] = (1.0,)
-    # transforms for each light of the training besides those of all, of which the white of a scene chooses
-    # (docs/method.md#several-lights)
-    per_light: bool = False
+    # lights of the training for each of which transforms are learned besides those of all, as its frames name them; the
+    # white of a scene chooses (docs/method.md#several-lights)
+    lights: tuple[str, ...] = ()
     level_power: Share = 1.0  # rows weigh level^-power: 1 for errors relative to the level, 0 for errors as they are
     brightness_power: float = 0.5  # rows weigh (Y / level)^-power, 0…1 (docs/method.md#row-weights)
     error_power: float = 0.25  # second pass: (e² + ¼)^-power, e the error of the first (docs/method.md#second-pass)
@@ -183,7 +185,7 @@ def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
     last = recipe.layer[-1] if recipe.layer else learning
     learning = msgspec.structs.replace(
         learning, patches=-(-learning.patches // 10), luminance_noise=last.luminance_noise, chroma_noise=last.chroma_noise,
-        noise_left=0.0, gains=(1.0,), per_light=False,
+        noise_left=0.0, gains=(1.0,), lights=(),
     )  # fmt: skip
     return msgspec.structs.replace(recipe, learning=learning, layer=())
 
@@ -213,6 +215,8 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
         yield fault('learning.gains differ in noise, and learning.noise is "none"', "learning.gains", "learning.noise")
     if recipe.noise_left and recipe.noise == "none":
         yield fault('learning.noise_left has no noise to leave a share of where noise is "none"', "learning.noise_left")
+    if recipe.lights and len(set(recipe.lights)) < max(2, len(recipe.lights)):
+        yield fault("learning.lights must name several lights, each once", "learning.lights")
     if recipe.spectral_window not in (0, *WINDOWS):
         message = f"learning.spectral_window is {recipe.spectral_window}, not 0 or one of {', '.join(map(str, WINDOWS))}"
         yield fault(message, "learning.spectral_window")

@@ -226,12 +226,12 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     document = {
         "levels": levels, "contrasts": contrasts, "further": further, "chromas": chromas, "saturation_cases": cases,
         "patch": classes.patch, "layers": layers, "patches": recipe.learning.patches,
-        "per_light": recipe.learning.per_light,
+        "lights": list(recipe.learning.lights),
     }  # fmt: skip
     if camera is not None:
         sites = camera.cfa.size
         size = sum(each["classes_per_site"] * (OUTPUTS * (each["taps"] + 1) * WEIGHT + OTHERS) for each in layers)
-        sets = 1 + len(recipe.learning.noises)
+        sets = (1 + len(recipe.learning.lights)) * (1 + len(recipe.learning.noises))
         document |= {"camera": camera.name, "sites": sites, "table_bytes": sets * sites * size}
     return document
 
@@ -259,6 +259,4 @@ def class_lines(classes: dict[str, Any], width: int | None) -> list[str]:
     if "table_bytes" in classes:
         size = size_text(classes["table_bytes"])
         lines.append(f"for {classes['camera']}: {classes['sites']} sites; a table of three outputs has up to {size}")
-        if classes["per_light"]:
-            lines.append("and as much again for each light of the training")
     return lines

@@ -39,7 +39,7 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name, lights in (("both", '["D65", "A"]'), ("warm", '["A"]')):
         (folder / f"{name}.toml").write_text(LEAVES.format(lights))
         calls.append(("simulate", folder / f"{name}.toml", "--camera", camera, "-o", folder / f"{name}.set.h5"))
-    light, noise = "per_light = true\n", "noise_left = 0.1\n"
+    light, noise = 'lights = ["A", "D65"]\n', "noise_left = 0.1\n"
     for name, key in (("one", ""), ("several", light), ("low", noise), ("product", light + noise)):
         (folder / f"{name}.classes.toml").write_text(CLASSES + key + LAYER)
         classes = ("--classes", folder / f"{name}.classes.toml")
@@ -109,7 +109,17 @@ def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refu
     def train(name: str, *more: Any) -> tuple[Any, ...]:
         return ("train", learned[f"{name}.set.h5"], "-o", tmp_path / "table.h5", "--classes", *more)
 
-    assert "all frames are under A" in refused(3, *train("warm", learned["several.classes.toml"]))
+    assert "no frame is under D65, which learning.lights names; there are A" in refused(
+        3, *train("warm", learned["several.classes.toml"])
+    )
+    path, text = tmp_path / "classes.toml", learned["several.classes.toml"].read_text()
+    for key, words in (
+        ("per_light = true", 'unknown key `per_light` in [learning]; write the lights, lights = ["A", "D65"]'),
+        ('lights = ["A"]', "learning.lights must name several lights"),
+        ('lights = ["A", "A"]', "each once"),
+    ):
+        path.write_text(text.replace('lights = ["A", "D65"]', key))
+        assert words in refused(2, *train("both", path))
     assert "in one go, not in shards" in refused(2, *train("both", learned["several.classes.toml"], "--shard", "1/2"))
     export = ("export", learned["one.h5"], "-o", tmp_path / "export", "--to", "folder", "--white", "A")
     assert "no single lights" in refused(2, *export)

@@ -134,11 +134,11 @@ def test_transforms_of_several_lights(
     classes = os.environ.get("L3_CLASSES", "fast")
     recipe = known_recipes("classes").get(classes, Path(classes)).read_text()
     (tmp_path / "one.toml").write_text(recipe)
-    (tmp_path / "several.toml").write_text(recipe.replace("[learning]\n", "[learning]\nper_light = true\n", 1))
 
     def trained(lights: tuple[str, ...], kind: str) -> TransformTable:
         made = tmp_path / f"{'+'.join(lights)}.table.h5"
-        of = [sets[light] for light in lights]
+        of, key = [sets[light] for light in lights], f"[learning]\nlights = {list(lights)}\n"
+        (tmp_path / "several.toml").write_text(recipe.replace("[learning]\n", key, 1))
         assert l3("train", *of, "--classes", tmp_path / f"{kind}.toml", "-o", made, "--quiet")[0] == 0
         return load(TransformTable, made)
 

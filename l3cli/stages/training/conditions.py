@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import NoiseScale
 from l3cli.artifacts.table import Condition, SceneLight, TransformTable
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.physics.correlated_lights import SAME_MIRED, mired_of
 from l3cli.physics.display import XYZ
 from l3cli.stages.training.passes import Execution, first_pass, learn_first, pass_of
@@ -90,49 +90,45 @@ def by_noise(table: TransformTable) -> list[TransformTable]:
 
 
 def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
-    """Return each light of a run whose recipe wants transforms for it, the warmest first, with the run over its frames
-    alone, as many patches and mosaics as over all; none if it does not. InputFileError if frames state no light."""
-    if not run.recipe.learning.per_light:
+    """Return each light that a run's recipe names, the warmest first, with the run over its frames alone, as many patches
+    and mosaics as over all. InputFileError if there are no frames under one, or they do not differ."""
+    if not (lights := run.recipe.learning.lights):
         return []
     named = ", ".join(str(source.path) for source in run.training)
     if run.head.outputs[:3] != XYZ or run.head.target_light is not None:
         raise InputFileError(
-            f"{named}: learning.per_light is for targets in X, Y, Z under the light of each frame; leave it out, or "
+            f"{named}: learning.lights is for targets in X, Y, Z under the light of each frame; leave it out, or "
             "simulate without [target] illuminant"
         )
     frames, mireds = _frames_by_light(run, named)
-    order = sorted(mireds, key=lambda name: -mireds[name])
-    if len(order) < 2:
-        raise InputFileError(
-            f"{named}: all frames are under {order[0]}, and learning.per_light wants several lights; name them as "
-            "illuminants in SCENES.toml, or leave it out"
-        )
+    for light in lights:
+        if light not in frames:
+            raise InputFileError(
+                f"{named}: no frame is under {light}, which learning.lights names; {suggestion(light, frames)}"
+            )
+    order = sorted(dict.fromkeys(lights), key=lambda name: -mireds[name])
     for warm, cool in itertools.pairwise(order):
         if mireds[warm] - mireds[cool] < SAME_MIRED:
             raise InputFileError(
-                f"{named}: {warm} and {cool} have the same colour temperature, by which learning.per_light tells lights "
-                "apart; simulate without one of them"
+                f"{named}: {warm} and {cool} have the same colour temperature, by which learning.lights tells lights "
+                "apart; name one of them"
             )
     return [(name, _chosen(run, frames[name])) for name in order]
 
 
 def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, list[int]]], dict[str, float]]:
     """Return the indices of each light's frames by set, and its reciprocal colour temperature (mired); InputFileError if
-    frames under a light of one name have different whites, or their light is not known."""
+    frames under a light of one name have different whites. Real pairs are of no light that is known."""
     whites: dict[str, NDArray[np.float64]] = {}
     frames: dict[str, dict[int, list[int]]] = {}
     for place, source in enumerate(run.training):
         with open_training_set(source.path, unchanged=True) as reader:
-            if reader.has_pairs:
-                raise InputFileError(
-                    f"{source.path} holds real pairs, whose light is not known; leave out learning.per_light"
-                )
-            for index in range(len(reader)):
+            for index in range(reader.simulated):
                 light = reader.light(index)
                 white = light.white[:3] / light.white[1]
                 if np.abs(whites.setdefault(light.illuminant, white) - white).max() > SAME_LIGHT:
                     raise InputFileError(
-                        f"{named}: frames under {light.illuminant} have different whites, and learning.per_light tells "
+                        f"{named}: frames under {light.illuminant} have different whites, and learning.lights tells "
                         "lights apart by their names; name each light in SCENES.toml, or leave it out"
                     )
                 frames.setdefault(light.illuminant, {}).setdefault(place, []).append(index)
@@ -151,8 +147,8 @@ def _chosen(run: TrainingRun, frames: dict[int, list[int]]) -> TrainingRun:
 
 def require_one_go(run: TrainingRun) -> None:
     """Raise RecipeError if a shard of the run is asked for and transforms for each light are wanted, too."""
-    if run.recipe.learning.per_light:
+    if run.recipe.learning.lights:
         raise RecipeError(
-            "learning.per_light: transforms for each light are learned in one go, not in shards; train without ‹shard›, on "
+            "learning.lights: transforms for each light are learned in one go, not in shards; train without ‹shard›, on "
             "several machines with ‹scheduler›"
         )
