@@ -18,6 +18,7 @@ from l3cli.classes.refinement import label_planes, shaded_chroma
 from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import lab
+from l3cli.recipes.toml import load_recipe
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.stages.training.refinement_layers import layer_pass
 from l3cli.training.layers.coarse_chroma import measured_noise
@@ -169,6 +170,26 @@ def test_a_layer_weighs_rows_by_its_own_powers_or_those_of_the_first(bayer: Came
     assert weight == pytest.approx(1 / (relative * seen.brightness), rel=1e-5)
     ratio = weight / row_weights(seen, usual.basis, usual.white_point, usual.learning, True)
     assert np.ptp(ratio) > 0.5 * ratio.mean()
+
+
+def test_mosaics_without_any_error_leave_the_benchmark_sums_exact(bayer: CameraModel) -> None:
+    """However many of them a seed draws: all rows of a site are white and of one class."""
+    recipe = load_recipe(CONFIGS / "benchmarks/bayer/classes.toml", TrainingRecipe)
+    layer = a_pass(bayer)
+    rule, shape = a_rule(layer), (40, 40)
+    planes = np.zeros((3, *shape), np.int32)
+    planes[1] = round(1 / PLANE_STEP)
+    target = (np.moveaxis(planes, 0, -1) @ np.linalg.inv(layer.basis) * PLANE_STEP).astype(np.float32)
+    none = np.zeros(shape, np.int64)
+    seen = Seen(1, target, none, np.ones(shape, np.float32), planes, planes.astype(np.float32))
+    weight = row_weights(seen, layer.basis, layer.white_point, recipe.learning, pictures=False)
+    sums = no_sums(layer, rule)
+    gathered = GatheredRows(sums, rule, layer.reading(SIDE), layer.basis, layer.grid_steps(rule))
+    gathered.add(seen, none, seen.inner_pixels(layer.margin), weight)
+    gathered.add_up()
+    wanted = max(each.mosaics * each.rows for each in recipe.layer) / 2  # of green, of whose sites both are learned as one
+    whole = LayerSums(sums[0].moments * (wanted / sums[0].count.sum()), sums[0].noise, sums[0].count)
+    require_exact(whole, rule, layer.grid_steps(rule))
 
 
 def test_noise_counts_as_its_weight_states(bayer: CameraModel) -> None:

@@ -31,6 +31,7 @@ from l3cli.training.sums import (
 )
 
 MEAN_FLOOR = 1e-5  # squared error, in output units, below which mosaics count alike
+MEAN_ERROR = 2.0**-10  # squared error of weight one: weights stay below ten, and sums of seven million rows exact
 Y = 1
 
 
@@ -110,10 +111,10 @@ def row_weights(
 
 
 def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return mean squared error (mosaic) of what the layers before make of each, above a floor: errors of what is no picture
-    are judged mosaic by mosaic, as PSNR does."""
+    """Return mean squared error (mosaic) of what the layers before make of each, relative to MEAN_ERROR and above a floor:
+    errors of what is no picture are judged mosaic by mosaic, as PSNR does."""
     error = np.moveaxis(seen.noisy, 0, -1) @ (np.linalg.inv(basis) * PLANE_STEP) - seen.target
-    return np.asarray((error**2).reshape(seen.count, -1).mean(axis=1) + MEAN_FLOOR)
+    return np.asarray(((error**2).reshape(seen.count, -1).mean(axis=1) + MEAN_FLOOR) / MEAN_ERROR)
 
 
 class _Rows(NamedTuple):
