@@ -135,7 +135,9 @@ def test_its_folder_leads_to_a_picture_of_the_photo(photo: Path, tmp_path: Path,
     environment = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL")}
     dry = ["make", "--dry-run", "-C", str(folder), f"L3={sys.executable} -m l3cli", "picture.png"]
     steps = subprocess.run(dry, text=True, capture_output=True, check=True, env=environment).stdout
-    assert [line.split()[3] for line in steps.splitlines() if " -m l3cli " in line] == ["simulate", "train", "render"]
+    assert [line.split()[3] for line in steps.splitlines() if " -m l3cli " in line] == [
+        *("simulate", "train", "render", "train", "render")
+    ]
     assert "render table.h5 picture.dng  -o picture.png" in steps
     assert (folder / "picture.dng").samefile(photo)
     assert l3("check", folder / "camera.toml")[0] == 0

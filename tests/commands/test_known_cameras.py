@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -101,3 +103,26 @@ def test_shipped_curves_are_those_measured() -> None:
             np.testing.assert_allclose(shipped.responsivity[role], there, atol=5.1e-5)
             beyond = (measured.wavelength < shipped.wavelength[0]) | (measured.wavelength > shipped.wavelength[-1])
             assert measured.responsivity[role][beyond].max() / scale < 0.006
+
+
+def test_make_drafts_a_photo_then_renders_it(tmp_path: Path, l3: L3) -> None:
+    """The photo lies where make -C is called; another one makes the picture again."""
+    assert l3("init", "canon_eos_5d", tmp_path / "mine")[0] == 0
+    (tmp_path / "photo.dng").touch()
+
+    def dry(photo: str) -> subprocess.CompletedProcess[str]:
+        call = ["make", "-n", "-C", "mine", f"L3={sys.executable} -m l3cli", "picture.png", f"PHOTO={photo}"]
+        known = os.environ | {"PWD": str(tmp_path)}
+        return subprocess.run(call, cwd=tmp_path, env=known, capture_output=True, text=True, check=False)
+
+    steps = [line.split(" -m l3cli ")[1] for line in dry("photo.dng").stdout.splitlines() if " -m l3cli " in line]
+    assert [(step.split()[0], step.split()[1]) for step in steps] == [
+        ("simulate", "scenes.toml"), ("train", "training.h5"), ("render", "draft.h5"), ("train", "training.h5"),
+        ("render", "table.h5"),
+    ]  # fmt: skip
+    assert "--draft -o draft.h5" in steps[1]
+    assert f" {tmp_path}/photo.dng " in steps[-1]
+    assert (tmp_path / "mine/.shown").read_text() == f"{tmp_path}/photo.dng\n"
+    missing = dry("other.dng")
+    assert missing.returncode == 2
+    assert f"other.dng must be a file in {tmp_path}/mine or in {tmp_path}, or have a path" in missing.stderr
