@@ -7,6 +7,7 @@ computes, the other may upload and download.
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -28,7 +29,6 @@ from l3cli.rendering.opencl.work import (
     SPECTRA,
     Band,
     Track,
-    Unread,
     Work,
     bands,
     constant,
@@ -131,6 +131,20 @@ class DeviceSpectra:
         return self._run(self._kernel, track, band.shape(-1), track.made, result, reach, *where)
 
 
+@dataclass(frozen=True)
+class Unread:
+    """Outputs of a frame that are still on the device, as a track's result."""
+
+    frame: RawFrame
+    values: NDArray[np.uint16]  # a copy: a frame's own may be written to
+    track: Track
+    result: Any  # the buffer
+
+    def are_of(self, frame: RawFrame) -> bool:
+        """Return whether the buffers are those of a frame."""
+        return self.frame is frame and np.array_equal(self.values, frame.values)
+
+
 TRACKS = 2
 BEYOND = 16  # bytes behind the last pixel, which a vector may read
 
@@ -174,7 +188,7 @@ class OpenCLRenderer:
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
         """Return the class (row, col) of every pixel in a layer of the table."""
         labels = np.empty(frame.values.shape, np.uint32)
-        self._wait(self._start(frame, [labels], None, layer=layer))
+        self._start(frame, [labels], None, layer=layer).end()
         return labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
@@ -182,7 +196,7 @@ class OpenCLRenderer:
         planes, work = self._start_outputs(frame)
         if len(self._bands(frame.values.shape)) == 1:
             self._unread = Unread(frame, frame.values.copy(), self._tracks[-1], self._tracks[-1].result)
-        self._wait(work)
+        work.end()
         if frame.light_share != 1:
             planes *= np.float32(frame.light_share)
         return planes
@@ -190,7 +204,7 @@ class OpenCLRenderer:
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         """Return the frame as displayed (row, col, 3), encoded on the device; RecipeError unless outputs are X, Y, Z."""
         picture, work = self._start_picture(frame, display)
-        self._wait(work)
+        work.end()
         return picture
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
@@ -200,10 +214,10 @@ class OpenCLRenderer:
             started.append(self._start_picture(frame, display, borrow=False))
             if len(started) == TRACKS:
                 picture, work = started.popleft()
-                self._wait(work)
+                work.end()
                 yield picture
         for picture, work in started:
-            self._wait(work)
+            work.end()
             yield picture
 
     def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
@@ -218,10 +232,10 @@ class OpenCLRenderer:
         joined, self._joined = self._joined, False
         try:
             _, work = self._start_outputs(frame) if display is None else self._start_picture(frame, display)
-            times = self._wait(work).milliseconds()
+            times = work.end().milliseconds()
             if display is not None:
                 numbers = np.empty(frame.values.shape, np.float32)
-                bare = self._wait(self._start(frame, [numbers], layout.NOT_ENCODED)).milliseconds()["transforms"]
+                bare = self._start(frame, [numbers], layout.NOT_ENCODED).end().milliseconds()["transforms"]
                 times["encode"] = max(0.0, times["transforms"] - bare)
                 times["transforms"] = bare
         finally:
@@ -248,7 +262,7 @@ class OpenCLRenderer:
         kernel `transform` with this ending writes, or without one with the labels of `layer`. `borrow`: the frame's values
         may be read until all is done; not where the caller may fill them anew meanwhile."""
         levelled = frame.rescaled(self.table.black_level, self.table.white_level, self.table.bits)
-        work, values = Work(self.stages), np.ascontiguousarray(levelled.values)
+        work, values = Work(self.device, self.stages), np.ascontiguousarray(levelled.values)
         if not borrow and np.may_share_memory(values, frame.values):
             values = values.copy()
         self._unread = None
@@ -275,12 +289,12 @@ class OpenCLRenderer:
                 else:
                     target = track.refined_labels[layer - 1] if layer else track.labels
                     offset = 4 * (band.rows.start - band.reads[layer].start) * band.columns
-                self._fetch(track, parts, target, offset, work)
+                work.fetch(track.queue, target, parts, offset)
         return work
 
     def _start_encoding(self, unread: Unread, display: Display, picture: NDArray) -> Work:
         """Start to fill a picture with outputs that the device still holds."""
-        work, track = Work(self.stages), unread.track
+        work, track = Work(self.device, self.stages), unread.track
         with refusals(self.device):
             kernel = self._programs.encoder(layout.display_macros(display))
             matrix = self._constant(display.matrix * unread.frame.light_share, np.float32)
@@ -289,13 +303,7 @@ class OpenCLRenderer:
             )
             shape, cut = (picture.shape[0], picture.shape[1]), self._programs.encoder_cut
             work.add("encode", self._run(kernel, track, shape, unread.result, matrix, target, cut=cut))
-            self._fetch(track, [picture], target, 0, work)
-        return work
-
-    def _wait(self, work: Work) -> Work:
-        """Return the work once it is done. Other threads run on meanwhile."""
-        with refusals(self.device):
-            work.end()
+            work.fetch(track.queue, target, [picture])
         return work
 
     def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
@@ -305,9 +313,8 @@ class OpenCLRenderer:
         if self._in_place and not self._shading.corrects(frame):
             track.raw = work.in_place(track.queue, source)
         else:
-            work.arrays.append(source)
-            track.raw = track.uploaded = self._scratch(track.uploaded, source.nbytes)
-            work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
+            track.uploaded = self._scratch(track.uploaded, source.nbytes)
+            track.raw = work.upload(track.queue, source, track.uploaded)
         if len(self._sets) > 1:
             track.chosen = self._chosen(frame, track, band, work)
         if self._shading.corrects(frame):
@@ -320,10 +327,8 @@ class OpenCLRenderer:
         pixels[:-BEYOND].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
         if self._in_place:
             return (work.in_place(track.queue, pixels),)
-        work.arrays.append(pixels)
         track.sets = self._scratch(track.sets, pixels.nbytes)
-        work.add("upload", pyopencl().enqueue_copy(track.queue, track.sets, pixels, is_blocking=False))
-        return (track.sets,)
+        return (work.upload(track.queue, pixels, track.sets),)
 
     def _decides(self, track: Track, band: Band) -> tuple[Any, ...]:
         """Return the buffers from which the first layer's classes are decided, and where they are written."""
@@ -380,15 +385,6 @@ class OpenCLRenderer:
             return work.in_place(track.queue, parts[0], written=True)
         track.result = self._scratch(track.result, sum(part.nbytes for part in parts))
         return track.result
-
-    def _fetch(self, track: Track, parts: list[NDArray], target: Any, offset: int, work: Work) -> None:
-        """Start to bring a buffer, from byte `offset` on, into arrays one after the other."""
-        if work.is_in_place(target):
-            work.map_to_host(track.queue, target, parts[0])
-            return
-        for part in parts:
-            work.add("download", track.download(target, part, offset))
-            offset += part.nbytes
 
     def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any, cut: layout.Cut | None = None) -> Any:
         """Enqueue a kernel over rows and columns, which are the last arguments of each."""

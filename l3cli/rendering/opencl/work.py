@@ -2,7 +2,7 @@
 for them, and which row and column each padded one is."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +13,8 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.classes.coarse_chroma import REACH as COARSE_REACH
 from l3cli.classes.structure import REACH
-from l3cli.frames.frame import RawFrame, mirrored_indices
-from l3cli.rendering.opencl.devices import pyopencl
+from l3cli.frames.frame import mirrored_indices
+from l3cli.rendering.opencl.devices import pyopencl, refusals
 
 STAGES = ("upload", "classes", "transforms", "encode", "download")
 REFINEMENT_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
@@ -75,12 +75,6 @@ class Track:
             self._typed.add(kernel)
         return kernel(self.queue, grid, group, *arguments)
 
-    def download(self, buffer: Any, destination: NDArray, offset: int) -> Any:
-        """Copy `buffer` from byte `offset` on to the contiguous array `destination`, without waiting."""
-        copy = pyopencl().enqueue_copy(self.queue, destination, buffer, src_offset=offset, is_blocking=False)
-        self.queue.flush()
-        return copy
-
 
 def shares_memory(device: Any) -> bool:
     """Return whether a device computes in the host's memory, so that nothing need be copied."""
@@ -91,7 +85,8 @@ class Work:
     """Work started for one frame: its events by stage, and the arrays that the device may still use, which are held until
     it is done, also where an interrupt leaves the work."""
 
-    def __init__(self, stages: tuple[str, ...]) -> None:
+    def __init__(self, device: Any, stages: tuple[str, ...]) -> None:
+        self._device = device
         self.events: dict[str, list[Any]] = {stage: [] for stage in stages}
         self.arrays: list[NDArray] = []
         self._queues: list[Any] = []
@@ -113,27 +108,37 @@ class Work:
         self._in_place.append(pyopencl().Buffer(queue.context, flags.USE_HOST_PTR | access, hostbuf=array))
         return self._in_place[-1]
 
-    def is_in_place(self, buffer: Any) -> bool:
-        return any(each is buffer for each in self._in_place)
+    def upload(self, queue: Any, array: NDArray, buffer: Any) -> Any:
+        """Start to copy a contiguous array into a buffer; return the buffer."""
+        self.arrays.append(array)
+        self.add("upload", pyopencl().enqueue_copy(queue, buffer, array, is_blocking=False))
+        return buffer
 
-    def map_to_host(self, queue: Any, buffer: Any, array: NDArray) -> None:
-        """Show the host what is written into an array that is a buffer."""
+    def fetch(self, queue: Any, buffer: Any, arrays: Iterable[NDArray], offset: int = 0) -> None:
+        """Start to bring a buffer, from byte `offset` on, into contiguous arrays one after the other, unless it is the only
+        one in place: then the host is to see what is written into that."""
         cl = pyopencl()
-        mapped, event = cl.enqueue_map_buffer(
-            queue, buffer, cl.map_flags.READ, 0, array.shape, array.dtype, is_blocking=False
-        )
-        queue.flush()
-        self._mapped.append((queue, mapped.base))
-        self.add("download", event)
+        for array in arrays:
+            if any(each is buffer for each in self._in_place):
+                kind = array.shape, array.dtype
+                mapped, event = cl.enqueue_map_buffer(queue, buffer, cl.map_flags.READ, 0, *kind, is_blocking=False)
+                self._mapped.append((queue, mapped.base))
+            else:
+                event = cl.enqueue_copy(queue, array, buffer, src_offset=offset, is_blocking=False)
+                offset += array.nbytes
+            queue.flush()
+            self.add("download", event)
 
-    def end(self) -> None:
-        """Wait for the last of the work."""
-        for event in self.events["download"]:
-            event.wait()
-        while self._mapped:
-            queue, mapping = self._mapped.pop()
-            mapping.release(queue).wait()  # the array is the caller's from now on
+    def end(self) -> "Work":
+        """Return the work once it is done; other threads run on meanwhile. DeviceError if the device refuses."""
+        with refusals(self._device):
+            for event in self.events["download"]:
+                event.wait()
+            while self._mapped:
+                queue, mapping = self._mapped.pop()
+                mapping.release(queue).wait()  # the array is the caller's from now on
         self._queues.clear()
+        return self
 
     def add(self, stage: str, event: Any) -> None:
         self.events[stage].append(event)
@@ -144,20 +149,6 @@ class Work:
             stage: sum((event.profile.end - event.profile.start) * 1e-6 for event in events)
             for stage, events in self.events.items()
         }
-
-
-@dataclass(frozen=True)
-class Unread:
-    """Outputs of a frame that are still on the device, as a track's result."""
-
-    frame: RawFrame
-    values: NDArray[np.uint16]  # a copy: a frame's own may be written to
-    track: Track
-    result: Any  # the buffer
-
-    def are_of(self, frame: RawFrame) -> bool:
-        """Return whether the buffers are those of a frame."""
-        return self.frame is frame and np.array_equal(self.values, frame.values)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Gri
 STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods of a work-item
 MARGIN, PADDING = 4, 8  # rows and columns about a plane, and columns after it
 TILE_ROWS = 4  # that windows are read by
-STAGES = ("download",)  # that are waited for
+STAGES = ("upload", "download")
 KERNELS = ("planes", "search", "evidence", "weigh", "blend")
 
 
@@ -132,7 +132,7 @@ class OpenCLFilter:
             first = kind_of(frame) != self._kind
             if first:
                 self._begin(frame)
-            device, buffers, grid, work = self._device, self._buffers, self._grid, Work(STAGES)
+            device, buffers, grid, work = self._device, self._buffers, self._grid, Work(self._device.device, STAGES)
             values, made = grid.padded(frame.values), np.empty(grid.shape, np.uint16)
             raw, target = self._borders(work, values, made)
             if not first:
@@ -142,12 +142,8 @@ class OpenCLFilter:
                 "blend", *grid.blocks, raw, buffers.history[0], buffers.vectors[0], buffers.weights, buffers.cuts,
                 buffers.history[1], buffers.left[1], target, buffers.before, *levels,
             )  # fmt: skip
-            cl = pyopencl()
-            cl.enqueue_copy(device.queue, buffers.host_left, buffers.left[1], is_blocking=False)
-            if device.in_place:
-                work.map_to_host(device.queue, target, made)
-            else:
-                work.add("download", cl.enqueue_copy(device.queue, made, target, is_blocking=False))
+            pyopencl().enqueue_copy(device.queue, buffers.host_left, buffers.left[1], is_blocking=False)
+            work.fetch(device.queue, target, [made])
             work.end()
             for pair in (buffers.history, buffers.left):
                 pair.reverse()
@@ -174,9 +170,7 @@ class OpenCLFilter:
         device, buffers = self._device, self._buffers
         if buffers.borders is None:
             return work.in_place(device.queue, values), work.in_place(device.queue, made, written=True)
-        work.arrays.append(values)
-        pyopencl().enqueue_copy(device.queue, buffers.borders[0], values, is_blocking=False)
-        return buffers.borders
+        return work.upload(device.queue, values, buffers.borders[0]), buffers.borders[1]
 
     def _search(self, raw: Any) -> Any:
         """Return the buffer of the vectors, in periods."""

@@ -18,22 +18,23 @@ from typing import Any
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.io.file_names import PATTERN, last_number, numbered_files, numbered_name
-from l3cli.io.pictures.pages import PAGED
-from l3cli.io.pictures.registry import file_identity, format_of, holds_linear, holds_raw
+from l3cli.io.pictures.pages import PAGED, new_pages
+from l3cli.io.pictures.registry import file_identity, format_of, holds_linear, holds_raw, picture_file
 from l3cli.io.raw.files import RawOverrides
 from l3cli.io.sequences import FrameReference, FrameSequence
-from l3cli.io.video import USUAL_RATE, Y4M, VideoChoice, check_video, is_video
+from l3cli.io.video import USUAL_RATE, Y4M, Pacing, VideoChoice, check_video, is_video, new_video, new_y4m
 from l3cli.options.render import RenderOptions
 from l3cli.physics.display import FLOAT_BITS
 from l3cli.rendering.temporal.chunks import CHUNK
 from l3cli.system.checkpoint import Checkpoint, key_in
-from l3cli.system.files import UNFINISHED, refuse_existing, refuse_protected, require_regular, sha256
+from l3cli.system.files import UNFINISHED, atomic_output, refuse_existing, refuse_protected, require_regular, sha256
 from l3cli.system.ledger import fingerprint, is_noting
 from l3cli.system.locks import sole_writer_of_folder
 from l3cli.system.output_guard import OutputGuard, refuse_unwritable
 from l3cli.system.plan import Made, before_work, is_dry
 
 STDOUT = Path("-")
+PICTURE_WRITERS = 2  # threads that compress picture files
 KINDS = {"stream": "y4m stream of", "video": "video of", "pattern": "numbered pictures of", "folder": "pictures of"}
 
 
@@ -363,3 +364,36 @@ def _refuse_changed(
         if sequence.renders(place):
             checkpoint.has(destination.file(reference.number, reference.stem), reference)
     checkpoint.refuse_others()
+
+
+@contextlib.contextmanager
+def sink_of(
+    destination: Destination, sequence: FrameSequence, choice: VideoChoice, pacing: Pacing,
+    checkpoint: PictureCheckpoint | None,
+) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
+    """Open the writer of frames; give it and the number of threads that may call it at a time."""
+
+    def timed(write: Callable[[Any, int], None]) -> Callable[[tuple[FrameReference, Any]], None]:
+        return lambda item: write(item[1], pacing.time(item[0].number))
+
+    if destination.one_by_one:
+
+        def write(item: tuple[FrameReference, Any]) -> None:
+            reference, made = item
+            file = destination.file(reference.number, reference.stem)
+            content = made if isinstance(made, bytes) else picture_file(file, made)
+            with atomic_output(file) as temporary:
+                temporary.write_bytes(content)
+                if checkpoint:
+                    checkpoint.made(file, temporary, reference)
+
+        yield write, PICTURE_WRITERS
+    elif destination.kind == "pages":
+        with new_pages(destination.path, sequence.rendered) as pages:
+            yield timed(lambda made, _: pages.write(made)), 1
+    elif not destination.has_times:
+        with new_y4m(None if destination.kind == "stream" else destination.path, choice) as stream:
+            yield timed(lambda made, _: stream.write(made.pixels)), 1
+    else:
+        with new_video(destination.path, choice) as video:
+            yield timed(lambda made, time: video.write(made.pixels, time)), 1

@@ -4,20 +4,18 @@ Reading, rendering and writing overlap in threads with short queues between them
 length; the libraries let go of Python's lock in their long calls.
 """
 
-import contextlib
 import hashlib
 import itertools
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.frames.frame import RawFrame, upright
-from l3cli.io.pictures.pages import new_pages
-from l3cli.io.pictures.registry import file_identity, picture_file, values_identity
+from l3cli.io.pictures.registry import file_identity, values_identity
 from l3cli.io.sequences import FrameReference, FrameSequence
-from l3cli.io.video import Pacing, VideoChoice, new_video, new_y4m
+from l3cli.io.video import Pacing, VideoChoice
 from l3cli.options.render import RenderOptions
 from l3cli.parallel.threads import WriteBehind, prefetched
 from l3cli.rendering.raw_checks import FrameWarnings
@@ -25,16 +23,15 @@ from l3cli.rendering.rendition import FrameMeter, Rendition
 from l3cli.rendering.temporal.chunks import Chunks, needed
 from l3cli.rendering.white.scene_white import SceneWhite, WhiteBalance, implausible, unlike_stated
 from l3cli.rendering.white.source import ChartSceneWhite, WhiteSource
-from l3cli.stages.rendering.destination import Destination, FrameDigests, PictureCheckpoint
+from l3cli.stages.rendering.destination import Destination, FrameDigests, PictureCheckpoint, sink_of
 from l3cli.stages.rendering.executors import Exposed, Local, Remote, Unread
 from l3cli.system.console import Console
-from l3cli.system.files import atomic_output, sha256
+from l3cli.system.files import sha256
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
 
 EVEN, KEPT, LOST = "even", "kept", "lost"  # of the frames' times: evenly spaced, or not and kept in the video or lost
-PICTURE_WRITERS = 2  # threads that compress picture files
 DEPTH = 3  # frames that wait at most between reading and rendering, and between rendering and writing
 
 
@@ -148,7 +145,8 @@ def render_frames(
     tally, warnings, white_report = Tally(), FrameWarnings(job.table), WhiteReport(job.source, sequence.stills, console)
     for numbers in sequence.missing:
         tally.leave_out(sequence.absent(numbers), options, len(numbers))
-    with _sink(job, checkpoint) as (write, threads), WriteBehind(write, DEPTH, threads) as writing:
+    sink = sink_of(job.destination, sequence, job.choice, job.pacing, checkpoint)
+    with sink as (write, threads), WriteBehind(write, DEPTH, threads) as writing:
         reading = prefetched(_Reading(job, meter, checkpoint, digests, executor.by_path).frames(), DEPTH)
         if job.temporal:
             reading = prefetched(_filtered(reading, job.temporal), DEPTH)
@@ -313,36 +311,3 @@ def _exposed(reading: Iterable[_Read], job: SequenceJob, tally: Tally, white_rep
                 white_report.report_white(each.frame, each.white)
             if not each.is_finished:
                 yield Exposed(each.reference, each.frame, each.scale, each.balance)
-
-
-@contextlib.contextmanager
-def _sink(
-    job: SequenceJob, checkpoint: PictureCheckpoint | None
-) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:
-    """Open the writer of frames; give it and the number of threads that may call it at a time."""
-    destination = job.destination
-
-    def timed(write: Callable[[Any, int], None]) -> Callable[[tuple[FrameReference, Any]], None]:
-        return lambda item: write(item[1], job.pacing.time(item[0].number))
-
-    if destination.one_by_one:
-
-        def write(item: tuple[FrameReference, Any]) -> None:
-            reference, made = item
-            file = destination.file(reference.number, reference.stem)
-            content = made if isinstance(made, bytes) else picture_file(file, made)
-            with atomic_output(file) as temporary:
-                temporary.write_bytes(content)
-                if checkpoint:
-                    checkpoint.made(file, temporary, reference)
-
-        yield write, PICTURE_WRITERS
-    elif destination.kind == "pages":
-        with new_pages(destination.path, job.sequence.rendered) as pages:
-            yield timed(lambda made, _: pages.write(made)), 1
-    elif not destination.has_times:
-        with new_y4m(None if destination.kind == "stream" else destination.path, job.choice) as stream:
-            yield timed(lambda made, _: stream.write(made.pixels)), 1
-    else:
-        with new_video(destination.path, job.choice) as video:
-            yield timed(lambda made, time: video.write(made.pixels, time)), 1
