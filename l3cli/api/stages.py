@@ -66,8 +66,7 @@ def save(artifact: CameraModel | TransformTable, path: Name) -> None:
 
 @contextlib.contextmanager
 def file_of(given: Name | Artifact, kind: str | None = None) -> Iterator[Path]:
-    """Yield the file of an artifact: the one that is named (a recipe of a `kind` also by its name), or one made for the
-    while."""
+    """Yield the file of an artifact: the named one (a recipe of a `kind` also by its name), or one made for the while."""
     if not isinstance(given, Artifact):
         yield Path(given) if kind is None else find_recipe(str(given), kind)
         return
@@ -173,8 +172,7 @@ def render(table: Name | TransformTable, inputs: Name | Sequence[Name], output: 
 
 @by_keyword(EvaluateOptions)
 def evaluate(table: Name | TransformTable, frames: Name, options: EvaluateOptions) -> dict[str, Any]:
-    """Return the document of `l3 evaluate --json`: figures of a table on the frames of a training set not seen in
-    training."""
+    """Return the document of `l3 evaluate --json`: figures of a table on frames of a training set not seen in training."""
     from l3cli.stages import evaluation
 
     with file_of(table) as file:

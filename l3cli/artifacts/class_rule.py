@@ -242,8 +242,7 @@ class ClassRule:
         return math.prod(self.shape)
 
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, further: Any = 0) -> Any:
-        """Return the indices of classes from their places, integers or arrays that broadcast; within the site without
-        `site`."""
+        """Return the indices of classes from their places, integers or arrays; within the site without `site`."""
         stem = (site * self.levels + level) * self.contrasts + contrast
         return (stem * self.further + further) * self.kinds + kind
 
@@ -287,8 +286,7 @@ class ClassRule:
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 
     def kind(self, chroma: Any, case: Any) -> Any:
-        """Return the kinds of pixels of a chroma, an integer or an array, and a saturation case, which decides where it is
-        not 0."""
+        """Return the kinds of pixels of a chroma, integer or array, and a saturation case, which decides where not 0."""
         return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
 
     def case(self, kind: Any) -> Any:

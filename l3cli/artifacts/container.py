@@ -179,8 +179,7 @@ def require_within_file(path: Path, dataset: h5py.Dataset) -> None:
 
 
 def require_readable(path: Path, dataset: h5py.Dataset) -> None:
-    """Raise InputFileError if a dataset cannot be read as a whole: as `require_within_file`, or more than inputs may
-    hold."""
+    """Raise InputFileError if a dataset cannot be read whole: as `require_within_file`, or more than inputs may hold."""
     require_within_file(path, dataset)
     where = (dataset.name or "").lstrip("/")
     require_values(f"{path}: dataset {where}", dataset.shape or (), dataset.dtype.itemsize)

@@ -63,8 +63,8 @@ def check_darks(captures: Sequence[Capture], signal: Array) -> None:
 
 
 def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
-    """Raise InputFileError that names the capture whose patches (capture, patch, channel) DN do not follow exposure in its
-    band."""
+    """Raise InputFileError that names the capture whose patches (capture, patch, channel) DN do not follow its band's
+    exposures."""
     lit = np.array([capture.lit for capture in captures])[:, None, None]
     for band in np.unique(light):
         chosen = np.flatnonzero(light == band)

@@ -334,8 +334,7 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
 
 def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return the signals as proportional to exposure: rates (light, patch, channel) DN/s from all unsaturated captures of a
-    band; of every capture the value (capture, patch, channel) that the others of its band predict; and where there is
-    one."""
+    band; of every capture the value (capture, patch, channel) that the others of its band predict; and where one is."""
     weight = series.lit[:, None, None] * series.valid
     products, squares = weight * series.values, weight * series.lit[:, None, None]
     same = series.light == np.arange(len(series.lights))[:, None]

@@ -76,8 +76,7 @@ def figures(camera: CameraModel) -> dict[str, Any]:
 
 
 def _curves(camera: CameraModel) -> dict[str, Any]:
-    """Return the range of the curves; of each channel peak and full width at half maximum (None: it does not fall so
-    far)."""
+    """Return the range of the curves; of each channel peak and full width at half maximum (None: it falls less)."""
     grid = camera.wavelength
     channels = {
         name: {"peak (nm)": float(grid[curve.argmax()]), "FWHM (nm)": full_width(grid, curve)}
@@ -106,8 +105,7 @@ def _efficiency_columns(camera: CameraModel) -> dict[str, Any]:
 
 
 def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
-    """Return EMVA 1288's figures; the dynamic range is that of electrons, from saturation down to a signal-to-noise ratio of
-    1."""
+    """Return EMVA 1288's figures; dynamic range is of electrons, from saturation to a signal-to-noise ratio of 1."""
     least = np.sqrt(noise.read_noise**2 + 1.0 / 12.0 / noise.conversion_gain**2) + 0.5
     return {
         "K (DN/e-)": noise.conversion_gain,
@@ -232,8 +230,8 @@ def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[
 
 
 def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
-    """Return `figures`, with `compare` under "truth" if there, as lines of plain text; tables wider than `width` characters
-    are divided."""
+    """Return `figures`, with `compare` under "truth" if there, as lines of text; tables wider than `width` characters are
+    divided."""
     truth = result.get("truth")
     lines = []
     for name, entry in result["camera"].items():

@@ -117,8 +117,7 @@ def relative_rmse(measured: Array, predicted: Array, black_level: Array | float)
 
 
 def r_squared(measured: Array, predicted: Array) -> Array:
-    """Return the share of the variance of `measured` that `predicted` explains, over the axes (chart, patch); further axes
-    stay."""
+    """Return the share of the variance of `measured` that `predicted` explains, over the axes (chart, patch)."""
     residual = np.sum((measured - predicted) ** 2, axis=(0, 1))
     return 1.0 - residual / np.sum((measured - measured.mean(axis=(0, 1))) ** 2, axis=(0, 1))
 

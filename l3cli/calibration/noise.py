@@ -185,8 +185,8 @@ def prnu(
     captures: Sequence[Capture], levels: Sequence[Level], used: NDArray[np.bool_], body: Body, hot: Defects, each: Each = map
 ) -> tuple[Array, Defects, Array]:
     """Return the relative spread (channel) of the pixels' slopes over exposure about their local mean (uneven light
-    cancels), the dead pixels, whose slope differs from that mean by a tenth or more, and the slopes (row, col) in DN/s,
-    theirs patched."""
+    cancels), the dead pixels, whose slope differs from that mean by a tenth or more, and slopes (row, col) in DN/s, theirs
+    patched."""
     weights = np.zeros(used.shape)
     for channel in range(used.shape[1]):
         chosen = used[:, channel]
@@ -218,8 +218,7 @@ def _local_mean(site: Array) -> Array:
 
 
 def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Return the ratio (row, col) of each pixel to the mean of its neighbours of the same CFA site in the picture `patched`,
-    minus 1."""
+    """Return the ratio (row, col) of each pixel to the mean of its neighbours of its CFA site in `patched`, minus 1."""
     deviation = np.empty_like(picture)
     for (_, into), (_, site), (_, whole) in zip(
         *(by_site(each, cfa) for each in (deviation, picture, patched)), strict=True

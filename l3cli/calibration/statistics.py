@@ -30,8 +30,7 @@ def no_defects() -> Defects:
 
 def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defects:
     """Return the pixels of a picture (row, col) that lie far from the median of their CFA site, and at least `least` from
-    it; and all of a row or column whose median does so by the spread of such medians, and by more than pixels differ as a
-    rule."""
+    it; and all of a row or column whose median does so by the spread of such medians, and by more than pixels usually do."""
     rows, cols = cfa.shape
     defects = []
     for row, col in np.ndindex(rows, cols):

@@ -69,8 +69,7 @@ class LightMatrices:
 
 
 def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
-    """Return the matrices for a light by name; None with fewer than three channels, or where one sees nothing of that
-    light."""
+    """Return the matrices for a light by name; None with fewer than three channels, or one that is blind to it."""
     neutral, balanced = _responses(camera, light)
     if len(neutral) < LEAST_CHANNELS or neutral.min() < DIMMEST:
         return None

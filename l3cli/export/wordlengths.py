@@ -55,7 +55,7 @@ class Vector:
 
 
 def drawn_mosaic(table: TransformTable, shape: tuple[int, int], seed: int) -> NDArray[np.uint16]:
-    """Return a mosaic (row, col) at the table's levels, dark on the left and saturated on the right, of plain areas and
+    """Return a mosaic (row, col) at the table's levels, dark at the left, saturated at the right, of plain areas and
     texture."""
     rng = np.random.default_rng(seed)
     level = np.geomspace(0.002, 1.5, shape[1]) * (table.white_level - table.black_level)
@@ -225,8 +225,7 @@ def word_costs(table: TransformTable) -> tuple[Cost, ...]:
 
 
 def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
-    """Return the cost of words of 16 bits: dB below a full output, and the largest error in steps of an output before it
-    is rounded."""
+    """Return the cost of words of 16 bits: dB below a full output, and the largest error in steps of an unrounded output."""
     outputs, step = _outputs(table), 2.0**-OUTPUT_FRACTION
     expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
     rounded = np.clip(np.rint(short / step), -OUTPUT_TOP, OUTPUT_TOP) * step
@@ -235,8 +234,7 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
 
 
 def chosen_words(table: TransformTable, costs: tuple[Cost, ...]) -> Words:
-    """Return the shortest words with a binary point for each class that cost no more than ENOUGH allows; else the
-    longest."""
+    """Return the shortest words with a binary point for each class that ENOUGH allows, else the longest."""
     enough = [cost.bits for cost in costs if cost.scale == "class" and cost.psnr >= ENOUGH]
     return in_words(table.layers[-1].weights, min(enough, default=LENGTHS[-1]), "class")
 

@@ -320,8 +320,7 @@ def _on_grid(coordinates: Array, reach: int) -> tuple[NDArray[np.int64], NDArray
 
 
 def _grown(centres: Array, matrix: Array, reach: int) -> tuple[int, Array]:
-    """Return the number of regions that lie on a grid, and its homography, from its first steps on fitted to ever farther
-    regions."""
+    """Return the number of regions that lie on a grid, and its homography, fitted to ever farther regions."""
     count = 0
     for radius in (2, 3, 5, reach, reach):
         try:

@@ -89,8 +89,7 @@ class RawFrame:
         return levelled
 
     def rescaled(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
-        """Return the same for who reads no value but within `bits`: where both scales are the same, values are not looked
-        at."""
+        """Return the same for values read within `bits` alone: they are not looked at where both scales are the same."""
         if (self.black_level, self.white_level, self.dark) == (black_level, white_level, 0):
             return self
         whole = round(self.dark)

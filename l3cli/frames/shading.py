@@ -49,8 +49,7 @@ class Shading:
 
 
 def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8]) -> Shading:
-    """Return the shading that a flat field takes off frames of `shape` (rows, cols), whose first pixel has CFA site (0,
-    0)."""
+    """Return the shading that a flat field takes off frames of `shape` (rows, cols), of phase (0, 0)."""
     rows, cols = shape
     mean = field.shading_gain.mean(axis=0)
     down = _between(field.grid_row, np.arange(rows))
@@ -66,8 +65,7 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
 
 
 def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shading:
-    """Return the shading that gains (row, col) of single pixels take off, for an array that repeats after `period` rows,
-    cols."""
+    """Return the shading that gains (row, col) of single pixels take off, for an array of `period` rows, cols."""
     (rows, cols), (down, across) = gain.shape, period
     first = np.clip(np.arange(0, cols + STEP, STEP) - across // 2, 0, max(cols - across, 0))
     columns = np.minimum(first[:, None] + np.arange(across), cols - 1)

@@ -115,8 +115,8 @@ def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
 
 
 def phase_of(path: Path, pattern: NDArray[np.int64], array: FilterArray) -> tuple[int, int]:
-    """Return the site of a sensor's array that the first pixel of a file of this CFA `pattern` has. InputFileError if there
-    is none."""
+    """Return the site of a sensor's array of the first pixel of a file of this CFA `pattern`. InputFileError if there is
+    none."""
     try:
         return find_phase(str(path), pattern, array)
     except InputFileError as error:
@@ -184,8 +184,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def read_capture(path: Path) -> RawFile:
-    """Return a raw frame as it stands; InputFileError if the file holds none: a developed picture, several frames, something
-    damaged."""
+    """Return a raw frame as it stands; InputFileError of a developed picture, several frames, a damaged file."""
     content = raw_content(path)
     return RawFile(
         np.ascontiguousarray(content["values"], np.uint16),

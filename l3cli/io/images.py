@@ -40,8 +40,7 @@ def picture_size(path: Path) -> tuple[int, int]:
 
 
 def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[np.uint16], float | None]:
-    """Return the values as stored (row, col) of the single-channel picture that an input is at, and its exposure time
-    (s)."""
+    """Return the values as stored (row, col) of a single-channel picture, and its exposure time (s)."""
     stored = str(spec.format)
     if spec.nchannels != 1 or stored not in ("uint8", "uint16"):
         raise InputFileError(

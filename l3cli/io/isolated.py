@@ -212,8 +212,7 @@ def _end_child() -> None:
 
 
 def arrays_back(answer: Any, file: int) -> Any:
-    """Return an answer with its arrays, copied from `file`. ValueError, TypeError or KeyError if it is none that a child
-    gives."""
+    """Return an answer with its arrays, copied from `file`. ValueError, TypeError or KeyError if no child gives such."""
     if not isinstance(answer, dict):
         return answer
     if "array" in answer:

@@ -197,8 +197,7 @@ def recipe_of_photos(paths: Sequence[Path], light: str | None) -> MeasurementRec
 
 
 def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
-    """Return the colour filter array of the codes (row, col) that a raw file states, its channels called by their
-    letters."""
+    """Return the colour filter array of the codes (row, col) that a raw file states, channels called by letters."""
     pattern = _shortest(codes)
     names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}
     return CfaRecipe(list(names.values()), [" ".join(names[int(code)] for code in row) for row in pattern])

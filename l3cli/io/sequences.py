@@ -289,8 +289,7 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
 
 
 def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: TransformTable, known: RawOverrides) -> _Series:
-    """Return the frames of one file or of stdin; pictures of them are called by `stem`, where there is one, and their
-    numbers."""
+    """Return the frames of one file or of stdin; their pictures are called by `stem`, if there is one, and number."""
 
     def read(number: int) -> RawFrame | None:
         content = stack.read(number)

@@ -30,8 +30,7 @@ FINEST = 1_000_000  # denominator of rates and times: numerators stay within the
 
 
 def storable_rate(rate: Fraction) -> Fraction | None:
-    """Return the nearest rate that every container holds: of 29.97002997 a second 30000/1001. None where that is no
-    film's."""
+    """Return the nearest rate that every container holds: of 29.97002997 a second 30000/1001. None if no film has it."""
     return rate.limit_denominator(FINEST) if SLOWEST <= rate <= FASTEST else None
 
 
@@ -299,8 +298,7 @@ class DecodedVideo:
     """The video stream of a file."""
 
     def __init__(self, path: Path, what: str, require: Callable[[Path, Any], None], formats: str = CONTAINERS) -> None:
-        """Raise InputFileError if it is none of `formats`, or by `require`, which gets FFmpeg's codec context; `what` to
-        give."""
+        """Raise InputFileError if it is none of `formats`, or by `require`, of FFmpeg's codec context; `what` to give."""
         av = pyav()
         self.path = path
         # A playlist under the name of a video would have FFmpeg read other files and addresses.

@@ -218,8 +218,7 @@ def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Yield, in a worker elsewhere, a folder for the block, among those that dask clears away after a worker that was
-    killed."""
+    """Yield, in a worker elsewhere, a folder for the block, among those that dask clears away after a killed worker."""
     from distributed import get_worker
 
     with tempfile.TemporaryDirectory(dir=get_worker().local_directory) as folder:

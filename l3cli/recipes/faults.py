@@ -160,8 +160,7 @@ def _table(kind: Any, value: Any) -> type[Recipe] | None:
 
 
 def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
-    """Return the type of each entry of a list or of a table with free keys; None where the value is neither or has too
-    many."""
+    """Return the type of each entry of a list or of a table with free keys; None of another value or too many."""
     for each in _plain_types(kind):
         origin, arguments = get_origin(each), get_args(each)
         if origin is dict and isinstance(value, dict):

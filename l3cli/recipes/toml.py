@@ -119,8 +119,7 @@ def line_of(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
 
 
 def key_lines(text: str) -> dict[KeyPath, int]:
-    """Return the line, from 1, of every key, table and entry of a list in `text`, which tomllib has read without an
-    error."""
+    """Return the line, from 1, of every key, table and entry of a list in `text`, which tomllib accepts."""
     return _Scanner(text.replace("\r\n", "\n")).document()
 
 
@@ -230,8 +229,7 @@ def toml_key(name: str) -> str:
 
 
 def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
-    """Yield the numbers that are not finite and texts with the character that no file name can hold: their keys, what is
-    wrong."""
+    """Yield keys and faults of numbers that are not finite and texts with the character that no file name can hold."""
     if len(key) > DEEPEST:
         yield key, f"tables and lists are more than {DEEPEST} deep; recipes are not"
     elif isinstance(value, dict):
@@ -254,8 +252,7 @@ def _named(key: KeyPath) -> str:
 
 
 def plain(message: str, recipe: type[Recipe], content: Any) -> str:
-    """Return msgspec's message in the words of a recipe: keys and tables instead of fields and objects, and what was
-    meant."""
+    """Return msgspec's message in the words of a recipe: keys and tables, not fields and objects, and what was meant."""
     what, _, where = message.partition(" - at ")
     if bound := re.fullmatch(r"Expected `(?:int|float)` (<=|>=|<|>) (\S+)", what):
         return f"{_written(where)} is {_value_at(content, where)}; {BOUNDS[bound[1]]} {bound[2]}"

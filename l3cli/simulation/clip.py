@@ -69,8 +69,7 @@ def sampled(
     window: tuple[int, int] | None = None,
 ) -> Cube:  # fmt: skip
     """Return a `window` (rows, cols) from the pixel `top` on of a frame of `size` that shows a cube (row, col, band) whose
-    middle is at `place`, with `scale` pixels a sample: each pixel is the mean over its area of the cube between its
-    samples."""
+    middle is at `place`, with `scale` pixels a sample: each pixel is the mean over its area of the cube."""
     down, across = (
         _resampling(
             length=cube.shape[axis],
@@ -86,8 +85,7 @@ def sampled(
 
 def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
     """Return sparse M (pixel, sample): means over first + pixel · step … + step of straight lines between samples, which lie
-    at 0.5, 1.5, …; beyond the ends their values go on. Exact, so that what moves by a fraction of a pixel keeps its
-    light."""
+    at 0.5, 1.5, …; beyond the ends their values go on. Exact: what moves by part of a pixel keeps its light."""
     from scipy.sparse import csr_array
 
     start = first + step * np.arange(pixels)[:, None]
@@ -186,8 +184,7 @@ def clip_of(
 
 
 def known_motion(wanted: sources.WantedScene, run: SimulationRun) -> Callable[[int], NDArray[np.float32]]:
-    """Return a function that gives the motion of each frame of a clip since the frame before, as `motion_between`
-    does."""
+    """Return a function of the motion of each frame of a clip since the one before, as `motion_between` gives it."""
     course = _course(wanted, run)
     things = sprites(course, np.zeros((len(course.radius), 1)), _seed(wanted, run, LEAVES))
     return lambda number: motion_between(course, things, number)

@@ -268,8 +268,7 @@ def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across
 def _strokes(
     patterns: Patterns, axis: int, label: NDArray[np.integer], position: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return the share of each sample that strokes across `axis` cover, as if these lay along the samples, and their
-    numbers."""
+    """Return the share of each sample that strokes across `axis` cover, as if along the samples, and their numbers."""
     period, width = patterns.period[axis][label], patterns.width[axis][label]
     turns = position / period + patterns.phase[axis][label]
     number = np.floor(turns)

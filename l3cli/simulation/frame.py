@@ -221,7 +221,7 @@ class LowRankTransfer:
 
 @functools.lru_cache(maxsize=4)
 def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: float) -> LowRankTransfer:
-    """Return the diffraction MTF up to `highest` cycles/m within LOW_RANK_ERROR in as few terms as that takes (singular
+    """Return the diffraction MTF up to `highest` cycles/m within LOW_RANK_ERROR in as few terms as possible (singular
     values)."""
     frequency = np.linspace(0.0, highest, RADIAL_SAMPLES)
     exact = diffraction_transfer(frequency, np.array(wavelength), f_number)

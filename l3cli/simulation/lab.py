@@ -175,7 +175,7 @@ class _Response:
         return radiance @ self.per_radiance.T
 
     def exposure_for(self, level: float, radiance: Array) -> float:
-        """Return seconds, to three digits, in which the brightest channel and spectrum reach `level` of full scale; may be
+        """Return seconds, to three digits, in which the brightest channel and spectrum reach `level` of full scale, or
         inf."""
         with np.errstate(divide="ignore"):
             signals = self.electrons(radiance) * self.camera.channel_gains

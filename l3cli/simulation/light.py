@@ -56,8 +56,7 @@ class Light:
 
 
 def mixture(text: str) -> list[tuple[float, str]]:
-    """Return a recipe's light "0.7 D65 + 0.3 lamp.csv" as shares of luminance and names; RecipeError if one is not above
-    0."""
+    """Return a recipe's light "0.7 D65 + 0.3 lamp.csv" as shares of luminance and names; RecipeError if not above 0."""
     weighted_parts = []
     for term in re.split(r"\s+\+\s+", text.strip()):
         weighted = re.fullmatch(r"(\d*\.?\d+)\s+(?!K$)(.+)", term)
@@ -162,8 +161,7 @@ def photon_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
 
 
 def matching_weights(functions: Array, light: Light, bands: Array) -> Array:
-    """Return W (output, band) of unit reflectance in each band, for matching functions (output, sample of the light) per
-    watt."""
+    """Return W (output, band) of unit reflectance in each band, for matching functions (output, light) per watt."""
     weights = spectra.matching_weights(functions, light.wavelength) * light.radiance
     return weights @ spectra.held_interpolation(bands, light.wavelength)
 

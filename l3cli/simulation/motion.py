@@ -98,8 +98,7 @@ def course(motion: Motion, seed: tuple[int, ...]) -> Course:
 
 
 def room(motion: Motion) -> tuple[float, float]:
-    """Return the rows and columns, in pixels of an unzoomed frame, of what some frame of a clip may see, whatever its
-    seed."""
+    """Return the rows and columns, in pixels of an unzoomed frame, that a clip of any seed may see."""
     last = (motion.frames - 1) / 2 + motion.shutter / 2
     widest = max(min(motion.zoom_per_frame, 1 / motion.zoom_per_frame) ** last, LEAST_ZOOM)
     shake, pan = FARTHEST_SHAKE * motion.shake_pixels, motion.pan_pixels_per_frame

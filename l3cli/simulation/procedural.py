@@ -31,8 +31,7 @@ FINER = 8  # samples a pixel's side that edges are averaged from
 
 
 def grid(wavelength: Array) -> NDArray[np.float64]:
-    """Return the wavelengths (band) in nm that a procedural scene has for a camera: DRAWN, and farther by 10 where the
-    camera sees."""
+    """Return the wavelengths (band) in nm that a procedural scene has for a camera: DRAWN, and on by 10 where it sees."""
     first = max(np.floor(min(wavelength[0], DRAWN[0]) / 10.0) * 10.0, 10.0)  # materials are formulas of 1/wavelength
     last = np.ceil(max(wavelength[-1], DRAWN[-1]) / 10.0) * 10.0
     return np.arange(first, last + 5.0, 10.0)
@@ -298,8 +297,7 @@ def colorchecker(size: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
-    """Return the rows and columns of the 24 patches, row by row, on a board of `size` (rows, cols): squares a fifth
-    apart."""
+    """Return the rows and columns of the 24 patches, row by row, on a board of `size`: squares a fifth apart."""
     pitch = min(size[0] / 4.2, size[1] / 6.2)
     side = max(1, int(pitch / 1.2))
     corners = [

@@ -108,8 +108,7 @@ def curve_files(recipe: SceneRecipe) -> dict[str, str]:
 
 
 def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]) -> CameraModel:
-    """Return the camera with the recipe's lens and analog gain: what the training set is of. RecipeError if they cannot
-    be."""
+    """Return the camera with the recipe's lens and analog gain: that of the training set. RecipeError if impossible."""
     lens, optics = recipe.lens, camera.optics
     focal = optics.focal_length if lens.focal_length_mm is None else lens.focal_length_mm * 1e-3
     f_number = optics.f_number if lens.f_number is None else lens.f_number

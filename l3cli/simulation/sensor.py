@@ -61,8 +61,7 @@ def signals(camera: CameraModel, rates: NDArray[np.floating]) -> NDArray[np.floa
 
 
 def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
-    """Return the seconds after which `share` of the pixels with `rates` (row, col) e-/s reach full scale; ValueError if all
-    is dark."""
+    """Return the seconds after which `share` of pixels with `rates` (row, col) e-/s are full; ValueError if all is dark."""
     rate = float(np.quantile(signals(camera, rates), 1.0 - share)) + camera.noise.dark_current
     if rate <= 0:
         raise ValueError("the scene is too dark for an exposure by its saturated pixels")

@@ -270,8 +270,7 @@ def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> 
 
 
 def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
-    """Return the samples (row, col, band) of what is used of a scene, the right way up; ValueError if the crop reaches
-    beyond it."""
+    """Return the samples (row, col, band) of the used part of a scene, upright; ValueError if the crop reaches beyond."""
     top, left, rows, cols = _cropped(cube.shape, framing)
     cube = cube[top : top + rows, left : left + cols]
     if framing.flip is not None:
@@ -343,8 +342,7 @@ def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.f
 
 
 def _resampling(length: int, scale: float, most: int) -> Any:
-    """Return sparse M (pixel, sample): linear interpolation of samples at their centres, averaged over pixels larger than a
-    sample."""
+    """Return sparse M (pixel, sample): linear interpolation of samples at their centres, averaged over larger pixels."""
     from scipy.sparse import csr_array
 
     whole = _pixels(length, scale)
@@ -419,8 +417,8 @@ def _normalise(reflectance: np.ndarray) -> None:
 
 
 def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bands' wavelengths in nm, increasing, and values (row, col, band): the wavelengths are the recipe's, else
-    the file's."""
+    """Return the bands' wavelengths in nm, increasing, and values (row, col, band): the recipe's wavelengths, else the
+    file's."""
     if source.wavelengths_nm is not None:
         wavelength = np.array(source.wavelengths_nm)
     elif source.wavelength_range_nm is not None:

@@ -177,8 +177,7 @@ def _numbers(
 
 
 def _pairs(cells: list[Cells], decimal_comma: bool, path: Path) -> tuple[tuple[str, list[tuple[float, float]]], ...]:
-    """Return the curves of a text whose columns are called X, Y, X, Y…; none of any other. InputFileError if one is
-    broken."""
+    """Return the curves of a text whose columns are called X, Y, X, Y…; none of others. InputFileError if one is broken."""
     heads = [[cell.casefold() for cell in row if cell] for row in cells]
     head = next((number for number, row in enumerate(heads) if row and row == ["x", "y"] * (len(row) // 2)), None)
     if head is None:
@@ -358,8 +357,7 @@ def read_table(path: Path) -> CurveTable:
 
 
 def _digitised(curves: Sequence[tuple[str, Sequence[tuple[float, float]]]], path: Path) -> CurveTable:
-    """Return the curves of points in any order, interpolated every nm; each is zero beyond its ends, but at the edges of the
-    plot."""
+    """Return the curves of points in any order, interpolated every nm; zero beyond their ends, but at the plot's edges."""
     lines = [np.array(sorted(points)).T for _, points in curves]
     every = np.concatenate([x for x, _ in lines])
     if other := other_unit(float(every.min()), float(every.max())):

@@ -45,8 +45,7 @@ class CurveTable:
 
     def ordered(self, wanted: Sequence[str], known_as: Callable[[str], str] | None = None) -> "CurveTable":
         """Return the columns in the order of `wanted`, by their names if there are any; `known_as` gives the name that a
-        heading means. Capitals count only where names differ in nothing else. InputFileError if names and `wanted`
-        differ."""
+        heading means. Capitals count where names differ in nothing else. InputFileError unless names are `wanted`."""
         self.counted(len(wanted))
         if self.names is None or len(wanted) == 1:
             return self

@@ -15,7 +15,7 @@ import tifffile
 
 from l3cli.artifacts.store import save
 from l3cli.io.pictures.openimageio import write_mosaic
-from l3cli.stages.rendering import sequence
+from l3cli.stages.rendering import destination
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_stack
 from tests.helpers.tables import with_first
@@ -55,7 +55,7 @@ class Runs:
             rename(source, path)
 
         with self._patch.context() as patch:
-            patch.setattr(sequence, "PICTURE_WRITERS", 1)
+            patch.setattr(destination, "PICTURE_WRITERS", 1)
             patch.setattr(os, "replace", renamed)
             with pytest.raises(Killed):
                 self(*options, **others)

@@ -233,8 +233,7 @@ def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
 def corners_of_series(
     groups: Sequence[Group], scale: Scale, period: tuple[int, int], read: Callable[[str], Array]
 ) -> Corners | None:
-    """Return the corners of a chart that stands still in all captures of a series: where most of those that show it agree,
-    the median."""
+    """Return the corners of a chart that stands still in a series: where most captures that show it agree, the median."""
     lit = [group for group in groups if scale.signal(group).max() > DIM * scale.range]
     lit.sort(key=lambda group: (scale.clipped(group), -float(scale.signal(group).max())))
     black = float(scale.black.mean())

@@ -74,8 +74,7 @@ def _add_label(spec: Any, label: Label) -> None:
 
 
 def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None = None) -> None:
-    """Write a raw mosaic (row, col) in DN as an uncompressed 16-bit mono TIFF, with its exposure time (s) if that is
-    known."""
+    """Write a raw mosaic (row, col) in DN as an uncompressed 16-bit mono TIFF, with its exposure time (s) if known."""
     spec = _spec(values[..., None])
     spec.attribute("compression", "none")
     if exposure:

@@ -86,9 +86,8 @@ def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> 
 def neutral_of_channels(
     neutral: NDArray[np.float64] | None, pattern: NDArray[np.integer] | None, phase: tuple[int, int], sensor: FilterArray
 ) -> tuple[float, ...] | None:
-    """Return the signal of a grey in each of a sensor's channels from that in the colours of a file, `neutral` (colour,
-    2) with their codes: by name or, of a file whose CFA `pattern` begins at site `phase`, by place. None where a channel
-    has none."""
+    """Return the signal of a grey in each of a sensor's channels from that in the colours of a file, `neutral` (colour, 2)
+    with their codes: by name or, of a file whose CFA `pattern` begins at site `phase`, by place. None without all."""
     if neutral is None:
         return None
     of_code = {int(code): float(signal) for code, signal in neutral}

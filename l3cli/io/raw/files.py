@@ -97,8 +97,7 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def format_of(path: Path) -> RawFormat:
-    """Return the format that a file's suffix names; of other suffixes that of camera raws, which LibRaw knows by their
-    content."""
+    """Return the format that a file's suffix names; of others that of camera raws, which LibRaw knows by content."""
     return BY_SUFFIX.get(path.suffix.lower(), CAMERA_RAW)
 
 
@@ -113,8 +112,7 @@ def is_photo(path: Path) -> bool:
 
 
 def needs_isolation(path: Path) -> bool:
-    """Return whether a file is decoded in an isolated process; a name without suffix, of a folder or of stdin, does not
-    tell."""
+    """Return whether a file is decoded in an isolated process; a folder or stdin does not tell."""
     kind = format_of(path)
     return bool(path.suffix) and kind.isolated and not kind.is_plain(path)
 
@@ -199,8 +197,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Return the frame with what the caller knows better in place of what the file says, and what dark current adds to
-    it."""
+    """Return the frame as the caller knows it better than the file, and what dark current adds to it."""
     black_level = frame.black_level if known.black_level is None else known.black_level
     white_level = frame.white_level if known.white_level is None else known.white_level
     phase = frame.phase if known.phase is None else known.phase

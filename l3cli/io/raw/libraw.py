@@ -158,8 +158,7 @@ def stated(path: Path) -> Stated:
 
 
 def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
-    """Return the rows of a matrix by their colour's code, of several of one code the first; nothing of one that says
-    nothing."""
+    """Return the rows of a matrix by their colour's code, of several of one code the first; nothing of an empty one."""
     values = np.asarray(values, np.float64)
     if values.size != 3 * len(codes) or not np.isfinite(values).all() or not values.any(axis=-1).all():
         return {}

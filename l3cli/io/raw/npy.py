@@ -54,8 +54,7 @@ def stack(path: Path) -> MultiFrameFile | None:
 
 
 def _mapped(path: Path, axes: int) -> NDArray:
-    """Return the array of a .npy file, mapped. InputFileError unless it has `axes` axes of DN, and frames of a size that may
-    be."""
+    """Return the array of a .npy file, mapped. InputFileError unless it has `axes` axes of DN, of sizes that may be."""
     values = map_array(path)
     if values.ndim != axes or values.dtype.kind != "u" or values.dtype.itemsize > 2:
         held = f"{values.ndim}-dimensional {values.dtype}"

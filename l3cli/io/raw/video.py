@@ -50,8 +50,7 @@ def _rate(path: Path) -> tuple[int, int] | None:
 
 @isolated("av")
 def _some_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | None]]:
-    """Return the seconds of a tick, and ticks of the next frames from that number on, some at a time: a file may be of any
-    length."""
+    """Return the seconds of a tick, and ticks of the next frames from a number on, some at a time: files have any length."""
     video = _timed.video(path, number)
     return (video.tick.numerator, video.tick.denominator), video.times(AT_A_TIME)
 

@@ -80,7 +80,7 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
 
 
 def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
-    """Return the photons of a perfect white at `wavelength`, from ISET's newer struct (photons), its older one (energy) or
+    """Return the photons of a perfect white at `wavelength`, from ISET's new struct (photons), old one (energy) or
     `light`."""
     if not isinstance(stored, dict):
         if light is None:

@@ -42,12 +42,11 @@ class Blend:
 
     values: NDArray[np.uint16]  # (row, col) u, of whole blocks
     left: Cells  # (cell row, cell col) share of a frame's noise variance that is left, of ONE
-    restarted: bool
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
     """Return the state of the first frame of a scene, values (row, col) u of whole blocks."""
-    return Blend(values, np.full(grid.cells, ONE, np.int64), restarted=True)
+    return Blend(values, np.full(grid.cells, ONE, np.int64))
 
 
 def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: Grid, noise: NoiseTerms) -> Blend:
@@ -67,7 +66,7 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
     left = np.minimum(((ONE - weight) ** 2 * left + weight**2 * ONE) // ONE**2 + 1, ONE)
     of_pixel = weight.repeat(grid.cell[0], 0).repeat(grid.cell[1], 1)
     new = history + ((of_pixel * residual + ONE // 2) // ONE)
-    return Blend(new.astype(np.uint16), left, restarted=False)
+    return Blend(new.astype(np.uint16), left)
 
 
 def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
