@@ -205,7 +205,7 @@ class ClassRule:
     def contrasts(self) -> int:
         return len(self.contrast_edges) + 1
 
-    @property
+    @cached_property
     def cases(self) -> int:
         return int(self.case_of_code.max()) + 1
 

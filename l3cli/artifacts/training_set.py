@@ -189,8 +189,15 @@ class TrainingSetReader:
         return "pairs" in self._groups
 
     def frame(self, index: int) -> TrainingPair:
+        return self._read(index, GROUPS[self._names[index][0]])
+
+    def pair(self, index: int) -> TrainingPair:
+        """Return a frame without what a simulation alone knows, most of its bytes."""
+        return self._read(index, TrainingPair)
+
+    def _read(self, index: int, kind: type[TrainingPair]) -> TrainingPair:
         group, name = self._names[index]
-        frame: TrainingPair = read_fields(hard_group(self._groups[group], name, self._path), GROUPS[group], self._path)
+        frame: TrainingPair = read_fields(hard_group(self._groups[group], name, self._path), kind, self._path)
         channels = len(frame.electrons) if isinstance(frame, TrainingFrame) else len(self.head.camera.channels)
         if (channels, len(frame.target)) != (len(self.head.camera.channels), len(self.head.outputs)):
             raise InputFileError(f"{self._path}: {group}/{name} is of another camera or target; make the file again")

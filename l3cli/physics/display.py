@@ -22,6 +22,7 @@ WHITE_PERCENTILE = 99  # of Y, shown white, as the authors of the method show th
 LUMA = np.array([0.2126, 0.7152, 0.0722])  # of sRGB's primaries (Rec. 709)
 FLOAT_BITS = 32  # of linear values, in floating point
 CODES = {8: np.uint8, 16: np.uint16}  # bits of a picture's codes → their type
+AT_ONCE = 1 << 13  # colours whose differences stay in the caches
 PRECISION = 1e-3  # of the gradient of mean squares: more changes no figure
 
 
@@ -148,7 +149,52 @@ def srgb_from_lab(lab_values: Array) -> Array:
 
 def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
     """Return CIEDE2000 colour difference of two L*a*b* arrays (…, 3)."""
-    return colour_science().delta_E(lab_a, lab_b, method="CIE 2000")
+    one, other = np.broadcast_arrays(lab_a, lab_b)
+    flat = one.reshape(-1, 3), other.reshape(-1, 3)
+    difference = np.empty(len(flat[0]))
+    for first in range(0, len(difference), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        difference[part] = _delta_e_2000(*(values[part].astype(np.float64).T for values in flat))
+    return difference.reshape(one.shape[:-1])
+
+
+def _delta_e_2000(one: Array, other: Array) -> Array:
+    """Return CIEDE2000 (colour) of L*, a*, b* (3, colour) (Sharma, Wu and Dalal 2005). Hues are unit vectors, of which that
+    of the mean is the bisector, so that one angle is computed instead of two and their cosines."""
+    (light_1, a_1, b_1), (light_2, a_2, b_2) = one, other
+    stretch = 1.5 - 0.5 * _vivid((_length(a_1, b_1) + _length(a_2, b_2)) / 2)
+    a_1, a_2 = a_1 * stretch, a_2 * stretch
+    chroma_1, chroma_2 = _length(a_1, b_1), _length(a_2, b_2)
+    both, dot, cross = chroma_1 * chroma_2, a_1 * a_2 + b_1 * b_2, a_1 * b_2 - b_1 * a_2
+    opposed = both + dot <= 1e-9 * both  # or one of them is grey
+    far = np.copysign(np.sqrt(np.maximum(2 * (both - dot), 0)), cross)
+    hue = np.where(opposed, far, cross * np.sqrt(2 / np.where(opposed, 1, both + dot)))  # 2 √(C₁C₂) sin(Δh/2)
+    x, y = (np.where(both > 0, p * chroma_2 + q * chroma_1, p + q) for p, q in ((a_1, a_2), (b_1, b_2)))
+    sign = np.where((b_1 > 0) | (b_1 == 0) & (a_1 > 0), 1, -1)  # opposite hues: the mean of the angles
+    x, y = (np.where((x == 0) & (y == 0), each, of) for of, each in ((x, -sign * b_1), (y, sign * a_1)))
+    length = _length(x, y)
+    mean = (x + 1j * y) / np.where(length > 0, length, 1) + (length == 0)
+    twice = mean * mean
+    terms = ((-0.17, mean, -30), (0.24, twice, 0), (0.32, twice * mean, 6), (-0.20, twice * twice, -63))
+    weight = 1 + sum(factor * (np.exp(1j * np.radians(angle)) * hues).real for factor, hues, angle in terms)
+    blue = np.exp(-(((np.degrees(np.angle(mean)) % 360 - 275) / 25) ** 2))
+    light, chroma = ((light_1 + light_2) / 2 - 50) ** 2, (chroma_1 + chroma_2) / 2
+    light_part = (light_2 - light_1) / (1 + 0.015 * light / np.sqrt(20 + light))
+    chroma_part, hue_part = (chroma_2 - chroma_1) / (1 + 0.045 * chroma), hue / (1 + 0.015 * chroma * weight)
+    rotation = -2 * _vivid(chroma) * np.sin(np.radians(60) * blue)
+    squares = light_part**2 + chroma_part**2 + hue_part**2 + rotation * chroma_part * hue_part
+    return np.asarray(np.sqrt(np.maximum(squares, 0)))
+
+
+def _length(x: Array, y: Array) -> Array:
+    """Return np.hypot(x, y), which takes care of numbers that no colour has, in a fifth of the time."""
+    return np.sqrt(x * x + y * y)
+
+
+def _vivid(chroma: Array) -> Array:
+    """Return √(C⁷ / (C⁷ + 25⁷))."""
+    seventh = (chroma * chroma * chroma) ** 2 * chroma
+    return np.sqrt(seventh / (seventh + 25.0**7))
 
 
 def displayed_delta_e(one: Array, other: Array) -> Array:

@@ -127,6 +127,10 @@ def _crop(
 
 def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[int], dict[str, str]]:
     """Return a function of a class of the layer that describes it in words."""
+    every = np.arange(len(layer.weights))
+    sites = layer.rule.split(every).site.tolist()
+    # In the first layer a class has the same words at every site.
+    within = layer.rule.within_site(every).tolist() if isinstance(layer, MosaicLayer) else every.tolist()
 
     @functools.cache
     def place(index: int) -> dict[str, str]:
@@ -134,11 +138,9 @@ def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[
 
     @functools.cache
     def words(index: int) -> dict[str, str]:
-        row, col = divmod(layer.rule.split(index).site, table.cfa.shape[1])
-        # In the first layer a class has the same words at every site.
-        where = place(layer.rule.within_site(index) if isinstance(layer, MosaicLayer) else index)
+        row, col = divmod(sites[index], table.cfa.shape[1])
         site = f"({row}, {col}) {table.channels[table.cfa[row, col]]}"
-        return {"class": f"{index} of {len(layer.weights)}", "site": site, **where}
+        return {"class": f"{index} of {len(sites)}", "site": site, **place(within[index])}
 
     return words
 

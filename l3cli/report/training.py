@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet, TrainingSetReader
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet, TrainingSetReader
 from l3cli.physics.display import XYZ
 from l3cli.report import colours
 from l3cli.report.drawing import Axis, Plot, spanning
@@ -71,8 +71,8 @@ def survey_of(reader: TrainingSetReader) -> Survey:
     head, survey = reader.head, Survey()
     chosen = set(np.unique(np.linspace(0, len(reader) - 1, min(SHOWN, len(reader))).round().astype(int)).tolist())
     survey.levels = [np.zeros(len(LEVEL_EDGES) - 1) for _ in head.camera.channels]
-    for index, frame in enumerate(reader):
-        survey.pairs += not isinstance(frame, TrainingFrame)
+    survey.pairs = len(reader) - reader.simulated
+    for index, frame in enumerate(map(reader.pair, range(len(reader)))):
         survey.sizes[f"{frame.raw.shape[1]} × {frame.raw.shape[0]}"] += 1
         light = survey.lights.setdefault(frame.illuminant, [])
         light.append((frame.white, frame.luminance, frame.exposure))

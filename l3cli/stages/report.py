@@ -241,7 +241,11 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], backend: str, 
         by_gain = figures_by_gain(pair.transforms, reader, backend, console)
         figures = document_of(judgement, renderers, reader.head, by_gain)
         if pictures:
-            shown = {index: _pictures(judgement, renderers, reader, index) for index in shown_frames(figures)}
+            last = {len(reader) - 1: frame_pictures(frame, planes)}
+            shown = {
+                index: last[index] if index in last else _pictures(judgement, renderers, reader, index)
+                for index in shown_frames(figures)
+            }
             pixels = _pixels(reader, renderers, anchor, *next(iter(shown.items())), limits)
             below = (*([chart] if chart else []), pixels)
             title = f"Pictures: {pair.table.name} on {pair.frames.name}"

@@ -31,6 +31,7 @@ from l3cli.evaluation.quality import (
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.physics.figures import sign
+from l3cli.physics.spectra import colour_science
 from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import FEW_CLASSES
@@ -102,6 +103,18 @@ def test_delta_e_is_that_of_isetcam(l3_data: Path) -> None:
     difference = delta_e_2000(lab_a, lab_b)
     assert difference.mean() == pytest.approx(5.88029, abs=1e-4)
     assert np.abs(difference - reference["dE2000"]).max() < 0.01
+
+
+def test_delta_e_is_that_of_colour_science() -> None:
+    """Of colours near and far, equal, grey, across the hue 0° and of opposite hues."""
+    rng = np.random.default_rng(0)
+    one = rng.normal([50, 0, 0], [20, 30, 30], (8, 2000, 3))
+    other = one + rng.normal(0, [[[3]], [[30]], *[[[3]]] * 6], one.shape)
+    one[2, :, 1:], other[3, :, 1:], one[4, :, 1:], other[5, :, 1:] = 0, 0, 1e-6 * one[4, :, 1:], one[5, :, 1:]
+    one[6, :, 1:], other[6, :, 1:] = (30, 1e-3), (30, -1e-3)
+    one[7, :, 1:], other[7, :, 1:] = np.where(rng.random((2000, 1)) < 0.5, (10, 0), (-10, 0)), (10, 0)
+    assert delta_e_2000(one, other) == pytest.approx(colour_science().delta_E(one, other, method="CIE 2000"), abs=1e-6)
+    assert delta_e_2000(one[0, 0], other[0, 0]).shape == ()
 
 
 def test_scielab_is_that_of_isetcam(l3_data: Path) -> None:
