@@ -26,7 +26,7 @@ PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far 
 RATIO_TAPS = 2  # behind those of the windows, of a last layer that has them: chroma as shading would make it
 PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 bits stay within 32 bits
 WINDOWS = (3, 5, 7, 9)  # sides that can be
-COMPARED = (5, 3, 3)  # in coarse chroma: four steps and a quad; planes; powers of luminance
+COMPARED = (4, 3, 3)  # in coarse chroma: steps; planes; powers of luminance
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,17 @@ class CoarseChroma:
 
     variance: NDArray[np.float64] = data(
         "float64",
-        "compared",
+        "step",
         "plane",
         "power",
-        doc="noise variance at luminance Y, Σ variance · Y^power, in squared output units: of the blocks each step reads, "
-        "then of a quad and the blocks after the first step together",
+        doc="noise variance at luminance Y, Σ variance · Y^power, in squared output units: of the blocks each step reads",
     )
 
     def __post_init__(self) -> None:
         check(self)
+        steps, *others = COMPARED
+        if self.variance.shape == (steps + 1, *others):  # the last, of what pixels were compared by, no longer counts
+            object.__setattr__(self, "variance", self.variance[:steps])
         if self.variance.shape != COMPARED:
             raise ValueError(f"variance has the shape {self.variance.shape}, not {COMPARED}")
         if not (np.isfinite(self.variance).all() and self.variance.min() >= 0 and self.variance[..., 0].min() > 0):
@@ -97,8 +99,6 @@ class PlaneLayer:
     def __post_init__(self) -> None:
         check(self)
         one_rule(self.structure, self.tree)
-        if self.coarse_chroma and self.side < 3:
-            raise ValueError(f"a layer with coarse chroma has windows of side 3 or more, not {self.side}")
 
     @property
     def rule(self) -> PlaneRule:

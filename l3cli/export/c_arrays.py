@@ -119,7 +119,7 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
     arrays += _last_words(table, short) if short else _last_floats(table)
     if table.later and table.later[-1].coarse_chroma:
         scales = scales_of(table.later[-1].coarse_chroma).astype(np.float32)
-        arrays.append(Array("l3_coarse_scales", scales, "(compared, plane, power of Y)", packed=True))
+        arrays.append(Array("l3_coarse_scales", scales, "(step, plane, power of Y)", packed=True))
     if table.later:
         more, layers = _layers(table)
         return [*arrays, *more], [*lines, *layers, ""]

@@ -10,7 +10,7 @@ from l3cli import __version__
 from l3cli.artifacts.plane_rules import GRADIENT
 from l3cli.artifacts.schema import Spec, declared
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, TransformTable, rule_fields
-from l3cli.classes.coarse_chroma import ALIKE, OWN
+from l3cli.classes.coarse_chroma import ALIKE
 from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, opponent_basis, refined_fixed_point
 from l3cli.classes.refinement import RATIO_DARKEST
 from l3cli.classes.structure import NOISE_TRACE
@@ -56,12 +56,10 @@ LAYERS = {
     "colour ratios": "mean * clamp((Y - mean Y) / max(mean Y, ratio_darkest), -1, 1) of the first and of the third plane; "
     "means over the window",
     "coarse chroma": "of a layer that has it, first and third output += plane_step * d of the plane of the same number; d = "
-    "(sum of W * last block) / (own_weight + sum of W) - own * sum of W / (own_weight + sum of W), own: the window's mean; "
-    "quads: means of 2 x 2 pixels, blocks: of 2 x 2 quads, the outermost repeated; W: of the four blocks nearest to the "
-    "pixel's quad, bilinear * L(block after the first step - e; last variance, 2), e: mean over 3 x 3 quads, of Y with the "
-    "weights 1 4 1; blocks pass steps over 3 x 3 of them, spaced 1, 2, 4, 8, within the frame, with the weights 1 2 1 * "
-    "L(difference; variance of the step, 4); L(d; v, n) = max(0, 1 - sum of d^2 / (8 n alike^2 v))^8, v = sum of variance * "
-    "max(Y, 0)^power at the Y of the middle, or of e",
+    "bilinear mean, of the four blocks nearest to the pixel, of what the last step differs by from the blocks, beyond the "
+    "frame 0; blocks: means of 4 x 4 pixels, the outermost repeated; they pass steps over 3 x 3 of them, spaced 1, 2, 4, 8, "
+    "within the frame, with the weights 1 2 1 * max(0, 1 - sum of difference^2 / (8 * 4 alike^2 v))^8, alike of the step, "
+    "v = sum of variance * max(Y, 0)^power at the Y of the middle",
     "later class": "(site * levels + level // level_step) * kinds + kind; level and case of the first layer; kind: "
     "structure or leaf where case - spared_cases is at most 0, else structures - 1 + that; of a tree levels = 1",
 }
@@ -222,7 +220,7 @@ def _constants(table: TransformTable) -> dict[str, Any]:
     values: dict[str, Any] = {"level_fraction_bits": 8, "variance_fraction_bits": 9, "chroma_fraction_bits": 4}
     if table.later:
         values |= {"plane_step": PLANE_STEP, "plane_top": PLANE_TOP, "coarse": COARSE, "coarse_top": COARSE_TOP,
-                   "ratio_darkest": RATIO_DARKEST, "alike": ALIKE, "own_weight": OWN,
+                   "ratio_darkest": RATIO_DARKEST, "alike": ALIKE.tolist(),
                    "gradient_top": GRADIENT, "tree_gradient_top": TOP, "tree_chroma_gradient_top": CHROMA_TOP,
                    "tree_noise_trace": NOISE_TRACE, "tree_dark": DARK, "tree_tests": [test.name for test in EVERY],
                    "tree_denominators": [test.denominator for test in EVERY]}  # fmt: skip

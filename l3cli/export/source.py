@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from l3cli.artifacts.plane_rules import GRADIENT, StructureRule, TreeRule
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, CoarseChroma, TransformTable
 from l3cli.classes import direction, saturation
-from l3cli.classes.coarse_chroma import OWN
 from l3cli.classes.features import further_features
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, raw_middle
 from l3cli.classes.refinement import RATIO_DARKEST
@@ -75,8 +74,6 @@ def c_files(
             raise InputFileError(f'C source has no class feature "{axis.name}"; export the table as a folder')
     if table.spectra and words == "int16":
         raise InputFileError("the table smooths spectra, in floats; leave out ‹words› or export it as a folder")
-    if _coarse_chroma(table) and words == "int16":
-        raise InputFileError("the table has coarse chroma, in floats; leave out ‹words› or train without coarse_chroma")
     short = short_words(table) if words == "int16" else None
     arrays, layers = table_arrays(table, short)
     vector, shows = make_vector(table), table.outputs == XYZ
@@ -163,7 +160,7 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         reach, darkest = _float(table.spectra.reach), _float(SPECTRA_DARKEST)
         values |= {"SPECTRAL_WINDOW": table.spectra.window, "SPECTRAL_REACH": reach, "DARKEST": darkest}
     if _coarse_chroma(table):
-        values |= {"COARSE_OWN": _float(OWN), "PLANE_STEP": _float(PLANE_STEP)}
+        values["PLANE_STEP"] = _float(PLANE_STEP)
     if words == "float32":
         values |= {"OUTPUT_FRACTION": 0, "VALUE_OFFSET": "0.0f" if table.later else _float(table.black_level)}
     else:
@@ -254,7 +251,7 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
         "columns": vector.raw.shape[1],
         "phase": "{}, {}".format(*vector.phase),
     }
-    known |= {"ratio_darkest": RATIO_DARKEST, "coarse_own": OWN}
+    known["ratio_darkest"] = RATIO_DARKEST
     known |= _words_known(table, short) if short else {"words": "float"}
     parts = ["readme.md", "readme_int16.md" if short else "readme_float32.md"]
     parts += ["readme_direction.md"] if rule.axes else []
@@ -273,7 +270,8 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
 def _words_known(table: TransformTable, short: ShortWords) -> dict[str, str | int]:
     psnr, worst = short_cost(table, short)
     trees = any(isinstance(layer.rule, TreeRule) for layer in table.later)
-    floats = "l3.c computes floats where trees decide, and nowhere else." if trees else "l3.c computes no float."
+    places = [*(["where trees decide"] if trees else []), *(["in coarse chroma"] if _coarse_chroma(table) else [])]
+    floats = f"l3.c computes floats {' and '.join(places)}, and nowhere else." if places else "l3.c computes no float."
     return {
         "words": "int16_t", "top": OUTPUT_TOP, "split": short.split, "floats": floats, "psnr": f"{psnr:.1f}",
         "worst": f"{worst:.2g}",

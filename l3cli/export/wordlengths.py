@@ -225,11 +225,14 @@ def word_costs(table: TransformTable) -> tuple[Cost, ...]:
 
 
 def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
-    """Return the cost of words of 16 bits: dB below a full output, and the largest error in steps of an unrounded output."""
+    """Return the cost of words of 16 bits: dB below a full output, and the largest error in steps of an unrounded output.
+    Coarse chroma, which two of three outputs get, is rounded by itself."""
     outputs, step = _outputs(table), 2.0**-OUTPUT_FRACTION
     expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
     rounded = np.clip(np.rint(short / step), -OUTPUT_TOP, OUTPUT_TOP) * step
     error = np.square(rounded - np.clip(expected, -OUTPUT_TOP * step, OUTPUT_TOP * step)).mean()
+    if table.later and table.later[-1].coarse_chroma:
+        error += step**2 / 12 * 2 / 3
     return float(-10 * np.log10(max(error, 1e-20))), float(np.abs(short - expected).max() / step)
 
 

@@ -128,7 +128,7 @@ def refinement_outputs(
     ratios = np.moveaxis(shaded_chroma(planes, layer.side), 0, -1)[..., : layer.ratio_taps] * PLANE_STEP
     made = _transformed(_windows(planes.astype(np.float64) * PLANE_STEP, layer), labels, layer, ratios)
     if layer.coarse_chroma:
-        made[CHROMA] += coarse_change(planes, layer.side, scales_of(layer.coarse_chroma, share)) * PLANE_STEP
+        made[CHROMA] += coarse_change(planes, scales_of(layer.coarse_chroma, share)) * PLANE_STEP
     return made
 
 

@@ -242,8 +242,6 @@ def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
             yield fault(f"{name}.colour_ratios is for the last layer alone", f"{key}.colour_ratios")
         if recipe.coarse_chroma and number + 1 < len(layers):
             yield fault(f"{name}.coarse_chroma is for the last layer alone", f"{key}.coarse_chroma")
-        if recipe.coarse_chroma and recipe.side < 3:
-            yield fault(f"{name}.coarse_chroma needs windows of side 3 or more, not {recipe.side}", f"{key}.side")
         if recipe.plain_windows and recipe.leaves:
             yield fault(f"{name}.plain_windows are of classes by structure; leaves do not know them", f"{key}.plain_windows")
         if recipe.side % 2 == 0:

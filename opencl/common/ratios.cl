@@ -1,50 +1,23 @@
-// Processor variant: what a last layer makes of the sums of its windows, of a row of a tile: chroma as shading would make it
-// (RATIO_TAPS, l3cli/classes/refinement.py), and what coarse chroma adds (COARSE_CHROMA, l3cli/classes/coarse_chroma.py).
+// Processor variant: chroma as shading would make it (l3cli/classes/refinement.py), of a row of a tile: taps behind the window of a
+// last layer with RATIO_TAPS.
 
-#if defined(RATIO_TAPS) || defined(COARSE_CHROMA)
-#define SUMS_OF_WINDOWS
-
+#ifdef RATIO_TAPS
 typedef struct {
     int sum[SOURCES][SPAN];  // of each plane down a column
     float luminance[SPAN];   // of the row itself
-    // What is made of them, the first at the tile's first column: taps behind the window, and what is added to outputs.
-#ifdef RATIO_TAPS
-    float chroma[RATIO_TAPS][SPAN];
-#endif
-#ifdef COARSE_CHROMA
-    float change[2][SPAN];
-#endif
+    float chroma[RATIO_TAPS][SPAN];  // the taps, those of the tile's first column first
 } WindowSums;
 
-#ifdef RATIO_TAPS
 INLINE floats ratio_of(floats luminance, floats total) {
     const float count = PATCH * PATCH;
     const floats least = count * DARKEST, share = (count * luminance - total) / (total > least ? total : least);
     const floats below = share < 1.0f ? share : (floats)1.0f;
     return below > -1.0f ? below : (floats)-1.0f;
 }
-#endif
-
-#ifdef COARSE_CHROMA
-#define COARSE_PARAMETERS , __global const float *restrict far  // (first and third plane, share; quad row, quad column)
-#define COARSE_READ , far
-
-#define OF_QUAD(i) ((i) / 2)
-
-// What coarse chroma adds to the mean of a window of chroma plane `s`, of LANES pixels from the quad `at` on.
-INLINE floats coarse_change(__global const float *far, size_t at, size_t quads, int s, floats mean) {
-    const floats chroma = LOAD_GLOBAL(floats, far + s * quads + at), share = LOAD_GLOBAL(floats, far + 2 * quads + at);
-    return __builtin_shufflevector(chroma, chroma, ALL_LANES(OF_QUAD))
-         - __builtin_shufflevector(share, share, ALL_LANES(OF_QUAD)) * mean;
-}
-#else
-#define COARSE_PARAMETERS
-#define COARSE_READ
-#endif
 
 // Of the row whose window begins in padded row `rows[0]`; the tile's first column is x0.
 INLINE void sum_windows(WindowSums *to, __global const int *planes, __global const int *rows, __global const int *column_source, int x0,
-                        int width, int columns, size_t stride COARSE_PARAMETERS) {
+                        int width, int columns, size_t stride) {
     const int first = max(0, RADIUS - x0), end = width + 2 * RADIUS, last = min(end, columns - x0 + RADIUS);
     for (int s = 0; s < SOURCES; s++) {
         __global const int *plane = planes + s * stride + x0 - RADIUS;
@@ -80,26 +53,11 @@ INLINE void sum_windows(WindowSums *to, __global const int *planes, __global con
             for (int i = 0; i < PATCH; i++) sum += LOAD_PRIVATE(ints, to->sum[s] + x + i);
             total[s] = CONVERT(sum, floats);
         }
-#ifdef RATIO_TAPS
         const floats share = ratio_of(LOAD_PRIVATE(floats, to->luminance + x), total[LUMINANCE]) * (1.0f / (PATCH * PATCH));
         STORE_PRIVATE(floats, to->chroma[0] + x) = total[0] * share;
         STORE_PRIVATE(floats, to->chroma[1] + x) = total[SOURCES - 1] * share;
-#endif
-#ifdef COARSE_CHROMA
-        const size_t at = (size_t)(rows[RADIUS] / 2) * QUADS_STRIDE(columns) + (x0 + x) / 2;
-        #pragma unroll
-        for (int c = 0; c < 2; c++)
-            STORE_PRIVATE(floats, to->change[c] + x) =
-                PLANE_STEP * coarse_change(far, at, QUADS_PLANE(stride / columns, columns), c, total[2 * c] * (1.0f / (PATCH * PATCH)));
-#endif
     }
 }
-#else
-#define COARSE_PARAMETERS
-#define COARSE_READ
-#endif
-
-#ifdef RATIO_TAPS
 #define BEHIND(sums) (sums).chroma[0]
 #else
 #define BEHIND(sums) 0

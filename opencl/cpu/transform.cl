@@ -69,6 +69,35 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
 }
 #endif
 
+#ifdef COARSE_CHROMA
+#define COARSE_PARAMETERS , __global const float *restrict before, __global const float *restrict after  // blocks
+#define COARSE_READ , before, after
+
+#define LOW(i) (((i) + 2) / 4)
+#define HIGH(i) (((i) + 2) / 4 + 1)
+
+// What coarse chroma adds to a chroma plane of `width` pixels of a row from x0 on (l3cli/classes/coarse_chroma.py).
+INLINE void coarse_row(float *to, int s, int row, int x0, int width, int rows, int columns COARSE_PARAMETERS) {
+    const size_t stride = BLOCKS_STRIDE(columns);
+    const size_t at = s * BLOCKS_PLANE(rows, columns) + (NEAREST(row) + MARGIN) * stride + MARGIN + x0 / 4 - 1;
+    const float down = PLANE_STEP * NEXT_SHARE(row);
+    const floats across = (floats)(ALL_LANES(NEXT_SHARE));
+    float between[TILE / 4 + 2 + 2 * LANES];
+    for (int b = 0; b < width / 4 + 3; b += LANES)
+        STORE_PRIVATE(floats, between + b) =
+            (LOAD_GLOBAL(floats, after + at + b) - LOAD_GLOBAL(floats, before + at + b)) * (PLANE_STEP - down)
+            + (LOAD_GLOBAL(floats, after + at + stride + b) - LOAD_GLOBAL(floats, before + at + stride + b)) * down;
+    for (int x = 0; x < width; x += LANES) {
+        const floats blocks = LOAD_PRIVATE(floats, between + x / 4);
+        const floats low = __builtin_shufflevector(blocks, blocks, ALL_LANES(LOW));
+        STORE_PRIVATE(floats, to + x) = low + (__builtin_shufflevector(blocks, blocks, ALL_LANES(HIGH)) - low) * across;
+    }
+}
+#else
+#define COARSE_PARAMETERS
+#define COARSE_READ
+#endif
+
 #if !defined(JOINED) && !defined(CLASSES_ONLY)
 #define TRANSFORM_PARAMETERS \
     __global const SOURCE *restrict source,      /* (source, row, col) DN of the mosaic, or planes */ \
@@ -87,7 +116,7 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
     ushort row[SPAN];
     uint label[TILE];
     tap ring[RING];
-#ifdef SUMS_OF_WINDOWS
+#ifdef RATIO_TAPS
     WindowSums sums;
     for (int s = 0; s < SOURCES; s++)
         for (int i = 0; i < SPAN; i++) sums.sum[s][i] = sums.luminance[i] = 0;
@@ -102,8 +131,12 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
         const int y = y0 + k - 2 * RADIUS;
         const size_t at = (size_t)y * columns + x0;
         for (int x = 0; x < width; x++) label[x] = labels[at + x];
-#ifdef SUMS_OF_WINDOWS
-        sum_windows(&sums, source, row_source + y, column_source, x0, width, columns, stride COARSE_READ);
+#ifdef RATIO_TAPS
+        sum_windows(&sums, source, row_source + y, column_source, x0, width, columns, stride);
+#endif
+#ifdef COARSE_CHROMA
+        float change[2][SPAN];
+        for (int c = 0; c < 2; c++) coarse_row(change[c], 2 * c, row_source[y + RADIUS], x0, width, source_rows, columns COARSE_READ);
 #endif
         __global const SOURCE *next = source + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
         for (int x = 0; x < width; x += LANES) {
@@ -112,8 +145,7 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
             totals made[PLANES_MADE];
             apply(made, ring + (k - 2 * RADIUS) * SOURCES, BEHIND(sums), label, weights, x);
 #ifdef COARSE_CHROMA
-            made[0] += LOAD_PRIVATE(floats, sums.change[0] + x);
-            made[2] += LOAD_PRIVATE(floats, sums.change[1] + x);
+            for (int c = 0; c < 2; c++) made[2 * c] += LOAD_PRIVATE(floats, change[c] + x);
 #endif
 #ifdef SHADED
             even_pixels(made, gain + (size_t)y * GAIN_NODES(columns), x0 + x);

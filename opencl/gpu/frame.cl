@@ -142,7 +142,8 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const float *restrict gain,         // (row, node) of the outputs, GAIN_STEP columns apart
 #endif
 #ifdef COARSE_CHROMA
-               __global const float *restrict far,          // (first and third plane, share; quad row, quad column)
+               __global const float *restrict before,       // blocks (plane, row, col)
+               __global const float *restrict after,        // the same, softened
 #endif
                float black_level, int source_rows, int rows, int columns) {
     __local tap signal[TILE_ROWS][TILE_COLUMNS][SOURCES];
@@ -178,25 +179,27 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
             }
         }
     }
-#if defined(RATIO_TAPS) || defined(COARSE_CHROMA)
+#ifdef RATIO_TAPS
+    // Behind the window: chroma as shading would make it (l3cli/classes/refinement.py).
     float sum[SOURCES] = {0};
     for (int i = 0; i < PATCH; i++)
         for (int j = 0; j < PATCH; j++)
             for (int s = 0; s < SOURCES; s++) sum[s] += signal[line + j][column + i][s];
-#ifdef RATIO_TAPS
-    // Behind the window: chroma as shading would make it (l3cli/classes/refinement.py).
     const float count = PATCH * PATCH, luminance = signal[line + RADIUS][column + RADIUS][LUMINANCE];
     const float share = clamp((count * luminance - sum[LUMINANCE]) / max(sum[LUMINANCE], count * DARKEST), -1.0f, 1.0f) / count;
     for (int f = 0; f < FOURS; f++) total[f] += sum[0] * share * *weight++;
     for (int f = 0; f < FOURS; f++) total[f] += sum[SOURCES - 1] * share * *weight++;
 #endif
-#endif
 #ifdef COARSE_CHROMA
     // What coarse chroma adds (l3cli/classes/coarse_chroma.py).
-    const size_t quads = QUADS_PLANE(source_rows, columns);
-    __global const float *quad = far + (size_t)(row_source[y + RADIUS] / 2) * QUADS_STRIDE(columns) + x / 2;
-    total[0].x += (quad[0] - quad[2 * quads] * sum[0] * (1.0f / (PATCH * PATCH))) * PLANE_STEP;
-    total[0].z += (quad[quads] - quad[2 * quads] * sum[2] * (1.0f / (PATCH * PATCH))) * PLANE_STEP;
+    const int row = row_source[y + RADIUS];
+    for (int n = 0; n < 4; n++) {
+        const size_t there = (size_t)(NEAREST(row) + MARGIN + n / 2) * BLOCKS_STRIDE(columns) + NEAREST(x) + MARGIN + n % 2;
+        const size_t third = there + 2 * BLOCKS_PLANE(source_rows, columns);
+        const float part = (n / 2 ? NEXT_SHARE(row) : 1.0f - NEXT_SHARE(row)) * (n % 2 ? NEXT_SHARE(x) : 1.0f - NEXT_SHARE(x));
+        total[0].x += (after[there] - before[there]) * part * PLANE_STEP;
+        total[0].z += (after[third] - before[third]) * part * PLANE_STEP;
+    }
 #endif
     tap output[4 * FOURS];
     for (int f = 0; f < FOURS; f++) {

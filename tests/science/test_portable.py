@@ -114,7 +114,7 @@ def compile_c(folder: Path, *arguments: str, compiler: str | None = CC) -> None:
 
 
 CASES: list[tuple[str, Words]] = [(name, "float32") for name in TABLES]
-CASES += [("one layer, 2 × 3, 16 bits", "int16"), ("a tree, 6 × 6", "int16")]
+CASES += [("one layer, 2 × 3, 16 bits", "int16"), ("coarse chroma", "int16"), ("a tree, 6 × 6", "int16")]
 
 
 @pytest.fixture(scope="module", params=CASES, ids=", ".join)

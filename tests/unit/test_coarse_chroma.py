@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import COMPARED, PLANE_STEP, CoarseChroma, TransformTable
@@ -15,6 +16,7 @@ from l3cli.classes.coarse_chroma import BLOCK, REACH, SPACINGS, coarse_change, e
 from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import mirrored, window_means
 from l3cli.errors import RecipeError
+from l3cli.evaluation.mottle import BLUR
 from l3cli.rendering.conditions import with_edges_for
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
@@ -27,7 +29,7 @@ SIDE, SIGMA = 5, 0.01
 
 def noise_of(sigma: float) -> CoarseChroma:
     """Noise of white planes of `sigma` output units at every luminance, but for what steps leave, which is guessed."""
-    left = np.array([1 / 16, 1 / 40, 1 / 100, 1 / 250, 1 / 20])
+    left = np.array([1 / 16, 1 / 40, 1 / 100, 1 / 250])
     return CoarseChroma(sigma**2 * left[:, None, None] * np.ones(COMPARED) * (1.0, 0.0, 0.0))
 
 
@@ -48,7 +50,7 @@ SHAPES = st.tuples(st.integers(1, 40), st.integers(1, 40))
 @given(SHAPES, st.lists(st.integers(-(2**21), 2**21), min_size=3, max_size=3))
 def test_a_plain_picture_stays(shape: tuple[int, int], colour: list[int]) -> None:
     planes = np.broadcast_to(np.array(colour, np.int32)[:, None, None], (3, *shape))
-    change = coarse_change(planes, SIDE, scales_of(noise_of(SIGMA)))
+    change = coarse_change(planes, scales_of(noise_of(SIGMA)))
     np.testing.assert_allclose(change, 0, atol=1e-6)  # steps of a plane
 
 
@@ -62,29 +64,24 @@ def test_it_turns_with_the_planes(seed: int, turns: int, mirrored: bool) -> None
 
     planes, scales = planes_of(seed, (8 * BLOCK, 6 * BLOCK), (0.02, 0.3, -0.05), 4 * SIGMA), scales_of(noise_of(SIGMA))
     np.testing.assert_allclose(
-        coarse_change(turned(planes), SIDE, scales), turned(coarse_change(planes, SIDE, scales)), rtol=1e-9, atol=1e-6
+        coarse_change(turned(planes), scales), turned(coarse_change(planes, scales)), rtol=1e-9, atol=1e-6
     )
 
 
-@settings(max_examples=30)
-@given(st.integers(0, 2**32 - 1), SHAPES, st.floats(0.1, 30))
-def test_chroma_stays_within_what_is_there(seed: int, shape: tuple[int, int], wilder: float) -> None:
-    """What a pixel ends with is a mean of pixels."""
-    planes = planes_of(seed, shape, (0.1, 0.2, 0.1), wilder * SIGMA)
-    chroma = np.delete(planes, LUMINANCE, axis=0)
-    mean = window_chroma(planes)
-    made = mean + coarse_change(planes, SIDE, scales_of(noise_of(SIGMA)))
-    assert (made >= chroma.min(axis=(1, 2), keepdims=True) - 1e-6).all()
-    assert (made <= chroma.max(axis=(1, 2), keepdims=True) + 1e-6).all()
+def test_a_light_and_its_ground_stay_apart() -> None:
+    """A block that an edge divides is like none: nothing changes at the edge, and there is no rim about it."""
+    planes = planes_of(4, (96, 96), (0.0, 0.2, 0.0), SIGMA / 10)
+    planes[0, 42:54, 42:54] += round(0.2 / PLANE_STEP)
+    change = coarse_change(planes, scales_of(noise_of(SIGMA / 10)))
+    assert np.abs(change[0]).max() * PLANE_STEP < SIGMA / 2
 
 
 def test_mottle_goes_and_colour_stays() -> None:
     planes, shape = planes_of(0, (200, 200), (0.03, 0.1, -0.02)), (slice(None), slice(REACH, -REACH), slice(REACH, -REACH))
     mean = window_chroma(planes)
-    made = mean + coarse_change(planes, SIDE, scales_of(noise_of(SIGMA)))
-    before, after = (each[shape] * PLANE_STEP for each in (mean, made))
-    assert after.std() - after.mean(axis=(1, 2)).std() < before.std()
-    assert (after.std(axis=(1, 2)) < 0.25 * before.std(axis=(1, 2))).all()
+    made = mean + coarse_change(planes, scales_of(noise_of(SIGMA)))
+    before, after = (gaussian_filter(each, (0, BLUR, BLUR))[shape] * PLANE_STEP for each in (mean, made))
+    assert (after.std(axis=(1, 2)) < 0.3 * before.std(axis=(1, 2))).all()
     np.testing.assert_allclose(after.mean(axis=(1, 2)), (0.03, -0.02), atol=0.03 * SIGMA)
 
 
@@ -95,7 +92,7 @@ def test_an_edge_of_any_plane_keeps_colours_apart(plane: int) -> None:
     right[plane] += round(0.15 / PLANE_STEP)
     right[2] += round(0.02 / PLANE_STEP)
     planes = np.concatenate([left, right], axis=2)
-    made = window_chroma(planes) + coarse_change(planes, SIDE, scales_of(noise_of(SIGMA)))
+    made = window_chroma(planes) + coarse_change(planes, scales_of(noise_of(SIGMA)))
     mean = made[1, 8:-8].mean(axis=0) * PLANE_STEP
     blue = 0.02 + (0.15 if plane == 2 else 0.0)
     np.testing.assert_allclose(mean[: 48 - 2 * BLOCK], 0, atol=0.1 * SIGMA)
@@ -142,16 +139,12 @@ def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
     quiet = with_edges_for(table, 0.25).later[-1].coarse_chroma
     assert quiet is not None
     np.testing.assert_allclose(quiet.variance, chroma.variance / 4)
-    for variance in (np.ones((4, 3, 3)), -np.ones(COMPARED), np.zeros(COMPARED)):
+    older = CoarseChroma(np.concatenate([chroma.variance, chroma.variance[:1]]))  # of tables that compared pixels, too
+    np.testing.assert_array_equal(older.variance, chroma.variance)
+    for variance in (np.ones((3, 3, 3)), -np.ones(COMPARED), np.zeros(COMPARED)):
         with pytest.raises(ValueError, match="variance"):
             CoarseChroma(variance)
     with pytest.raises(ValueError, match="only the last one may"):
         dataclasses.replace(table, later=(table.later[0], bare.later[0]))
-    with pytest.raises(ValueError, match="side 3 or more"):
-        dataclasses.replace(with_refinement(random_table(BAYER, patch=5), 1).later[0], coarse_chroma=chroma)
-    for layers, says in (
-        ((LayerRecipe(coarse_chroma=True), LayerRecipe()), "is for the last layer alone"),
-        ((LayerRecipe(side=1, coarse_chroma=True),), "needs windows of side 3"),
-    ):
-        with pytest.raises(RecipeError, match=says):
-            check_layers(layers)
+    with pytest.raises(RecipeError, match="is for the last layer alone"):
+        check_layers((LayerRecipe(coarse_chroma=True), LayerRecipe()))

@@ -10,6 +10,6 @@ static CoarseChroma coarse_in(Room *room, int rows, int columns) {
     return c;
 }
 
-static void add_coarse_chroma(const CoarseChroma *c, int side, const int32_t *planes, int rows, int columns, const L3Output *outputs) {
-    (void)c, (void)side, (void)planes, (void)rows, (void)columns, (void)outputs;
+static void add_coarse_chroma(const CoarseChroma *c, const int32_t *planes, int rows, int columns, const L3Output *outputs) {
+    (void)c, (void)planes, (void)rows, (void)columns, (void)outputs;
 }

@@ -85,7 +85,7 @@ static void planes_to_planes(const L3PlaneLayer *layer, const int32_t *restrict 
 
 /* ------------------------------------------------------------------------------------------------- transforms to outputs */
 
-#if L3_RATIO_TAPS || defined(L3_COARSE_OWN)
+#if L3_RATIO_TAPS
 
 /* Sums (plane, padded column) of planes down the window of a row. */
 static void sum_columns(const int32_t *restrict from, int radius, int row, int rows, int columns, int32_t *restrict sums) {
@@ -104,9 +104,6 @@ static void sum_columns(const int32_t *restrict from, int radius, int row, int r
         }
     }
 }
-
-#endif
-#if L3_RATIO_TAPS
 
 /* Those of the pixel in column x, whose Y is `luminance`, over its window. */
 static inline Ratios ratios_at(const int32_t *restrict sums, int side, int x, int columns, int32_t luminance) {

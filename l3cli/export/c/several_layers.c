@@ -40,7 +40,7 @@ static void render_layers(const Workspace *w, int rows, int columns, int phase_r
         else label_by_structure(&w->gradients, layer, planes, labels, rows, columns, own);
         if (i == L3_LAYERS - 2) {
             planes_to_outputs(layer, planes, &w->ring, w->ring_values, w->sums, rows, columns, own, outputs);
-            add_coarse_chroma(&w->coarse, layer->side, planes, rows, columns, outputs);
+            add_coarse_chroma(&w->coarse, planes, rows, columns, outputs);
         } else planes_to_planes(layer, planes, w->fixed_ring, w->ring_values, rows, columns, own, w->planes[(i + 1) % 2]);
     }
 }

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.table import CoarseChroma
-from l3cli.classes.coarse_chroma import SPACINGS, scales_of
+from l3cli.classes.coarse_chroma import BLOCK, SPACINGS, scales_of
 from l3cli.classes.planes import LUMINANCE
 from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, FAR, joined_files
@@ -26,45 +26,40 @@ class DeviceCoarseChroma:
         """Build the kernels. `kernel` makes a kernel of source, macros and name, `run` enqueues one on a track, over rows
         and columns, `constant` puts an array on the device."""
         self._make, self._run, self._constant, self._chroma, self._variant = kernel, run, constant, chroma, variant
-        self._kernels: list[Any] = []  # halve, soften, read_far
-        self._scales: dict[float, list[Any]] = {}  # by share of the noise, each comparison's
+        self._kernels: list[Any] = []  # average, soften
+        self._scales: dict[float, list[Any]] = {}  # by share of the noise, each step's
 
-    def far(self, track: Track, band: Band, share: float) -> tuple[list[Any], Any]:
-        """Enqueue what makes coarse chroma of the planes that a band's last layer reads: the events, and the buffer that the
-        layer reads beside. `share`: of the camera's noise."""
+    def blocks(self, track: Track, band: Band, share: float) -> tuple[list[Any], tuple[Any, Any]]:
+        """Enqueue what makes coarse chroma of the planes that a band's last layer reads: the events, and the buffers of
+        blocks before and after, which the layer reads beside. `share`: of the camera's noise."""
         if not self._kernels:
             source = joined_files("common/vectors.cl", "common/coarse_chroma.cl", FILES[self._variant])
             macros = {**COARSE_MACROS, "LUMINANCE": LUMINANCE}
-            self._kernels = [self._make(source, macros, name) for name in ("halve", "soften", "read_far")]
+            self._kernels = [self._make(source, macros, name) for name in ("average", "soften")]
         if share not in self._scales:
             self._scales = {share: [self._constant(each, np.float32) for each in scales_of(self._chroma, share)]}
-        (halve, soften, read_far), scales = self._kernels, self._scales[share]
-        shape = band.shape(len(band.later) - 1)
-        quads_shape, where = _halved(shape), tuple(map(np.int32, shape))
-        blocks_shape = _halved(quads_shape)
-        quads, blocks, first, other, far = self._room(track, shape)
-        events = [self._run(halve, track, blocks_shape, track.planes[-1], quads, blocks, *where)]
-        steps = ((blocks, first), (first, blocks), (blocks, other), (other, blocks))
-        for (before, after), scale, spacing in zip(steps, scales, SPACINGS, strict=False):
-            arguments = (before, after, scale, np.int32(spacing), *where)
-            events.append(self._run(soften, track, blocks_shape, *arguments))
-        events.append(self._run(read_far, track, quads_shape, quads, first, blocks, scales[-1], far, *where))
-        return events, far
+        (average, soften), shape = self._kernels, band.shape(len(band.later) - 1)
+        where, blocks_shape = tuple(map(np.int32, shape)), _blocks(shape)
+        before, *others = self._room(track, shape)
+        events, last = [self._run(average, track, blocks_shape, track.planes[-1], before, *where)], before
+        for number, (scale, spacing) in enumerate(zip(self._scales[share], SPACINGS, strict=True)):
+            made = others[number % 2]
+            events.append(self._run(soften, track, blocks_shape, last, made, scale, np.int32(spacing), *where))
+            last = made
+        return events, (before, last)
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:
         """Return the buffers of a track for planes of a shape; blocks lie within margins that are FAR from all."""
         if track.coarse is None or track.coarse[0] != shape:
             cl, context = pyopencl(), track.queue.context
-            quads, blocks = _halved(shape), _halved(_halved(shape))
-            of_quads = 3 * quads[0] * (quads[1] + 2 + BEYOND) + BEYOND
-            of_blocks = 3 * (blocks[0] + 2 * COARSE_MARGIN) * (blocks[1] + 2 * COARSE_MARGIN + BEYOND) + BEYOND
-            sizes = [4 * size for size in (of_quads, of_blocks, of_blocks, of_blocks, of_quads)]
-            buffers = [cl.Buffer(context, cl.mem_flags.READ_WRITE, size) for size in sizes]
-            for buffer, size in zip(buffers, sizes, strict=True):
+            rows, columns = _blocks(shape)
+            size = 4 * (3 * (rows + 2 * COARSE_MARGIN) * (columns + 2 * COARSE_MARGIN + BEYOND) + BEYOND)
+            buffers = [cl.Buffer(context, cl.mem_flags.READ_WRITE, size) for _ in range(3)]
+            for buffer in buffers:
                 cl.enqueue_fill_buffer(track.queue, buffer, np.float32(FAR), 0, size)
             track.coarse = shape, buffers
         return track.coarse[1]
 
 
-def _halved(shape: tuple[int, int]) -> tuple[int, int]:
-    return -(-shape[0] // 2), -(-shape[1] // 2)
+def _blocks(shape: tuple[int, int]) -> tuple[int, int]:
+    return -(-shape[0] // BLOCK), -(-shape[1] // BLOCK)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, TransformTable
-from l3cli.classes.coarse_chroma import OWN, SPACINGS
+from l3cli.classes.coarse_chroma import SPACINGS
 from l3cli.classes.plane_kernel import (
     joined,
     kernel_arrays,
@@ -146,7 +146,7 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
 
 COARSE_MARGIN = max(SPACINGS)  # blocks about those of a band that are FAR from all
 FAR = 1e12  # steps of a plane
-COARSE_MACROS: Macros = {"MARGIN": COARSE_MARGIN, "OWN": _literal(OWN)}
+COARSE_MACROS: Macros = {"MARGIN": COARSE_MARGIN}
 # What a layer writes for the next to read.
 TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "COARSE": COARSE, "COARSE_TOP": COARSE_TOP, "CODE": "int"}
 

@@ -369,9 +369,9 @@ class OpenCLRenderer:
         into = self._spectra.room(track, band) if self._spectra else result
         made = (into, *self._shading.gain(frame.shading, band.made))
         if self._coarse:
-            events, far = self._coarse.far(track, band, self._sets.share(frame))
+            events, blocks = self._coarse.blocks(track, band, self._sets.share(frame))
             work.events[COARSE_CHROMA] += events
-            made += (far,)
+            made += blocks
         reads, ends = self._reads(number, track, band, frame)
         arguments = (*reads, self._weights, encoding, *made, np.float32(frame.black_level), *ends)
         work.add("transforms", self._run(kernel, track, band.shape(number), *arguments))

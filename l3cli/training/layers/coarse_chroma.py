@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import COMPARED, PLANE_STEP, CoarseChroma
-from l3cli.classes.coarse_chroma import SPACINGS, edge_avoiding, halved, quad_evidence, scales_of
+from l3cli.classes.coarse_chroma import SPACINGS, blocks_of, edge_avoiding, scales_of
 from l3cli.classes.planes import LUMINANCE
 from l3cli.training.layers.learn import LayerPass
 from l3cli.training.layers.mosaics import Mosaics
@@ -12,24 +12,21 @@ from l3cli.training.patches import expose_patches
 
 LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # of greys, of a white that fills the brightest channel
 SIDE = 128  # pixels of a grey
-CUT = 3  # blocks, or quads, at its edges that are not judged: there they have fewer neighbours
+CUT = 3  # blocks at its edges that are not judged: there they have fewer neighbours
 
 Array = NDArray[np.float64]
 
 
 def measured_noise(layer: LayerPass) -> CoarseChroma:
-    """Return the noise of the planes that a layer reads: of their blocks, as each step reads them, and of quads."""
+    """Return the noise of the planes that a layer reads, of their blocks as each step reads them."""
     greys = _planes_of_greys(layer)
     luminance = np.array([grey[LUMINANCE].mean() for grey in greys]) * PLANE_STEP
-    quads = [halved(grey.astype(np.float64)) for grey in greys]
-    evidence, blocks = list(map(quad_evidence, quads)), list(map(halved, quads))
+    blocks = list(map(blocks_of, greys))
     found = np.empty(COMPARED)
     for step, spacing in enumerate(SPACINGS):
         found[step] = _terms(luminance, _variances(blocks))
         scale = scales_of(CoarseChroma(found[[step] * COMPARED[0]]))[step]
         blocks = [edge_avoiding(each, spacing, scale) for each in blocks]
-        if not step:
-            found[-1] = _terms(luminance, _variances(evidence) + _variances(blocks))
     return CoarseChroma(found)
 
 
