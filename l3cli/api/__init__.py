@@ -27,8 +27,9 @@ from l3cli.api.stages import (
     train,
 )
 from l3cli.errors import L3Error
+from l3cli.rendering.uncertainty import region
 
 __all__ = [
     "L3Error", "Renderer", "calibrate", "delta_e_2000", "evaluate", "load", "load_camera", "load_table",
-    "load_training_set", "psnr", "read_raw", "render", "save", "scielab", "simulate", "ssim", "train",
+    "load_training_set", "psnr", "read_raw", "region", "render", "save", "scielab", "simulate", "ssim", "train",
 ]  # fmt: skip

@@ -23,9 +23,11 @@ from l3cli.io.raw.files import RawOverrides, frame_of
 from l3cli.io.raw.files import read_raw as read_raw_file
 from l3cli.rendering.conditions import Mix, mixed, nearest_for
 from l3cli.rendering.raw_checks import beyond_converter
-from l3cli.rendering.renderer import NoiseRenderer
+from l3cli.rendering.renderer import NoiseRenderer, make_renderer
+from l3cli.rendering.renderer import Renderer as Rendering
 from l3cli.rendering.rendition import OUTPUTS, Following, Rendition, rendered, shown_as
 from l3cli.rendering.temporal.chunks import AnyOrder, Chunks, filters
+from l3cli.rendering.uncertainty import Uncertainty, uncertainty
 from l3cli.rendering.white.scene_white import WhiteBalance
 from l3cli.rendering.white.source import WhiteSource, given_white
 from l3cli.system.files import sha256
@@ -130,6 +132,16 @@ class Renderer:
     def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
         """Return the table's outputs, upright, (row, col, output); 1 is `table.output_unit` cd s/m²."""
         return self._pixels(self._renderer, self._frame(frame), OUTPUTS, 0.0, None)
+
+    def uncertainty(self, frame: RawFrame | NDArray[np.uint16]) -> Uncertainty:
+        """Return the standard deviation (row, col, output) that the camera's noise leaves in `outputs`, upright, and a mask
+        of pixels that are clipped or of classes without training patches (docs/measurement.md#uncertainty). RecipeError if
+        the table does not hold its camera, has more than one refinement layer, or smooths spectra."""
+        with self._alone:
+            return uncertainty(self.table.of_light(None), self._frame(frame), self._made)
+
+    def _made(self, table: TransformTable) -> Rendering:
+        return make_renderer(self._backend, table, False, **self._chosen)
 
     def labels(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.integer]:
         """Return the class (row, col) of every pixel, as the sensor lies."""

@@ -42,7 +42,7 @@ def _draft(folder: Path, measurements: Path | None, output: Path, options: Draft
     """Write the draft; UsageError if what only a calibration takes is given, too."""
     from l3cli.stages.calibration import draft
 
-    given = [name for name in ("photos", "light", "truth", "export", "accept") if getattr(options, name)]
+    given = [name for name in ("photos", "light", "truth", "export", "sheet", "accept") if getattr(options, name)]
     if measurements is not None or given:
         name = "MEASUREMENTS.toml" if measurements is not None else f"--{given[0].removesuffix('s')}"
         raise click.UsageError(f"--draft writes a measurement file and calibrates nothing; leave {name} out")

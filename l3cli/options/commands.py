@@ -32,6 +32,10 @@ class CalibrateOptions(ForceOptions, JobsOptions):
         None, "Camera that a virtual lab measured, to compare with.", Recipe("cameras"), metavar="CAMERA", bytes=False
     )
     export: OnePath = option(None, 'Also write there what "l3 export" writes.', Output(), metavar="DIR")
+    sheet: OnePath = option(
+        None, "Also write there the EMVA 1288 data sheet of dark and white frames (.html).", Output(), metavar="FILE",
+        bytes=False,
+    )  # fmt: skip
     accept: bool = option(False, "Write the model even if it fails its checks, such as predicting its charts badly.")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 from l3cli.errors import shortened
-from l3cli.options.option import Given, Name, Number, Reader, option, options
+from l3cli.options.option import Given, Name, Number, Output, Reader, option, options
 from l3cli.options.shared import PAIR, BackendOptions, DeviceOptions, ForceOptions, OnePath, Pair, SchedulerOptions, Shard
 
 Preset = Literal["ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow"]
@@ -157,6 +157,13 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     stride: int | None = option(
         None, "Bytes from row to row [default: no padding].", Number(1, 100_000_000, "bytes", whole=True), metavar="BYTES"
+    )
+    uncertainty: OnePath = option(
+        None,
+        "Of one frame, also write there the standard deviation that noise leaves in each output, and a mask (.exr).",
+        Output(),
+        metavar="FILE",
+        bytes=False,
     )
     temporal: bool = option(False, "Frames follow one another in time: blend each with what is not noise of those before.")
     shard: Given[PAIR | str | None, PAIR | None] = option(

@@ -150,7 +150,7 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any]) -> tuple[Block, 
     )
     blocks: list[Block] = []
     if camera.fit is not None and camera.fit.noise is not None:
-        blocks.append(Figures((_transfer_figure(camera, camera.fit.noise),)))
+        blocks.append(Figures((transfer_figure(camera, camera.fit.noise),)))
     sheet = f"; {_declared_from(camera)}: {', '.join(camera.declared)}" if camera.declared else ""
     blocks.append(Table(f"The camera in EMVA 1288 terms{sheet}", ("quantity", "value"), rows))
     rows_of_channels = figures["channels"].items()
@@ -173,7 +173,8 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any]) -> tuple[Block, 
     return tuple(blocks)
 
 
-def _transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
+def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
+    """Return the temporal variance over the mean signal, with the line that the system gain is the slope of."""
     mean, variance = noise.photon_transfer_mean, noise.photon_transfer_variance
     plot = Plot(
         spanning("mean signal above black (DN)", mean, zero=True), spanning("temporal variance (DN²)", variance, zero=True)

@@ -38,6 +38,8 @@ from l3cli.io.measurements import (
 from l3cli.options.commands import CalibrateOptions, DraftOptions
 from l3cli.parallel import ordered_map
 from l3cli.recipes.toml import parse_recipe
+from l3cli.report.data_sheet import data_sheet
+from l3cli.report.parts import render_page
 from l3cli.stages.export import write
 from l3cli.system.files import write_whole
 from l3cli.system.ledger import is_noting
@@ -61,12 +63,17 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
     with OutputGuard(console) as guard:
         guard.protect(*photos, *filter(None, [measurements, truth]))
         exports = [export / name for name in ALWAYS] if export else []
-        for path in (output, *exports):
+        sheet = options.sheet
+        if sheet is not None and sheet.suffix != ".html":
+            raise RecipeError(f"{sheet}: a data sheet is a page; name a file that ends in .html")
+        for path in (output, *exports, *([sheet] if sheet else [])):
             guard.guard_file(path, force)
         inputs = inputs_of_photos(photos) if measurements is None else inputs_of(measurements)
         guard.protect(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
         true = load_camera(truth) if truth else None
         measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
+        if sheet is not None and not (measured.darks and measured.whites):
+            raise RecipeError("a data sheet is of dark and white frames; give them, or leave ‹sheet› out")
         if export:
             exports = [export / name for name in file_names(measured.body.channels, measured.body.cfa)]
             exports += offset_paths(export, measured.photos)
@@ -76,6 +83,7 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
             inputs.files | {"camera to compare with": camera_files(truth) if truth else []},
             Made(output, f"camera model of {len(measured.body.channels)} channels"),
             *(Made(path, "export") for path in exports),
+            *([Made(sheet, "data sheet")] if sheet else []),
         )
 
         def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
@@ -94,6 +102,9 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
         if true is not None:
             result["truth"] = figures.compare(camera, true)
         save(camera, output)
+        if sheet is not None:
+            page = render_page(f"{camera.name}: data sheet", SHEET_LEAD, [data_sheet(camera)])
+            write_whole(sheet, page.encode())
         result["curves"] |= {"file": str(output), "csv": None}
         if export:
             result["curves"]["csv"] = str(exports[0])
@@ -114,6 +125,7 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
         return camera, result
 
 
+SHEET_LEAD = "In the terms of EMVA 1288, release 4.0, from dark and white frames."
 MOST_LINES = 8  # assumptions and missing things of which each gets a line on the console
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 import l3cli as l3
@@ -24,6 +25,7 @@ from l3cli.options.commands import EvaluateOptions, TrainOptions
 from l3cli.options.render import Exposure, RenderOptions
 from l3cli.physics.display import codes, daylight, displayed, srgb_curve, white_luminance
 from l3cli.rendering.temporal import chunks
+from tests.helpers.calls import Refused
 from tests.helpers.cameras import BAYER, random_camera
 from tests.helpers.sequences import RGGB, frames
 from tests.helpers.tables import random_table
@@ -61,6 +63,27 @@ def test_a_renderer_gives_the_picture_of_the_command(pipeline: Path) -> None:
     assert renderer.outputs(frame).shape == (*frame.values.shape, 3)
     assert renderer.labels(frame).shape == frame.values.shape
     assert renderer.picture(frame, exposure=0.5, white="A", bits=16).dtype == np.uint16
+
+
+def test_uncertainty_is_that_of_the_command(pipeline: Path, tmp_path: Path, refused: Refused) -> None:
+    raw = next((pipeline / "unseen").glob("*_raw.tif"))
+    table = l3.Renderer(pipeline / "table.h5").table
+    command = ("render", pipeline / "table.h5", raw, "-o", tmp_path / "p.png", "--uncertainty")
+    assert ".exr" in refused(2, *command, tmp_path / "u.tif")
+    assert "of one frame" in refused(2, *command[:3], raw, "-o", tmp_path / "all", "--uncertainty", tmp_path / "u.exr")
+    assert l3.render(table, raw, tmp_path / "p.png", uncertainty=tmp_path / "u.exr") == 0
+    written = oiio.ImageBuf(str(tmp_path / "u.exr"))
+    assert written.spec().channelnames == ("mask", "sigma.X", "sigma.Y", "sigma.Z")
+    renderer = l3.Renderer(table)
+    frame = l3.read_raw(raw, table)
+    found, outputs = renderer.uncertainty(frame), renderer.outputs(frame)
+    np.testing.assert_array_equal(written.get_pixels(oiio.FLOAT), np.dstack([found.mask.astype(np.float32), found.sigma]))
+    assert (found.sigma > 0).all()
+    corners = [(4, 4), (4, 40), (30, 40), (30, 4)]
+    patch = l3.region(outputs, found, corners)
+    assert patch.mean == pytest.approx(outputs[4:30, 4:40].mean(axis=(0, 1)), rel=1e-5)
+    independent = np.sqrt((found.sigma[4:30, 4:40] ** 2).sum(axis=(0, 1))) / patch.pixels
+    assert (patch.sigma > independent).all()
 
 
 def test_arrays_generators_and_threads_share_a_renderer() -> None:

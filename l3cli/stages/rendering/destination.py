@@ -235,7 +235,8 @@ def plan(
     rendered = sequence.rendered
     count = "as many frames as come" if rendered is None else f"{rendered} frame{'s' * (rendered > 1)}"
     made = Made(destination.path, f"{KINDS.get(destination.kind, 'picture of')} {count}")
-    before_work({"table": [table], "inputs": files or inputs, "dark frames": options.dark}, made)
+    others = [] if options.uncertainty is None else [Made(options.uncertainty, "uncertainty of 1 frame")]
+    before_work({"table": [table], "inputs": files or inputs, "dark frames": options.dark}, made, *others)
 
 
 def file_state(path: Path) -> list[int] | None:

@@ -18,6 +18,7 @@ from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError, sugg
 from l3cli.frames.correction import CameraFile, correction_in, hot_test
 from l3cli.frames.frame import RawFrame
 from l3cli.io.pictures.dng import MOSAICS
+from l3cli.io.pictures.registry import write_picture
 from l3cli.io.sequences import FrameSequence, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, Pacing
 from l3cli.options.render import RenderOptions
@@ -26,8 +27,10 @@ from l3cli.rendering.conditions import Mix, described, mixed, nearest_for
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.raw_checks import odd_exposure_time
+from l3cli.rendering.renderer import make_renderer
 from l3cli.rendering.rendition import Rendition, chosen_space, outputs_as_they_are
 from l3cli.rendering.temporal.chunks import Chunks, filters
+from l3cli.rendering.uncertainty import require_closed_form, uncertainty
 from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance, white_source
 from l3cli.stages.rendering.destination import (
@@ -64,6 +67,8 @@ def render(
     with OutputGuard(console) as guard:
         guard.protect(table, *inputs, *itertools.chain(*options.inputs().values()))
         guard_outputs(destination, options.force, guard)
+        if options.uncertainty is not None:
+            guard.guard_file(options.uncertainty, options.force)
         _refuse_misplaced(destination, options)
         if engine and options.backend != "opencl":
             raise RecipeError(
@@ -89,6 +94,10 @@ def render(
             if sequence.count == 1 and not (inputs[0].exists() or set("%#*?[") & set(str(inputs[0]))):
                 raise InputFileError(f"{inputs[0]} does not exist; give a folder, a pattern or a stack")
             sequence = replace(sequence, part=part_of(sequence, options.shard, options.temporal))
+        if options.uncertainty is not None and sequence.count != 1:
+            raise RecipeError("‹uncertainty› is of one frame; name one, or leave it out")
+        if options.uncertainty is not None:
+            require_closed_form(transforms)
         destination = paged(destination, sequence)
         _protected(sequence, guard)
         if sequence.missing and not options.skip_bad:
@@ -118,6 +127,8 @@ def render(
             executor_of(setup, transforms, scheduler, renderers or Renderers()) as executor,
         ):
             tally = render_frames(job, executor, checkpoint, digests())
+        if options.uncertainty is not None:
+            write_uncertainty(options.uncertainty, transforms, sequence, engine, options)
         for text in filter(None, (odd_exposure_time(known.exposure, transforms), cache_warning())):
             console.warn(text)
         return tally
@@ -158,6 +169,24 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
         raise RecipeError("a DNG file has channels of its own; leave ‹space› out")
     if options.remosaic is not None and not destination.raw:
         raise RecipeError("‹remosaic› is for raw developers; name a .dng")
+    if options.uncertainty is not None and (options.uncertainty.suffix.lower() != ".exr" or options.temporal):
+        raise RecipeError("‹uncertainty› is written as .exr, without ‹temporal›; name such a file")
+
+
+def write_uncertainty(
+    path: Path, table: TransformTable, sequence: FrameSequence, engine: dict[str, str], options: RenderOptions
+) -> None:
+    """Write the uncertainty of the only frame of a sequence (docs/measurement.md#uncertainty), of the outputs as they are;
+    RecipeError if it is not known of the table."""
+    (frame,) = (sequence.frames.series.read(number) for number in sequence.frames.wanted)
+    if frame is None:
+        raise InputFileError("the frame is missing, and so is its uncertainty")
+    found = uncertainty(table, frame, lambda each: make_renderer(options.backend, each, False, **engine))
+    pixels = np.concatenate([found.sigma, found.mask[..., None].astype(np.float32)], axis=2)
+    names = (*(f"sigma.{name}" for name in table.outputs), "mask")
+    write_picture(path, pixels, names)
+    share = float((found.mask > 0).mean())
+    options.console.info(f"{path}: written; {share:.1%} of the pixels are clipped or of classes without training patches")
 
 
 def _rendition(destination: Destination, white: str | None, table: TransformTable, options: RenderOptions) -> Rendition:
