@@ -139,6 +139,9 @@ def find_frames(
         raise RecipeError(f"{other} is a sequence; give it alone, or several files of one frame each")
     stills = len(inputs) > 1
     series = _series_of_files("the inputs", inputs, table, known) if stills else _series(inputs[0], table, known, dataset)
+    if known.gains and series.numbers is not None and len(series.expected or series.numbers) != len(known.gains):
+        text = f"{len(series.expected or series.numbers)} frames, and ‹gains› lists {len(known.gains)}; list one for each"
+        raise InputFileError(f"{series.what}: {text}")
     if series.numbers is None:
         count = None if selection is None else len(selection)
         frames = Frames(series, itertools.count() if selection is None else selection)
@@ -262,10 +265,12 @@ def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, kn
     named = [number for path in paths if (number := last_number(path)) is not None]
     numbers = named if len(set(named)) == len(paths) else range(len(paths))
     files = dict(zip(numbers, paths, strict=True))
+    places = {number: place for place, number in enumerate(numbers)}
     rate = _film_rate(paths[0]) if len(paths) > 1 else None  # a frame alone has no rate
     return _Series(
-        what, files, lambda number: read_raw(files[number], table, known), lambda number: files[number].stem, rate, files
-    )
+        what, files, lambda number: read_raw(files[number], table, known.of_frame(places[number])),
+        lambda number: files[number].stem, rate, files,
+    )  # fmt: skip
 
 
 def _film_rate(path: Path) -> Fraction | None:
@@ -280,7 +285,7 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
     # A pattern says that the frames are numbered throughout: a number left out is a frame lost.
     whole, rate = range(min(files), max(files) + 1), _film_rate(next(iter(files.values())))
     return _Series(
-        str(pattern), files, lambda number: read_raw(files[number], table, known),
+        str(pattern), files, lambda number: read_raw(files[number], table, known.of_frame(number - whole.start)),
         lambda number: numbered_name(pattern, number).stem, rate, files, expected=whole,
     )  # fmt: skip
 
@@ -293,7 +298,13 @@ def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: Transfo
 
     def read(number: int) -> RawFrame | None:
         content = stack.read(number)
-        return None if content is None else frame_of(f"{what} {stack.name(number)}", content, table, known)
+        if content is not None:
+            return frame_of(f"{what} {stack.name(number)}", content, table, known.of_frame(number))
+        if number < len(known.gains):
+            raise InputFileError(
+                f"{what} has no frame {number}, and ‹gains› lists {len(known.gains)}; list one for each frame"
+            )
+        return None
 
     def named(number: int) -> str:
         if stack.count == 1 and not stack.numbered:

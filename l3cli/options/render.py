@@ -6,12 +6,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
-from l3cli.errors import shortened
+from l3cli.errors import RecipeError, shortened
 from l3cli.options.option import Given, Name, Number, Output, Reader, option, options
 from l3cli.options.shared import PAIR, BackendOptions, DeviceOptions, ForceOptions, OnePath, Pair, SchedulerOptions, Shard
 
 Preset = Literal["ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow"]
 LEVEL = Number(0, 65535, "DN")
+GAIN = Number(1 / 1024, 1024, "times")
 
 
 class Exposure(NamedTuple):
@@ -133,8 +134,13 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     gain: float | None = option(
         None,
         "Analog gain of the inputs over that of the table's camera [default: by the file's ISO speed, else 1].",
-        Number(1 / 1024, 1024, "times"),
+        GAIN,
         metavar="TIMES",
+    )
+    gains: OnePath = option(
+        None,
+        "Text file of the gain of each frame of a sequence, a line each, in their order; instead of ‹gain›.",
+        metavar="FILE",
     )
     dark: Given[Name | Sequence[Name], tuple[Path, ...]] = option(
         (),
@@ -179,3 +185,8 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         "Continue a sequence of pictures where a run was stopped; of many clips render what is new or changed.",
         bytes=False,
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.gain is not None and self.gains is not None:
+            raise RecipeError("‹gain› is that of all frames, ‹gains› that of each; leave one out")

@@ -19,6 +19,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.frames.frame import NoiseLeft, RawFrame
+from l3cli.io.images import read_image
 from l3cli.io.raw.files import RawOverrides, frame_of
 from l3cli.rendering.conditions import at_gain, gains_of, nearest_step
 from l3cli.rendering.raw_checks import other_gain
@@ -367,6 +368,44 @@ def test_render_takes_the_gain_that_is_given(
         assert (code, "has transforms for gains 1 to 16" in words) == (0, name == "c.exr")
     assert (tmp_path / "a.exr").read_bytes() != (tmp_path / "b.exr").read_bytes()
     assert "--gain" in refused(2, "render", learned["several"], raw, "-o", tmp_path / "d.exr", "--gain", "0")
+
+
+def test_each_frame_of_a_sequence_has_its_gain(learned: dict[str, Path], l3: L3, refused: Refused, tmp_path: Path) -> None:
+    """Whatever holds the frames, and whichever of them are rendered."""
+    frames, folder = np.random.default_rng(1).integers(300, 3000, (4, 32, 40)).astype("<u2"), tmp_path / "frames"
+    (tmp_path / "clip.raw").write_bytes(frames.tobytes())
+    folder.mkdir()
+    for number, values in enumerate(frames):
+        np.save(folder / f"frame_{number + 7}.npy", values)
+    listed, how = tmp_path / "gains.txt", ("--size", "32x40", "--backend", "reference", "--quiet")
+    listed.write_text("1\n4.0\n16\n2\n")
+    for number, gain in enumerate((1, 4, 16, 2)):
+        one = (folder / f"frame_{number + 7}.npy", "-o", tmp_path / f"one{number}.exr", *how, "--gain", str(gain))
+        assert l3("render", learned["several"], *one)[0] == 0
+    wanted = [read_image(tmp_path / f"one{number}.exr")[0] for number in range(4)]
+    assert not np.array_equal(wanted[0], wanted[1])
+
+    def check(out: str, source: Path, first: int, count: int, *more: str) -> None:
+        call = ("render", learned["several"], source, "-o", tmp_path / out, *how, "--gains", listed, *more)
+        assert l3(*call)[0] == 0
+        made = sorted(tmp_path.glob(out.replace("%d", "*")))
+        assert len(made) == count
+        for path in made:
+            np.testing.assert_array_equal(read_image(path)[0], wanted[int(re.findall(r"\d+", path.name)[-1]) - first])
+
+    check("clip-%d.exr", tmp_path / "clip.raw", 0, 4)
+    check("shard-%d.exr", tmp_path / "clip.raw", 0, 2, "--shard", "2/2")
+    check("folder-%d.exr", folder, 7, 4)
+    check("pattern-%d.exr", folder / "frame_%d.npy", 7, 2, "--frames", "8-9")
+    call = ("render", learned["several"], folder, "-o", tmp_path / "no-%d.exr", *how, "--gains", listed)
+    assert "--gain is that of all frames, --gains that of each" in refused(2, *call, "--gain", "2")
+    for text, words in (
+        ("1\n4\n", "4 frames, and --gains lists 2"),
+        ("1\nx\n2\n2\n", 'gains.txt: gain 2: "x" is no number'),
+        ("", "is empty"),
+    ):
+        listed.write_text(text)
+        assert words in refused(3, *call)
 
 
 def test_gains_that_cannot_be_are_refused(tmp_path: Path, l3: L3) -> None:

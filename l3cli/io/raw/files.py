@@ -129,9 +129,20 @@ class RawOverrides:
     stride: int | None = None  # bytes from row to row of a headerless file
     exposure: float | None = None  # s
     gain: float | None = None  # analog gain over the camera's; None: by the ISO speed of the file
+    gains: tuple[float, ...] = ()  # of the frames of a sequence, in its order; none: all have `gain`
     dark: DarkFrame | None = None  # what the camera gives without light
     correction: Correction | None = None  # of its defects and shading
     hot: HotTest | None = None  # by which its hot pixels are found; None: they are left
+
+    def of_frame(self, place: int) -> "RawOverrides":
+        """Return those of the frame at a place of a sequence, from 0; InputFileError if no gain is listed for it."""
+        if not self.gains:
+            return self
+        if place >= len(self.gains):
+            raise InputFileError(
+                f"‹gains› lists {len(self.gains)} gains, none for frame {place + 1}; list one for each frame"
+            )
+        return replace(self, gain=self.gains[place], gains=())
 
 
 def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> RawFrame:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from l3cli.errors import RecipeError
+from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.io.file_names import PATTERN, last_number, numbered_files, numbered_name
 from l3cli.io.pictures.pages import PAGED, new_pages
@@ -23,12 +23,13 @@ from l3cli.io.pictures.registry import file_identity, format_of, holds_linear, h
 from l3cli.io.raw.files import RawOverrides
 from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.io.video import USUAL_RATE, Y4M, Pacing, VideoChoice, check_video, is_video, new_video, new_y4m
-from l3cli.options.render import RenderOptions
+from l3cli.options.render import GAIN, RenderOptions
 from l3cli.physics.display import FLOAT_BITS
 from l3cli.rendering.temporal.chunks import CHUNK
 from l3cli.system.checkpoint import Checkpoint, key_in
 from l3cli.system.files import UNFINISHED, atomic_output, refuse_existing, refuse_protected, require_regular, sha256
 from l3cli.system.ledger import fingerprint, is_noting
+from l3cli.system.limits import read_bounded
 from l3cli.system.locks import sole_writer_of_folder
 from l3cli.system.output_guard import OutputGuard, refuse_unwritable
 from l3cli.system.plan import Made, before_work, is_dry
@@ -104,9 +105,23 @@ class Destination:
 
 
 def overrides(options: RenderOptions) -> RawOverrides:
-    """Return what the options state about raw files."""
+    """Return what the options state about raw files; InputFileError if the list of gains cannot be read."""
     levels = options.black_level, options.white_level, options.phase
-    return RawOverrides(*levels, options.size, options.packing, options.stride, options.exposure_time, options.gain)
+    gains = gains_in(options.gains) if options.gains else ()
+    return RawOverrides(*levels, options.size, options.packing, options.stride, options.exposure_time, options.gain, gains)
+
+
+def gains_in(path: Path) -> tuple[float, ...]:
+    """Return the analog gains that a text file lists; InputFileError if it holds anything else, or none."""
+    gains, give = [], "give a text file of the gain of each frame, a line each"
+    for number, text in enumerate(read_bounded(path, give).decode(errors="replace").split(), 1):
+        try:
+            gains.append(float(GAIN.read(text)))
+        except ValueError as error:
+            raise InputFileError(f"{path}: gain {number}: {error}") from None
+    if not gains:
+        raise InputFileError(f"{path} is empty; {give}")
+    return tuple(gains)
 
 
 def video_choice(options: RenderOptions) -> VideoChoice:

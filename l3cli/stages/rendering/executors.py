@@ -240,4 +240,5 @@ def executor_of(
         with workers(1, scheduler) as pool:
             known, correction = replace(setup.known, dark=None, correction=None), setup.known.correction
             shading = None if correction is None else correction.shading
-            yield Remote(pool, replace(setup, known=known), by_path=setup.known.dark is None, shading=shading)
+            by_path = setup.known.dark is None and not setup.known.gains
+            yield Remote(pool, replace(setup, known=known), by_path=by_path, shading=shading)

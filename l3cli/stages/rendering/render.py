@@ -79,7 +79,8 @@ def render(
         if not destination.linear or options.space is not None:
             transforms = transforms.pictured()
         if dark:
-            known = replace(known, dark=read_dark(_protected(find_frames(dark, transforms, known), guard)))
+            frames = find_frames(dark, transforms, replace(known, gains=()))
+            known = replace(known, dark=read_dark(_protected(frames, guard)))
         model = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if options.hot == "auto" else None)
