@@ -55,6 +55,7 @@ class RawFrame:
     shot: Shot = Shot()
     shading: Shading | None = None  # what the lens takes, which is still in the values
     gain: float = 1.0  # analog gain over its camera's
+    baseline_exposure: float = 0.0  # EV by which its file wants pictures brighter than its white level is
     noise_share: float = 1.0  # of its camera's noise variance: less where a filter in time has taken some out
     noise_left: NoiseLeft | None = None  # the same cell by cell; None: nowhere
     notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does

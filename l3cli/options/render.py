@@ -20,10 +20,11 @@ class Exposure(NamedTuple):
 
     factor: float | None  # of Y; None: automatic
     stops: float = 0.0  # EV by which pictures are brighter than automatic
+    stated: bool = False  # whether the factor is times that of each file (BaselineExposure)
 
 
 class ExposureReader(Reader):
-    """A factor of Y, "auto", or stops from the automatic exposure ("+1EV")."""
+    """A factor of Y, "auto", stops from the automatic exposure ("+1EV"), or "camera", what each file states."""
 
     factor, stops = Number(1e-9, 1e9, "times Y"), Number(-20, 20, "EV")
 
@@ -32,13 +33,15 @@ class ExposureReader(Reader):
             return given
         if given == "auto":
             return Exposure(None)
+        if given == "camera":
+            return Exposure(1.0, stated=True)
         text = str(given)
         if text.lower().endswith("ev"):
             return Exposure(None, self.stops.read(text[:-2].rstrip()))
         try:
             factor = self.factor.read(text)
         except ValueError as error:
-            raise ValueError(f"{error}, auto, or stops from it such as -1EV") from None
+            raise ValueError(f"{error}, auto, camera, or stops from it such as -1EV") from None
         if text.startswith("+"):  # a factor has no sign: stops may be meant
             raise ValueError(f"{text} may be a factor or stops; give {text[1:]} (times Y), or {text}EV (brighter than auto)")
         return Exposure(factor)
@@ -104,9 +107,9 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     preset: Preset = option("veryfast", f"Effort of h264, h265: {', '.join(get_args(Preset))}.", metavar="NAME")
     exposure: Given[Exposure | float | str | None, Exposure] = option(
         "auto",
-        "Factor of Y; what it brings to 1 is shown white. +1EV: twice as bright as auto.",
+        "Factor of Y; what it brings to 1 is shown white. +1EV: twice as bright as auto. camera: as the file states.",
         ExposureReader(),
-        metavar="auto|VALUE|±NEV",
+        metavar="auto|camera|VALUE|±NEV",
     )
     white: str | None = option(
         None,

@@ -38,6 +38,7 @@ class Rendition:
     raw: bool = False  # for raw developers: the exposure is stated, not carried out
     mosaic: str | None = None  # with `raw` a mosaic of the pixels, as their format names it
     stops: float = 0.0  # EV by which pictures are brighter than their exposure says
+    stated_exposure: bool = False  # the exposure is times that which the file of each frame states
 
     @property
     def is_linear(self) -> bool:
@@ -132,7 +133,7 @@ class FrameMeter:
     def __init__(
         self, table: TransformTable, rendition: Rendition, source: WhiteSource | None, rate: Fraction | None
     ) -> None:
-        self._source, self._fixed = source, rendition.exposure or 0.0
+        self._source, self._fixed, self._stated = source, rendition.exposure or 0.0, rendition.stated_exposure
         self._light = LightMeter(table) if rate is not None and rendition.measures_exposure else None
         self._exposure = None if rate is None else SteadyExposure(rate)
         self._white = None if rate is None else SteadyWhite(rate)
@@ -140,7 +141,7 @@ class FrameMeter:
         self._balance: WhiteBalance | None = None
 
     def __bool__(self) -> bool:
-        return bool(self._light or self._source)
+        return bool(self._light or self._source or self._stated)
 
     def measured(self, frame: RawFrame) -> tuple[float, WhiteBalance | None, SceneWhite | None]:
         """Return the scale of the next frame (0: automatic), its balance (None: the rendition's), and the white that was
@@ -148,7 +149,8 @@ class FrameMeter:
         white = self._measured_white(frame) if self._source else None
         if self._light and self._exposure:
             return self._exposure.scale(self._light.brightness(frame, self._balance)), self._balance, white
-        return self._fixed, self._balance, white
+        stated = 2**frame.baseline_exposure if self._stated else 1.0
+        return self._fixed * stated, self._balance, white
 
     def _measured_white(self, frame: RawFrame) -> SceneWhite | None:
         assert self._source is not None

@@ -261,6 +261,7 @@ READ: dict[str, tuple[Tags, list[bytes] | None, Callable[[RawFrame], bool]]] = {
     "DefaultCropOrigin": ({50719: (LONG, [3, 2]), 50720: (LONG, [20, 10])}, None, at(np.s_[2:12], np.s_[3:23])),
     "DefaultCropSize": ({50720: (LONG, [20, 10])}, None, at(np.s_[:10], np.s_[:20])),
     "AsShotNeutral": ({50728: (RATIONAL, [1, 2, 1, 1, 2, 3])}, None, lambda frame: frame.neutral == (0.5, 1, 2 / 3)),
+    "BaselineExposure": ({50730: (SRATIONAL, [-1, 2])}, None, lambda frame: frame.baseline_exposure == -0.5),
     "ActiveArea": (MASK, None, at(np.s_[2:30], np.s_[4:40])),
     "RowInterleaveFactor": ({50975: (SHORT, [3])}, [in_fields(MOSAIC, 3).tobytes()], the_mosaic),
     "ColumnInterleaveFactor": (

@@ -30,6 +30,7 @@ from l3cli.simulation import sensor
 from l3cli.training.patches import expose_patches, white_signal
 from l3cli.training.recipe import APART, learned_gains
 from tests.helpers.calls import L3, Refused
+from tests.helpers.dng_files import SHORT, SRATIONAL, write_dng
 from tests.helpers.paths import CONFIGS
 
 LEAVES = (
@@ -239,7 +240,7 @@ def test_a_file_tells_its_gain_by_its_iso_speed(several: TransformTable) -> None
     noise = dataclasses.replace(camera.noise, dark_current=100.0)
     known = AnalogGains(np.array([16.0]), np.array([1.0]), 100.0)
     table = dataclasses.replace(several, camera=dataclasses.replace(camera, noise=noise, gains=known))
-    content: Any = {"values": values, "shot": {"iso": 1600.0}, "exposure": 0.01}
+    content: Any = {"values": values, "shot": {"iso": 1600.0}, "exposure": 0.01, "baseline_exposure": 1.0}  # of pictures
     frames = [
         frame_of("a.dng", content, each, over)
         for each, over in ((table, RawOverrides()), (table, RawOverrides(gain=4.0)), (several, RawOverrides()))
@@ -406,6 +407,30 @@ def test_each_frame_of_a_sequence_has_its_gain(learned: dict[str, Path], l3: L3,
     ):
         listed.write_text(text)
         assert words in refused(3, *call)
+
+
+def test_a_baseline_exposure_brightens_pictures_and_is_no_gain(learned: dict[str, Path], l3: L3, tmp_path: Path) -> None:
+    """As the file states it where that is asked for; automatic exposure measures instead. Noise goes by the ISO speed."""
+    values = np.random.default_rng(1).integers(300, 900, (32, 40)).astype(np.uint16)
+    for name, stops in (("plain", 0), ("bright", 1), ("broken", 1000)):
+        tags = {50730: (SRATIONAL, [stops, 1]), 50714: (SHORT, [240]), 34855: (SHORT, [400])}
+        write_dng(tmp_path / f"{name}.dng", values, np.array([[0, 1], [1, 2]]), tags=tags)
+
+    how = ("--bits", "32", "--space", "srgb", "--white", "table", "--backend", "reference", "--quiet")
+
+    def shown(name: str, exposure: str) -> np.ndarray:
+        picture = tmp_path / f"{name}{exposure}.tif"
+        call = ("render", learned["several"], tmp_path / f"{name}.dng", "-o", picture, "--exposure", exposure)
+        code, _, words = l3(*call, *how)
+        assert code == 0, words
+        return read_image(picture)[0]
+
+    factor = shown("plain", "1")
+    for name, exposure, times in (
+        ("plain", "camera", 1), ("bright", "camera", 2), ("bright", "1", 1), ("broken", "camera", 1)
+    ):  # fmt: skip
+        np.testing.assert_allclose(shown(name, exposure), times * factor, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(shown("bright", "auto"), shown("plain", "auto"))
 
 
 def test_gains_that_cannot_be_are_refused(tmp_path: Path, l3: L3) -> None:

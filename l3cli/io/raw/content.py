@@ -21,6 +21,7 @@ class RawContent(TypedDict):
     pattern: NotRequired[NDArray[np.int64]]  # (row, col) colour codes of the CFA, from pixel (0, 0) on
     orientation: NotRequired[int]  # LibRaw's flip code
     exposure: NotRequired[float | None]  # s
+    baseline_exposure: NotRequired[float]  # EV by which pictures are to be brighter than the white level is
     neutral: NotRequired[NDArray[np.float64] | None]  # (colour, 2) code of the CFA and what it gives of a grey, of any scale
     camera: NotRequired[list[str]]  # make and model, and other names of the camera that took it
     shot: NotRequired[dict[str, str | float]]  # fields of Shot, as far as they are stated

@@ -57,6 +57,7 @@ ONLY = {  # tags of which one value is read, and the complaint about any other
         "holds a picture's values, not a scene's (ColorimetricReference); give the raw file",
     ),
 }
+MOST_STOPS = 20.0  # EV, of a BaselineExposure that is believed
 FRAME_RATE = 51044  # the tag of CinemaDNG
 
 
@@ -73,6 +74,7 @@ class Mosaic:
     black_of_col: NDArray[np.float64]  # (active col), DN added
     white_level: float  # DN
     exposure: float | None  # s
+    baseline_exposure: float  # EV
     neutral: NDArray[np.float64] | None  # (colour, 2) code and what a grey gives
     camera: list[str]  # make, model and other names
     shot: dict[str, str | float]
@@ -131,6 +133,7 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
         pattern=pattern,
         orientation=mosaic.orientation,
         exposure=mosaic.exposure,
+        baseline_exposure=mosaic.baseline_exposure,
         neutral=mosaic.neutral,
         camera=mosaic.camera,
         shot=mosaic.shot,
@@ -261,6 +264,7 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
         black_of_col=_as_many(raw, "BlackLevelDeltaH", cols),
         white_level=float(numbers(raw, "WhiteLevel", (2**raw.bitspersample - 1,))[0]),
         exposure=exposure_time(first),
+        baseline_exposure=_baseline_exposure(first),
         neutral=_neutral(first, raw),
         camera=camera_names(first),
         shot=shot_of_page(first),
@@ -300,6 +304,16 @@ def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
     if len(signals) != len(codes) or not (np.isfinite(signals).all() and signals.min() > 0):
         return None
     return np.stack([np.asarray(codes, np.float64), signals], axis=1)
+
+
+def _baseline_exposure(first: Any) -> float:
+    """Return the EV by which pictures are to be brighter than the white level is; 0 where they are not stated, or are no
+    camera's."""
+    try:
+        (stops,) = numbers(first, "BaselineExposure", (0.0,))
+    except BROKEN:  # pixels need none of it
+        return 0.0
+    return float(stops) if abs(stops) <= MOST_STOPS else 0.0
 
 
 def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:

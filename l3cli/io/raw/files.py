@@ -202,6 +202,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
         shot=believable_shot(content.get("shot", {})),
         shading=None if gain is None else shading_of_gain(gain, table.cfa.shape),
         notes=content.get("notes", ()),
+        baseline_exposure=content.get("baseline_exposure", 0.0),
         exchangeable=content.get("exchangeable", False),
     )
     return _corrected(frame, table, known)

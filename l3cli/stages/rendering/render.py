@@ -199,7 +199,10 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
     balance = usual_balance(table) if white is None or given is None else given.balance
     if white is not None and given is not None and (doubt := far_from_training(white, given, table)):
         options.console.warn(doubt)
-    rendition = Rendition(balance, options.exposure.factor, options.bits, space_of, stops=options.exposure.stops)
+    exposure = options.exposure
+    rendition = Rendition(
+        balance, exposure.factor, options.bits, space_of, stops=exposure.stops, stated_exposure=exposure.stated
+    )
     if not destination.raw:
         return rendition
     if options.remosaic not in (None, *MOSAICS):
