@@ -110,19 +110,21 @@ class SteadyExposure:
     """Exposure scale of each frame of a sequence in its order.
 
     The first frame is shown as its light asks, later ones follow exponentially in log exposure: noise in the
-    measurement is averaged away, a change of light is followed without overshoot. Only past frames count.
+    measurement is averaged away, a change of light is followed without overshoot, and one of analog gain at once. Only past
+    frames count.
     """
 
     def __init__(self, rate: Fraction) -> None:
         self._share = followed_share(rate)
         self._log: float | None = None
 
-    def scale(self, brightness: float) -> float:
-        """Return the scale of the next frame; a frame that is all dark leaves it where it was (1 at the beginning)."""
+    def scale(self, brightness: float, gain: float = 1.0) -> float:
+        """Return the scale of the next frame, of this analog gain; a frame that is all dark leaves it where it was (1 at the
+        beginning)."""
         if brightness > 0:
-            wanted = -math.log(brightness)
+            wanted = math.log(gain / brightness)
             self._log = wanted if self._log is None else self._log + self._share * (wanted - self._log)
-        return 1.0 if self._log is None else math.exp(self._log)
+        return 1.0 if self._log is None else math.exp(self._log) / gain
 
 
 @dataclass(frozen=True)

@@ -148,7 +148,7 @@ class FrameMeter:
         found, None where there is nothing to tell it by; InputFileError if it cannot be taken."""
         white = self._measured_white(frame) if self._source else None
         if self._light and self._exposure:
-            return self._exposure.scale(self._light.brightness(frame, self._balance)), self._balance, white
+            return self._exposure.scale(self._light.brightness(frame, self._balance), frame.gain), self._balance, white
         stated = 2**frame.baseline_exposure if self._stated else 1.0
         return self._fixed * stated, self._balance, white
 

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import json
 import re
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.io.images import read_image
 from l3cli.io.raw.files import RawOverrides, frame_of
 from l3cli.rendering.conditions import at_gain, gains_of, nearest_step
+from l3cli.rendering.exposure import SteadyExposure
 from l3cli.rendering.raw_checks import other_gain
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import NoiseRenderer
@@ -270,32 +272,44 @@ def test_a_gain_that_changes_from_frame_to_frame_makes_no_step(several: Transfor
     assert noises[0] < noises[1] < noises[2] < 2 * noises[0]
 
 
-@pytest.mark.parametrize("backend", ["reference", "opencl"])
-def test_a_filter_in_time_begins_anew_where_the_gain_changes(several: TransformTable, backend: str) -> None:
-    """And goes by the noise of that gain: the same frames as if they were the first."""
+def test_a_filter_in_time_goes_on_where_the_gain_changes(several: TransformTable) -> None:
+    """Of a grey whose gain doubles and falls, once with another exposure time: means follow the scene's, and noise is
+    that of the filter, never of a frame alone; kernels agree on every value."""
     assert several.camera is not None
-    rng, make = np.random.default_rng(3), filters(backend, several)
-    frames = [
-        RawFrame(
-            f"{gain}",
-            expose_patches(np.full((32, 32), 0.1, np.float32), several.camera.at_gain(gain), rng).astype(np.uint16),
-            several.black_level,
-            several.white_level,
-            gain=gain,
-        )
-        for gain in (1.0, 1.0, 8.0, 8.0)
-    ]
-    one, other = make(), make()
-    made = [one.filtered(frame) for frame in frames]
-    again = [other.filtered(frame) for frame in frames[2:]]
-    for first, second in zip(made[2:], again, strict=True):
-        np.testing.assert_array_equal(first.values, second.values)
-        assert first.noise_left is not None
-        assert second.noise_left is not None
-        np.testing.assert_array_equal(first.noise_left.shares, second.noise_left.shares)
-    shares = [float(each.noise_left.shares.mean()) / each.noise_left.whole for each in made if each.noise_left]
-    assert shares[2] == 1
-    assert shares[3] < 0.75
+    rng, camera = np.random.default_rng(3), several.camera
+    filtered: dict[str, list[RawFrame]] = {"reference": [], "opencl": []}
+    makers = {backend: filters(backend, several)() for backend in filtered}
+    raw_noise = []
+    settings = [(1.0, 0.02)] * 24 + [(2.0, 0.02)] * 24 + [(1.0, 0.02)] * 12 + [(4.0, 0.005)] * 12
+    for number, (gain, seconds) in enumerate(settings):
+        light = 0.05 * seconds / 0.02 * np.ones((48, 48), np.float32)
+        values = expose_patches(gain * light, camera.at_gain(gain), rng).astype(np.uint16)
+        raw_noise.append(float(values.std()))
+        frame = RawFrame(f"{number}", values, several.black_level, several.white_level, gain=gain, exposure=seconds)
+        for backend, made in filtered.items():
+            made.append(makers[backend].filtered(frame))
+    for ours, theirs in zip(*filtered.values(), strict=True):
+        np.testing.assert_array_equal(ours.values, theirs.values)
+        assert ours.noise_left is not None
+        assert theirs.noise_left is not None
+        np.testing.assert_array_equal(ours.noise_left.shares, theirs.noise_left.shares)
+    noise = [float(each.values.std()) for each in filtered["reference"]]
+    pairs = zip(filtered["reference"], settings, strict=True)
+    means = [(float(each.values.mean()) - several.black_level) / (gain * seconds) for each, (gain, seconds) in pairs]
+    assert max(means[1:]) < 1.02 * min(means[1:])
+    for change, settled in ((24, 47), (48, 59), (60, 71)):
+        assert noise[change] < 1.5 * max(noise[settled], 0.3)
+        assert noise[change] < 0.5 * raw_noise[change]
+    left = [float(each.noise_left.shares.mean()) / each.noise_left.whole for each in filtered["opencl"] if each.noise_left]
+    assert left[0] == 1
+    assert max(left[20:]) < 0.15
+    assert left[60] < 0.6 * left[59]  # as many DN of four times the noise variance
+
+
+def test_automatic_exposure_follows_the_light_and_not_the_gain() -> None:
+    exposure = SteadyExposure(Fraction(25))
+    shown = [exposure.scale(0.5 * gain, gain) * 0.5 * gain for gain in (1.0, 1.0, 2.0, 16.0, 1.0)]
+    assert shown == pytest.approx([1.0] * 5)
 
 
 def test_a_gain_whose_noise_exceeds_the_black_level_is_warned_of(learned: dict[str, Path], l3: L3, tmp_path: Path) -> None:

@@ -99,6 +99,7 @@ class NoiseTerms:
 
     protect: int  # bits of a DN
     black: int  # u
+    white: int  # u
     linear: int
     constant: int
     fixed: int
@@ -119,6 +120,7 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
     return NoiseTerms(
         protect=protect,
         black=black,
+        white=min(round(white_level * 2**protect), (1 << DEEP) - 1),
         linear=max(1, round(linear * unit * 2**LINEAR_FRACTION)),
         constant=max(1, round((constant - fixed) * unit**2)),
         fixed=min(round(fixed * unit**2), MOST_FIXED),
@@ -160,7 +162,18 @@ def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16
 
 def kind_of(frame: RawFrame) -> tuple[object, ...]:
     """Return the properties that frames must share to be blended."""
-    return frame.values.shape, frame.phase, frame.black_level, frame.white_level, frame.gain
+    return frame.values.shape, frame.phase, frame.black_level, frame.white_level
+
+
+def settings_of(frame: RawFrame) -> tuple[float, float | None]:
+    """Return the analog gain and exposure time (s; None: not known) of a frame."""
+    return frame.gain, frame.exposure
+
+
+def times_brighter(now: tuple[float, float | None], before: tuple[float, float | None]) -> float:
+    """Return the times by which signals of these settings are larger than those of others before, under one light."""
+    times = now[1] / before[1] if now[1] and before[1] else 1.0
+    return times * now[0] / before[0]
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:

@@ -14,7 +14,17 @@ from l3cli.rendering.opencl.devices import pyopencl, refusals
 from l3cli.rendering.opencl.programs import Compiler, chosen
 from l3cli.rendering.opencl.work import Work, shares_memory
 from l3cli.rendering.temporal import motion, reference
-from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Grid, NoiseTerms, kind_of, noise_of, share_left
+from l3cli.rendering.temporal.noise import (
+    LINEAR_FRACTION,
+    UNEVEN_FRACTION,
+    Grid,
+    NoiseTerms,
+    kind_of,
+    noise_of,
+    settings_of,
+    share_left,
+    times_brighter,
+)
 
 STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods of a work-item
 MARGIN, PADDING = 4, 8  # rows and columns about a plane, and columns after it
@@ -125,6 +135,7 @@ class OpenCLFilter:
     def __init__(self, device: Device, period: tuple[int, ...], camera: CameraModel) -> None:
         self._device, self._period, self._camera = device, period, camera
         self._kind: tuple[object, ...] | None = None
+        self._settings: tuple[float, float | None] = (1.0, None)  # of the frame before
 
     def filtered(self, frame: RawFrame) -> RawFrame:
         """Return the next frame, blended with those before it, if they are of its size and levels."""
@@ -132,6 +143,9 @@ class OpenCLFilter:
             first = kind_of(frame) != self._kind
             if first:
                 self._begin(frame)
+            elif settings_of(frame) != self._settings:
+                self._rescale(frame)
+            self._settings = settings_of(frame)
             device, buffers, grid, work = self._device, self._buffers, self._grid, Work(self._device.device, STAGES)
             values, made = grid.padded(frame.values), np.empty(grid.shape, np.uint16)
             raw, target = self._borders(work, values, made)
@@ -161,9 +175,30 @@ class OpenCLFilter:
 
     def _begin(self, frame: RawFrame) -> None:
         self._kind, self._grid = kind_of(frame), Grid.of(frame.values.shape, self._period)
-        sites = self._grid.period[0] * self._grid.period[1]
-        self._noise = noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, sites)
+        self._noise = self._noise_of(frame)
         self._buffers = _Buffers(self._device, self._grid, self._noise)
+
+    def _noise_of(self, frame: RawFrame) -> NoiseTerms:
+        sites = self._grid.period[0] * self._grid.period[1]
+        return noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, sites)
+
+    def _rescale(self, frame: RawFrame) -> None:
+        """Make the state that of frames of this one's gain and exposure time: they change so seldom that it is done here."""
+        device, buffers, grid, noises = self._device, self._buffers, self._grid, (self._noise, self._noise_of(frame))
+        left = buffers.host_left[1:-1, PADDING:-PADDING]
+        before = reference.Blend(self.history(), left.astype(np.int64))
+        made = reference.rescaled(before, times_brighter(settings_of(frame), self._settings), grid, noises)
+        left[:], self._noise = made.left, noises[1]
+        targets = buffers.history[0], buffers.left[0], buffers.spread
+        for target, values in zip(targets, (made.values, buffers.host_left, self._noise.spread), strict=True):
+            pyopencl().enqueue_copy(device.queue, target, values)
+        self._planes(buffers.history[0], buffers.before, buffers.now, 0)
+
+    def _planes(self, values: Any, made: Any, before: Any, free_bits: int) -> None:
+        """Make all planes of values, and of others of which the finest is there those that are coarser."""
+        grid = self._grid
+        parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
+        self._device.run("planes", 2 * parts, grid.blocks[1], values, made, before, free_bits, *grid.blocks)
 
     def _borders(self, work: Work, values: NDArray[np.uint16], made: NDArray[np.uint16]) -> tuple[Any, Any]:
         """Return the buffers that hold a frame and become the one that is made of it."""
@@ -175,8 +210,7 @@ class OpenCLFilter:
     def _search(self, raw: Any) -> Any:
         """Return the buffer of the vectors, in periods."""
         device, buffers, grid = self._device, self._buffers, self._grid
-        parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
-        device.run("planes", 2 * parts, grid.blocks[1], raw, buffers.now, buffers.before, self._noise.protect, *grid.blocks)
+        self._planes(raw, buffers.now, buffers.before, self._noise.protect)
         for level in reversed(range(grid.planes)):
             buffers.vectors.reverse()
             window = grid.window(level)

@@ -10,6 +10,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.rendering.temporal.motion import Vectors, planes_of, vectors_of
 from l3cli.rendering.temporal.noise import (
+    DEEP,
     LINEAR_FRACTION,
     UNEVEN_FRACTION,
     Grid,
@@ -17,7 +18,9 @@ from l3cli.rendering.temporal.noise import (
     kind_of,
     noise_of,
     of_units,
+    settings_of,
     share_left,
+    times_brighter,
     to_units,
 )
 
@@ -47,6 +50,21 @@ class Blend:
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
     """Return the state of the first frame of a scene, values (row, col) u of whole blocks."""
     return Blend(values, np.full(grid.cells, ONE, np.int64))
+
+
+def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, NoiseTerms]) -> Blend:
+    """Return a state as that of frames whose signals are `times` as large, and whose noise is the second of two: what is
+    left of the first is another share of it, at most all (docs/method.md#temporal)."""
+    was, now = noises
+    scale = np.rint(now.black + (np.arange(1 << DEEP) - was.black) * times)
+    values = np.clip(scale, 0, now.white).astype(np.uint16)[before.values]
+    variances = [
+        np.maximum(_sums(of.astype(np.int64), grid) - grid.sites * noise.black, 0) * noise.linear / 2**LINEAR_FRACTION
+        + grid.sites * noise.constant
+        for of, noise in ((before.values, was), (values, now))
+    ]
+    left = np.rint(before.left * (times**2 * variances[0] / variances[1]))
+    return replace(before, values=values, left=np.clip(left, 1, ONE).astype(np.int64))
 
 
 def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: Grid, noise: NoiseTerms) -> Blend:
@@ -120,6 +138,7 @@ class ReferenceFilter:
     def __init__(self, period: tuple[int, ...], camera: CameraModel) -> None:
         self._period, self._camera = period, camera
         self._kind: tuple[object, ...] | None = None
+        self._before: tuple[tuple[float, float | None], NoiseTerms] | None = None  # settings and noise of the frame before
         self.history: Blend | None = None
         self.vectors: Vectors | None = None  # of the last frame, if it was not a first one
 
@@ -131,11 +150,15 @@ class ReferenceFilter:
             self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, grid.period[0] * grid.period[1]
         )
         values = grid.padded(to_units(frame.values, noise))
-        if self.history is None or kind != self._kind:
+        settings, before = settings_of(frame), self._before
+        if self.history is None or before is None or kind != self._kind:
             self._kind, self.history, self.vectors = kind, first_blend(values, grid), None
         else:
+            if settings != before[0]:
+                self.history = rescaled(self.history, times_brighter(settings, before[0]), grid, (before[1], noise))
             self.vectors = vectors_of(planes_of(values, grid), planes_of(self.history.values, grid), grid, noise)
             self.history = blended(values, self.history, self.vectors, grid, noise)
+        self._before = settings, noise
         rows, cols = frame.values.shape
         made = of_units(self.history.values[:rows, :cols], noise)
         share = share_left(
