@@ -153,7 +153,7 @@ def _at_gain(table: TransformTable, gain: float) -> TransformTable:
     sets |= {noise.gain: table.under(each) for noise, each in conditions if noise.noise_left == 1}
     lower = max((each for each in sets if each <= gain), default=min(sets))
     upper = min((each for each in sets if each >= gain), default=max(sets))
-    made = _between_gains(sets[lower], sets[upper], replace(table, conditions=()), gain)
+    made = _between_gains(sets, lower, upper, gain) if lower < upper else sets[lower]
     if not lower <= gain <= upper:
         made = with_edges_for(made, gain / lower)
     less = [
@@ -173,21 +173,31 @@ def _at_gain(table: TransformTable, gain: float) -> TransformTable:
     )
 
 
-def _between_gains(lower: TransformTable, upper: TransformTable, table: TransformTable, gain: float) -> TransformTable:
-    """Return the transforms and class edges of a table between its sets for two gains, which may be one."""
-    if lower is upper:
-        return lower
-    made = _mixed_layers(lower, lower, upper, _shares(lower, upper, table, gain))
-    steps = [np.log(each) for each in (lower.output_unit * gain / table.output_unit, lower.output_unit / upper.output_unit)]
-    share = float(steps[0] / steps[1])
+def _between_gains(sets: dict[float, TransformTable], lower: float, upper: float, gain: float) -> TransformTable:
+    """Return the transforms between those for two gains of a table's sets, mixed in each class by the share of detail that a
+    Wiener filter passes at its level, and class edges between theirs in logarithms (docs/method.md#gains)."""
+    table, one, other = sets[1.0], sets[lower], sets[upper]
+    assert table.camera is not None
+    levels = level.centres(level.inner_bounds(table.first.rule, table.black_level, table.white_level))
+    amplitude = DETAIL * levels * (table.white_level - table.black_level)
+    passed = []
+    for at in (lower, gain, upper):
+        camera = table.camera.at_gain(at)
+        noise = contrast.noise_of_grey(levels, camera, camera.dark_signal(table.exposure / at))
+        passed.append(1 / (1 + noise / amplitude**2))
+    share = np.clip((passed[0] - passed[1]) / np.maximum(passed[0] - passed[2], 1e-12), 0.0, 1.0)
+    of_class = [layer.rule.split(np.arange(len(layer.weights))).level for layer in table.layers]
+    steps = [getattr(layer.rule, "level_step", 1) for layer in table.layers]
+    made = _mixed_layers(one, one, other, [share[each * step] for each, step in zip(of_class, steps, strict=True)])
+    of_edges = np.log(gain / lower) / np.log(upper / lower)
 
-    def between(one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.float64]:
+    def between(some: NDArray[Any], others: NDArray[Any]) -> NDArray[np.float64]:
         """Return the values between in logarithms where both are above zero; elsewhere the first."""
-        known = (one > 0) & (other > 0)
-        logs = [np.log(np.where(known, each, 1).astype(np.float64)) for each in (one, other)]
-        return np.where(known, np.exp((1 - share) * logs[0] + share * logs[1]), one)
+        known = (some > 0) & (others > 0)
+        logs = [np.log(np.where(known, each, 1).astype(np.float64)) for each in (some, others)]
+        return np.where(known, np.exp((1 - of_edges) * logs[0] + of_edges * logs[1]), some)
 
-    edges = [NoiseEdges.of(each.first, each.later) for each in (lower, upper)]
+    edges = [NoiseEdges.of(each.first, each.later) for each in (one, other)]
     scales = [[each.gradient_factor / 2.0**each.gradient_shift for each in every.gradients] for every in edges]
     coarse = [each.coarse_chroma.variance for each in edges if each.coarse_chroma]
     return NoiseEdges(
@@ -196,27 +206,6 @@ def _between_gains(lower: TransformTable, upper: TransformTable, table: Transfor
         tuple(GradientScale.of(between(*pair)) for pair in zip(*scales, strict=True)),
         CoarseChroma(between(*coarse)) if coarse else None,
     ).within(made)
-
-
-def _shares(lower: TransformTable, upper: TransformTable, table: TransformTable, gain: float) -> list[NDArray[np.float64]]:
-    """Return the share of the upper of two sets in the transforms of each class (layer, class): where a gain lies between
-    theirs by the share of detail that a Wiener filter passes at the class's level (docs/method.md#gains)."""
-    assert table.camera is not None
-    span = table.white_level - table.black_level
-    levels = level.centres(level.inner_bounds(table.first.rule, table.black_level, table.white_level))
-    passed = []
-    for camera, exposure in (
-        (lower.camera, lower.exposure), (upper.camera, upper.exposure), (table.camera.at_gain(gain), table.exposure / gain)
-    ):  # fmt: skip
-        assert camera is not None
-        noise = contrast.noise_of_grey(levels, camera, camera.dark_signal(exposure))
-        passed.append(1 / (1 + noise / (DETAIL * levels * span) ** 2))
-    share = np.clip((passed[0] - passed[2]) / np.maximum(passed[0] - passed[1], 1e-12), 0.0, 1.0)
-    made = []
-    for layer in table.layers:
-        of_class = layer.rule.split(np.arange(len(layer.weights))).level
-        made.append(share[of_class * getattr(layer.rule, "level_step", 1)])
-    return made
 
 
 # ---------------------------------------------------------------------------------------------- noise, by the pixel
