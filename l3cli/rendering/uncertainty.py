@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, TransformTable
-from l3cli.classes.coarse_chroma import QUAD, halved, read_far, scales_of
+from l3cli.classes.coarse_chroma import BLOCK, blocks_of, own_shares, scales_of
 from l3cli.classes.planes import CHROMA, LUMINANCE, opponent_basis
 from l3cli.classes.refinement import RATIO_DARKEST, mirrored, window_means
 from l3cli.classes.windows import window_channels
@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 CLIPPED, UNTRAINED = 1, 2  # bits of a mask: clipped values decide the class; a class without training patches of its own
 SHARES = 8  # steps in which shares of coarse chroma are distinguished
 MOST_LAYERS = 1  # of refinement: what follows has classes that mirrored sites name in another way
+# Weights by distance of what blocks of four pixels, interpolated, are of a row of pixels, wherever these begin.
+BLOCKS_READ = np.array([0.07, 0.14, 0.19, 0.20, 0.19, 0.14, 0.07])
 AT_ONCE = 64  # combinations of classes that are composed together
 
 
@@ -236,9 +238,9 @@ def _slopes(planes: Array, layer: PlaneLayer) -> _Slopes:
     colour = np.where((np.abs(ratio) < 1) & (means[LUMINANCE] > RATIO_DARKEST), means[CHROMA] / luminance, 0.0)
     share = np.zeros_like(ratio)
     if layer.coarse_chroma:
-        quads = read_far(halved(planes), scales_of(layer.coarse_chroma)).share
-        rows, cols = (np.arange(length) // QUAD for length in share.shape)
-        share = quads[rows[:, None], cols]
+        changed = 1.0 - own_shares(blocks_of(planes), scales_of(layer.coarse_chroma))
+        rows, cols = (np.arange(length) // BLOCK for length in share.shape)
+        share = changed[rows[:, None], cols]
     return _Slopes(np.clip(ratio, -1, 1), np.moveaxis(colour, 0, -1), share)
 
 
@@ -286,11 +288,11 @@ def composed(of: _Kernels, chosen: NDArray[np.int64]) -> Array:
         place = layer.rule.split(within[1 + number])
         last = slopes if number == len(table.later) - 1 else None
         taps = _window_taps(layer, layer.rule.join(place.level[:, None], place.kind[:, None], sites), last)
-        size = kernels.shape[-1]
+        size, side = kernels.shape[-1], taps.shape[-1]
         flat = planes.reshape(*planes.shape[:3], -1)
-        kernels = np.zeros((*kernels.shape[:3], size + layer.side - 1, size + layer.side - 1))
-        for down, right in np.ndindex(layer.side, layer.side):
-            moved = _moved(period, down - layer.radius, right - layer.radius)
+        kernels = np.zeros((*kernels.shape[:3], size + side - 1, size + side - 1))
+        for down, right in np.ndindex(side, side):
+            moved = _moved(period, down - side // 2, right - side // 2)
             made = taps[..., down, right] @ flat[:, moved]
             kernels[..., down : down + size, right : right + size] += made.reshape(*made.shape[:3], size, size)
     return kernels
@@ -318,6 +320,9 @@ def _window_taps(layer: PlaneLayer, label: NDArray[np.int64], slopes: _Slopes | 
         taps[..., LUMINANCE, :, :] -= weight * colour * (1 + ratio) / side**2
         taps[..., LUMINANCE, layer.radius, layer.radius] += (weight * colour)[..., 0, 0]
     if layer.coarse_chroma:
+        wider = max(len(BLOCKS_READ) - side, 0) // 2
+        taps = np.pad(taps, [(0, 0)] * 4 + [(wider, wider)] * 2)
+        taken = np.pad(np.outer(BLOCKS_READ, BLOCKS_READ), max(side - len(BLOCKS_READ), 0) // 2)
         for plane in CHROMA:
-            taps[:, :, plane, plane] -= slopes.share[:, None, None, None] / side**2
+            taps[:, :, plane, plane] -= slopes.share[:, None, None, None] * taken
     return taps
