@@ -117,6 +117,25 @@ class Tuned:
 
 
 @dataclass(frozen=True)
+class Truth:
+    """Arrays that were trained and judged on the same unseen scenes."""
+
+    trained: tuple[str, ...] = data("str", "trained", doc="arrays; (tuned): with tuned filters")
+    expected: NDArray[np.float64] = data("float64", "trained", "level", doc="their predicted errors")
+    figures: tuple[str, ...] = data("str", "figure", doc="mean_delta_e (CIEDE2000), scielab, output_psnr (dB)")
+    measured: NDArray[np.float64] = data("float64", "trained", "level", "figure", doc="means over the scenes")
+    digest: str = data("str", doc="SHA-256 of what the scenes show, the same for all arrays")
+
+    def correlation(self, level: int, figure: int = 0) -> float:
+        """Return Spearman's rank correlation of predicted errors with a figure; of dB with their negatives."""
+        better = -1 if self.figures[figure].endswith("psnr") else 1
+        ranks = [
+            np.argsort(np.argsort(each)) for each in (self.expected[:, level], better * self.measured[:, level, figure])
+        ]
+        return float(np.corrcoef(*ranks)[0, 1])
+
+
+@dataclass(frozen=True)
 class Design(Artifact):
     """Arrays of a library of filters, best first, with their predicted errors."""
 
@@ -142,6 +161,7 @@ class Design(Artifact):
     )
     bayer: int = data("int64", doc="place among the candidates of the best Bayer array of the library; -1: there is none")
     tuned: Tuned | None = group(default=None)
+    truth: Truth | None = group(default=None)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -90,6 +90,30 @@ def _text(made: "Design") -> None:
         rows.append([f"{place + 1}{tie}", *(f"{error:.3f}" for error in predicted[place]), to_bayer, name])
     title = [f"{made.tried} arrays, predicted error ({made.unit}); =: within {TIE:.0%} of the best"]
     show_table(title, ["", *made.levels, "to Bayer", "array"], rows)
+    _more(made)
+
+
+def _more(made: "Design") -> None:
+    """Print the tuned filters, and the arrays that were trained."""
+    if tuned := made.tuned:
+        named = zip(tuned.tuned_filters, tuned.parameters, strict=True)
+        rows = [[name, *(f"{each:.3g}" for each in row)] for name, row in named]
+        errors = [
+            f"{level}: {before:.3f} → {after:.3f}; Bayer of the tuned filters {bayer:.3f}"
+            for level, before, after, bayer in zip(made.levels, tuned.before, tuned.after, tuned.bayer, strict=True)
+        ]
+        show_table([f"filters of {tuned.pattern}, tuned"], ["", "centre nm", "σ nm", "peak"], rows, *errors)
+    if truth := made.truth:
+        headings = [f"{level}\n{what}" for level in made.levels for what in ("predicted", "ΔE00")]
+        rows = [
+            [*(f"{value:.2f}" for pair in zip(expected, measured[:, 0], strict=True) for value in pair), name]
+            for name, expected, measured in zip(truth.trained, truth.expected, truth.measured, strict=True)
+        ]
+        ranks = []
+        for place, level in enumerate(made.levels):
+            each = [f"{figure} {truth.correlation(place, number):.2f}" for number, figure in enumerate(truth.figures)]
+            ranks.append(f"{level}: rank correlation with {', '.join(each)}")
+        show_table(["trained and judged on the same unseen scenes"], [*headings, "array"], rows, *ranks)
 
 
 def _gain(score: float, dyes: Any) -> float:

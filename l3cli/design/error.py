@@ -136,14 +136,16 @@ def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
     return dose, dose / level.luminance
 
 
+def site_filters(cfa: Cfa) -> NDArray[np.intp]:
+    """Return the filters (site, tap) of the patch about each site of an array."""
+    off = np.arange(SIDE) - SIDE // 2
+    around = [np.ix_((row + off) % cfa.shape[0], (col + off) % cfa.shape[1]) for row, col in np.ndindex(*cfa.shape)]
+    return np.array([cfa[each].ravel() for each in around])
+
+
 def array_errors(seen: Seen, cfa: Cfa, noise: Noise, levels: list[Level]) -> NDArray[np.float64]:
     """Return the predicted error (level, group) of an array, the mean over its sites."""
-    off, tap = np.arange(SIDE) - SIDE // 2, np.arange(SIDE**2)
-    places = [
-        cfa[np.ix_(*((at + off) % period for at, period in zip(site, cfa.shape, strict=True)))].ravel()
-        for site in np.ndindex(cfa.shape)
-    ]
-    filters = np.array(places)
+    filters, tap = site_filters(cfa), np.arange(SIDE**2)
     matrix = seen.signal[filters[:, :, None], filters[:, None, :], :, tap[:, None], tap].transpose(0, 3, 1, 2)
     cross = seen.cross[:, :, tap, filters].transpose(2, 0, 3, 1)  # (site, group, tap, output)
     power = np.einsum("sKpp->sKp", matrix)

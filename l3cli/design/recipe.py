@@ -76,6 +76,16 @@ class OptimiseRecipe(Recipe):
     starts: Count = 4  # the first from the filters as given
 
 
+class TruthRecipe(Recipe):
+    """Arrays that are trained and judged on the same unseen scenes, beside their predicted errors."""
+
+    arrays: Count = 10  # the best ones; Bayer's of the library always
+    rivals: list[list[str]] = msgspec.field(default_factory=list)  # further arrays, rows of names
+    classes: str = "single"  # class recipe, of those that come with l3
+    leaves: Count = 24  # training scenes; a tenth as many charts
+    patterned: Share = 0.0  # share of leaves with fine patterns
+
+
 class DesignRecipe(Recipe):
     """Which array is best of a library of filters, on a pixel, at some lights."""
 
@@ -90,6 +100,7 @@ class DesignRecipe(Recipe):
     # of XYZ: "lab" about ΔE00; "scielab" with chroma as coarse as eyes see it; "luminance" alone; "linear" in % of white
     counts: Literal["lab", "scielab", "luminance", "linear"] = "lab"
     optimise: OptimiseRecipe | None = None
+    truth: TruthRecipe | None = None
 
     @property
     def needed(self) -> int:
@@ -117,15 +128,24 @@ def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
         yield from _pattern_faults(pattern, recipe, ("pattern", number))
     for number, level in enumerate(recipe.level):
         yield from _level_faults(level, f"level {number + 1}", ("level", number))
+    for number, array in enumerate(recipe.truth.rivals if recipe.truth else []):
+        key = ("truth", "rivals", number)
+        yield from _array_faults(array, recipe.filters, f"truth.rivals: array {number + 1}", key)
     if recipe.optimise is not None:
         yield from _array_faults(recipe.optimise.pattern, recipe.filters, "optimise.pattern", ("optimise", "pattern"))
         used = {name for row in sites_of(recipe.optimise.pattern) for name in row}
-        chosen = recipe.optimise.filters or [n for n in used if n in recipe.filters and recipe.filters[n].centre_nm]
+        chosen = tuned_filters(recipe.optimise, recipe.filters)
         for name in chosen:
             if name not in used or name not in recipe.filters or recipe.filters[name].centre_nm is None:
                 yield fault(f'optimise.filters: "{name}" is no Gaussian of optimise.pattern', "optimise.filters")
         if not chosen:
             yield fault("optimise.pattern has no filter with centre_nm, and only Gaussians are tuned", "optimise.pattern")
+
+
+def tuned_filters(asked: OptimiseRecipe, known: Mapping[str, FilterRecipe]) -> list[str]:
+    """Return the names of the filters that are tuned."""
+    used = {name for row in sites_of(asked.pattern) for name in row}
+    return asked.filters or [name for name, one in known.items() if name in used and one.centre_nm is not None]
 
 
 def _filter_faults(name: str, one: FilterRecipe, known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
@@ -205,7 +225,7 @@ def level_name(level: LevelRecipe) -> str:
 def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves, folder: Path) -> Curves:
     """Return the quantum efficiency (filter, wavelength) of every filter on the pixel; files lie relative to `folder`.
     RecipeError or InputFileError for one that passes nothing or more than all."""
-    bare = _bare(recipe.pixel.bare, wavelength, folder)
+    bare = bare_efficiency(recipe.pixel.bare, wavelength, folder)
     curves = np.array([_curve(name, recipe, camera, bare, wavelength, folder) for name in recipe.filters])
     for name, curve in zip(recipe.filters, curves, strict=True):
         if curve.max() < LEAST_EFFICIENCY:
@@ -214,7 +234,8 @@ def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves,
     return curves
 
 
-def _bare(bare: float | str, wavelength: Curves, folder: Path) -> Curves:
+def bare_efficiency(bare: float | str, wavelength: Curves, folder: Path) -> Curves:
+    """Return the quantum efficiency (wavelength) of a pixel without a filter; RecipeError if it cannot be."""
     if isinstance(bare, str):
         table = read_table(folder / bare).counted(1)
         curve = spectra.average(table.efficiencies(False)[0], table.wavelength, wavelength)

@@ -252,6 +252,13 @@ class MomentsOptions(PartsOptions, SeedOptions):
 class DesignOptions(PartsOptions, SeedOptions):
     """Options of l3 design."""
 
+    truth: int | None = option(
+        None,
+        "Train and judge so many of the best arrays, and Bayer's, on the same unseen scenes; minutes each.",
+        Number(1, 100, "arrays", whole=True),
+        metavar="1…100",
+    )
+
     moments: OnePath = option(None, 'Moments of scenes, which "l3 design moments" writes.', metavar="SCENES.h5")
     top: int = option(
         100, "Arrays that are listed, the best ones.", Number(1, 10_000, "arrays", whole=True), metavar="1…10000"

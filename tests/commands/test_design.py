@@ -8,9 +8,10 @@ import pytest
 
 from l3cli.artifacts.design import Design, SceneMoments
 from l3cli.artifacts.store import load
-from l3cli.stages.design import parts
+from l3cli.stages.design import parts, truth
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
+from tests.helpers.recipes import FEW_CLASSES
 
 SCENES = """
 illuminants = ["D65", "A"]
@@ -137,6 +138,34 @@ def test_a_design_ranks_arrays_beside_bayer_of_their_filters(folder: Path, l3: L
     assert (code, "levels: white at 0.9; 10 lx, 0.02 s A" in out) == (0, True)
 
 
+def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
+    folder: Path, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(truth, "UNSEEN", truth.UNSEEN.replace("[180, 320]", "[72, 128]").replace("[160, 160]", "[48, 48]"))
+    monkeypatch.setattr(truth, "LEARNED", truth.LEARNED.replace("[160, 160]", "[64, 64]"))
+    monkeypatch.setattr(truth, "find_recipe", lambda name, kind: folder / "classes.toml")
+    (folder / "classes.toml").write_text(FEW_CLASSES)
+    recipe = folder / "truth.toml"
+    pattern = DESIGN.index("[[pattern]]"), DESIGN.index("[[level]]")
+    few = '[[pattern]]\narrays = [["g r", "b g"]]\n[optimise]\npattern = ["g r", "b g"]\nstarts = 2\n[truth]\nleaves = 2\n'
+    recipe.write_text(DESIGN[: pattern[0]] + few + DESIGN[pattern[1] :])
+    code, out, err = l3("design", recipe, "--moments", folder / "scenes.h5", "-o", tmp_path / "d.h5", "--truth", 1)
+    assert code == 0, err
+    made = load(Design, tmp_path / "d.h5")
+    tuned, trained = made.tuned, made.truth
+    assert tuned is not None
+    assert trained is not None
+    assert tuned.tuned_filters == ("g",)  # the only Gaussian
+    assert np.log(tuned.after).mean() < np.log(tuned.before).mean()
+    assert tuned.ends.min() == pytest.approx(np.exp(np.log(tuned.after).mean()), rel=1e-6)
+    assert trained.trained[-1].endswith("(tuned)")
+    assert trained.measured.shape == (len(trained.trained), 2, 3)
+    assert np.isfinite(trained.measured).all()
+    assert -1 <= trained.correlation(0) <= 1
+    assert "rank correlation" in out
+    assert "trained and judged on the same unseen scenes" in out
+
+
 WRONG = """
     shape = [2, 2]                      | shape = [2, 9]                     | 2 | larger than 8×8
     arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "r g"]]          | 2 | fewer than 3 independent outputs
@@ -147,6 +176,8 @@ WRONG = """
     g = { centre_nm = 535, sigma_nm = 40 } | g = { centre_nm = 900, sigma_nm = 9, floor = 0 } | 2 | filter g passes nothing
     r = { channel = "r" }               | r = { channel = "q" }              | 2 | has no channel "q"
     r = { channel = "r" }               | r = { stack = ["g", "gb"] }        | 2 | gb is no single filter
+    [[level]]                           | [optimise]; pattern = ["r b"]; [[level]] | 2 | only Gaussians are tuned
+    [[level]]                           | [truth]; rivals = [["r x"]]; [[level]] | 2 | "x" is no filter
     lux = 10                            | lux = 1e9                          | 2 | every filter clips
     lux = 10                            | luminance_cd_m2 = 1; lux = 10      | 2 | give either luminance_cd_m2 or lux
     illuminant = "A"                    | illuminant = "F2"                  | 2 | gather them under F2
@@ -162,7 +193,7 @@ def test_wrong_designs_are_refused(line: str, folder: Path, tmp_path: Path, refu
     old, new, code, words = (part.strip() for part in line.split("|"))
     assert old in DESIGN
     recipe = folder / "wrong.toml"
-    recipe.write_text(DESIGN.replace(old, new.replace("; ", "\n")))
+    recipe.write_text(DESIGN.replace(old, new.replace("; ", "\n"), 1))
     call = ("design", recipe, "--moments", folder / "scenes.h5", "-o", tmp_path / "d.h5")
     assert words in refused(int(code), *call)
 

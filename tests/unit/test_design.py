@@ -23,6 +23,7 @@ from l3cli.design.search import (
     multiset_size,
     symmetries,
 )
+from l3cli.design.tuning import Tuning, error_gradient
 
 TERMS, NOISE = 3, Noise(floor=9.0, dark=0.0, full=6000.0, prnu=0.01)
 CURVES = np.array([[0.4, 0.1, 0.0], [0.1, 0.5, 0.1], [0.0, 0.1, 0.4], [0.5, 0.6, 0.5]])
@@ -148,6 +149,40 @@ def test_annealing_comes_to_the_best_of_all(problem: Problem) -> None:
     assert error == pytest.approx(best, rel=0.01)
     _, counted = anneal(problem, (2, 2), range(3), [1, 2, 1], lambda used: True, 10, np.random.default_rng(0))
     assert sorted(counted.ravel().tolist()) == [0, 1, 1, 2]
+
+
+@pytest.mark.parametrize("level", [Level("", 0, 0.9, 100.0), Level("", 0, None, 1.0, 0.05), Level("", 0, None, 1.0, 4.0)])
+def test_the_gradient_is_what_differences_are(moments: LightMoments, level: Level) -> None:
+    """By automatic exposure, by a fixed one, and where groups clip."""
+    noise, bayer = Noise(9.0, 20.0, 6000.0, 0.01), np.array([[1, 0], [2, 1]])
+    wanted = wanted_outputs("XYZ", "lab", moments, CURVES)
+    error, gradient = error_gradient(moments, wanted, CURVES, bayer, noise, level)
+    seen = seen_by(moments, CURVES, wanted)
+    assert error == pytest.approx((array_errors(seen, bayer, noise, [level])[0] * seen.share).sum(), rel=1e-9)
+    for place in [(0, 0), (1, 1), (2, 2), (1, 0), (3, 1)]:
+        step = np.zeros_like(CURVES)
+        step[place] = 1e-5
+        ends = [error_gradient(moments, wanted, CURVES + sign * step, bayer, noise, level)[0] for sign in (1, -1)]
+        assert gradient[place] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-3, abs=1e-6)
+
+
+def test_tuning_leads_downhill_within_bounds(moments: LightMoments) -> None:
+    wavelength, bare = np.array([450.0, 550.0, 650.0]), np.full(3, 0.6)
+    given = np.array([[640.0, 60.0, 0.9], [560.0, 60.0, 0.9], [430.0, 60.0, 0.9]])
+    levels = (Level("", 0, 0.9), Level("", 0, None, 1.0, 0.02))
+    wanted = (wanted_outputs("XYZ", "lab", moments, CURVES),)
+    bayer, floors = np.array([[1, 0], [2, 1]]), [0.04] * 3
+    tuning = Tuning((moments,), wanted, levels, NOISE, bayer, CURVES, wavelength, bare, (0, 1, 2), given, floors, True)
+    score, slopes = tuning.score(given)
+    for place in [(0, 0), (1, 1), (2, 2)]:
+        step = np.zeros_like(given)
+        step[place] = 1e-4
+        assert slopes[place] == pytest.approx(
+            (tuning.score(given + step)[0] - tuning.score(given - step)[0]) / 2e-4, rel=1e-3
+        )
+    best, parameters = tuning.descend(given)
+    assert best < score - 1e-3
+    assert ((parameters >= [400, 10, 0.1]) & (parameters <= [700, 150, 1])).all()
 
 
 def test_more_light_is_less_error_until_it_clips(moments: LightMoments) -> None:

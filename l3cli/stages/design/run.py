@@ -10,27 +10,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.design import Design, LightMoments, SceneMoments
+from l3cli.artifacts.design import Design, LightMoments, SceneMoments, Truth, Tuned
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.store import load, save
 from l3cli.design.error import Cfa, Level, clips_everything, noise_of, seen_by, wanted_outputs
 from l3cli.design.recipe import (
     DesignRecipe,
+    OptimiseRecipe,
     PatternRecipe,
+    TruthRecipe,
+    bare_efficiency,
     design_faults,
     filter_curves,
     level_name,
     require_exposed,
     sites_of,
+    tuned_filters,
 )
 from l3cli.design.search import Problem, anneal, bayer_arrays, canonical, every_array, independent_outputs, least_period
-from l3cli.errors import InputFileError, RecipeError, listed
+from l3cli.design.tuning import Tuning, random_start
+from l3cli.errors import InputFileError, L3Error, RecipeError, listed
 from l3cli.options.commands import DesignOptions
 from l3cli.parallel import WorkerPool, workers
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import load_recipe, read_text
 from l3cli.stages.design.moments import pixel_files, pixel_of
 from l3cli.stages.design.parts import Parts
+from l3cli.stages.design.truth import FIGURES, Trial, camera_of, trained
 from l3cli.stages.simulation.units import key_of
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
@@ -39,6 +45,7 @@ from l3cli.system.plan import Made, before_work
 
 AT_ONCE = 64  # arrays that a process judges in a go
 UNITS = {"lab": "ΔE00, about", "scielab": "ΔE, chroma softened", "luminance": "L*", "linear": "% of white"}
+TUNED = " (tuned)"  # behind the name of an array with tuned filters
 SAME = 1e-6  # relative; of numbers that agree
 
 
@@ -82,6 +89,28 @@ class Task:
             place = lights.index(one.illuminant)
             levels.append(Level(level_name(one), place, one.share, luminance, one.exposure_s or 0.0))
         return tuple(levels)
+
+    @functools.cached_property
+    def tuning(self) -> Tuning:
+        """Return the array whose filters are tuned."""
+        wanted, asked, wavelength = self.wanted, self.wanted.optimise, self.scenes.wavelength
+        assert asked is not None
+        names, tuned = list(wanted.filters), tuned_filters(asked, wanted.filters)
+        given = [wanted.filters[name] for name in tuned]
+        return Tuning(
+            lights=self.scenes.light,
+            wanted=[wanted_outputs(wanted.output, wanted.counts, light, self.curves) for light in self.scenes.light],
+            levels=self.levels,
+            noise=noise_of(pixel_of(wanted.pixel, self.recipe.parent)),
+            cfa=_numbered(self, asked.pattern),
+            curves=self.curves,
+            wavelength=wavelength,
+            bare=bare_efficiency(wanted.pixel.bare, wavelength, self.recipe.parent),
+            tuned=[names.index(name) for name in tuned],
+            given=np.array([[one.centre_nm, one.sigma_nm, one.peak] for one in given], np.float64),
+            floors=[one.floor for one in given],
+            peaks=asked.peaks,
+        )
 
     @functools.cached_property
     def problem(self) -> Problem:
@@ -134,6 +163,10 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> Design:
             arrays = list(_candidates(task, lists, parts, pool, options))
             errors = _judged(task, arrays, parts, pool, console)
             made = _design(task, arrays, errors, options.top)
+            if task.wanted.optimise is not None:
+                made = dataclasses.replace(made, tuned=_tuned(task, task.wanted.optimise, parts, pool, options))
+            if options.truth or task.wanted.truth:
+                made = dataclasses.replace(made, truth=_truth(task, made, parts, pool, options))
             made = dataclasses.replace(made, history=(*task.scenes.history, stage))
             save(made, output)
         console.info(f"{output}: {made.tried} arrays, {len(made.filters)} filters, {len(made.levels)} levels")
@@ -272,6 +305,56 @@ def _design(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64], top:
         dyes=np.array([np.zeros(len(problem.levels)) if each is None else levels[each] for each in dyes]),
         bayer=-1 if best is None else listed_places.index(best),
     )
+
+
+def _tuned(task: Task, asked: OptimiseRecipe, parts: Parts, pool: WorkerPool, options: DesignOptions) -> Tuned:
+    """Return the tuned filters of an array, from the start that leads to the least error."""
+    work = functools.partial(_descended, task.recipe, task.moments, options.seed)
+    ends = list(parts.each("tunings", work, range(asked.starts), pool, options.console))
+    scores = np.array([float(end["score"]) for end in ends])
+    parameters = ends[int(scores.argmin())]["parameters"]
+    curves, cfa = task.tuning.curves_of(parameters), _numbered(task, asked.pattern)
+    problem = task.problem_of(curves)
+    rivals = [problem.errors(each) for each in bayer_arrays(np.unique(cfa).tolist(), task.centres)]
+    best = min(rivals, key=problem.score) if rivals else np.zeros_like(problem.share)
+    judged = task.problem.errors(cfa), problem.errors(cfa), best
+    before, after, bayer = ((each * problem.share).sum(axis=1) for each in judged)
+    names = tuple(tuned_filters(asked, task.wanted.filters))
+    return Tuned(shown(cfa, _names(task)), parameters, names, curves, before, after, bayer, np.exp(scores))
+
+
+def _descended(recipe: Path, moments: Path, seed: int, number: int) -> dict[str, NDArray]:
+    """Return the end that a start leads to; the first start is the given filters."""
+    tuning = _task(recipe, moments).tuning
+    given = tuning.given
+    start = given if number == 0 else random_start(given, np.random.default_rng([seed, number]))
+    score, parameters = tuning.descend(start)
+    return {"score": np.array(score), "parameters": parameters}
+
+
+def _truth(task: Task, made: Design, parts: Parts, pool: WorkerPool, options: DesignOptions) -> Truth:
+    """Return arrays trained and judged: the best ones, Bayer's, the rivals of the recipe and the tuned one."""
+    asked, names = task.wanted.truth or TruthRecipe(), _names(task)
+    best = [*made.patterns[: options.truth or asked.arrays], *([made.patterns[made.bayer]] if made.bayer >= 0 else [])]
+    tuned = [] if made.tuned is None else [made.tuned.pattern]
+    rivals = [shown(_numbered(task, rows), names) for rows in asked.rivals]
+    wanted = dict.fromkeys((*best, *rivals, *tuned), (task.curves, task.problem))
+    if made.tuned is not None:
+        curves = made.tuned.tuned_efficiency
+        wanted[f"{made.tuned.pattern}{TUNED}"] = curves, task.problem_of(curves)
+    pixel = pixel_of(task.wanted.pixel, task.recipe.parent)
+    levels = [(task.scenes.light[level.light].illuminant, level) for level in task.levels]
+    trials, expected = [], []
+    for text, (curves, problem) in wanted.items():
+        cfa = _numbered(task, text.removesuffix(TUNED).split(" / "))
+        camera = camera_of(pixel, cfa, names, task.scenes.wavelength, curves)
+        trials.append(Trial(camera, levels, asked, options.seed))
+        expected.append((problem.errors(cfa) * problem.share).sum(axis=1))
+    ends = list(parts.each("trainings", trained, trials, pool, options.console))
+    digests = {end["digest"].tobytes().hex() for end in ends}
+    if len(digests) > 1:
+        raise L3Error("the arrays were not judged on the same scenes; report this as a fault of l3")
+    return Truth(tuple(wanted), np.array(expected), FIGURES, np.array([end["figures"] for end in ends]), digests.pop())
 
 
 def _best_bayer(task: Task, filters: Sequence[int], places: dict[bytes, int], scores: NDArray[np.float64]) -> int | None:

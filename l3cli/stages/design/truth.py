@@ -1,0 +1,129 @@
+"""Arrays of a design trained and judged on the same unseen scenes, so that nobody has to believe the closed form."""
+
+import dataclasses
+import hashlib
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingFrame, open_training_set
+from l3cli.design.error import Cfa, Level
+from l3cli.design.recipe import TruthRecipe
+from l3cli.evaluation.quality import Target
+from l3cli.options.commands import SimulateOptions, TrainOptions
+from l3cli.recipes.builtin import find_recipe
+from l3cli.stages.evaluation import FrameRenderers, raw_of
+from l3cli.stages.simulation.simulate import simulate
+from l3cli.stages.training.whole import train
+from l3cli.system.console import Silent
+
+FIGURES = ("mean_delta_e", "scielab", "output_psnr")
+LEARNED = """illuminants = {lights}
+exposure_share = [0.9]
+[[scene]]
+source = "dead leaves"
+size = [160, 160]
+count = {leaves}
+patterned = {patterned}
+[[scene]]
+source = "surfaces"
+size = [160, 160]
+count = {charts}
+patches = [4, 4]
+"""
+UNSEEN = """illuminants = ["{light}"]
+luminances_cd_m2 = [{luminance}]
+{exposure}
+[[scene]]
+source = "composition"
+size = [180, 320]
+seed = 7
+[[scene]]
+source = "dead leaves"
+size = [160, 160]
+seed = 8
+count = 2
+"""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An array that is to be trained, and where it is judged."""
+
+    camera: CameraModel
+    levels: Sequence[tuple[str, Level]]  # illuminant, and exposure
+    recipe: TruthRecipe
+    seed: int
+
+
+def camera_of(pixel: CameraModel, cfa: Cfa, names: Sequence[str], wavelength: NDArray, curves: NDArray) -> CameraModel:
+    """Return the camera of a pixel with an array of some filters of a library, whose `curves` are (filter, wavelength)."""
+    used = np.unique(cfa)
+    return dataclasses.replace(
+        pixel,
+        name=" / ".join(" ".join(names[site] for site in row) for row in cfa),
+        channels=tuple(names[each] for each in used),
+        cfa=np.searchsorted(used, cfa).astype(np.uint8),
+        wavelength=wavelength,
+        responsivity=curves[used],
+        responsivity_band=np.zeros_like(curves[used]),
+    )
+
+
+def trained(trial: Trial) -> dict[str, NDArray]:
+    """Return FIGURES (level, figure) of an array that is trained and judged on unseen scenes, the mean over these, and the
+    SHA-256 of what the scenes show."""
+    levels = [(light, level) for light, level in trial.levels]
+    with tempfile.TemporaryDirectory(prefix="l3-") as name:
+        folder = Path(name)
+        save(trial.camera, folder / "camera.h5")
+        lights = "[" + ", ".join(f'"{light}"' for light in dict.fromkeys(light for light, _ in levels)) + "]"
+        asked = trial.recipe
+        charts = max(asked.leaves // 10, 1)
+        learned = LEARNED.format(lights=lights, leaves=asked.leaves, charts=charts, patterned=asked.patterned)
+        _simulated(learned, folder, "training", trial.seed)
+        classes = find_recipe(asked.classes, "classes")
+        train((folder / "training.h5",), folder / "table.h5", TrainOptions(classes=classes, seed=trial.seed))
+        table, figures, shown = load(TransformTable, folder / "table.h5"), [], hashlib.sha256()
+        for number, (light, level) in enumerate(levels):
+            exposure = f"exposure_share = [{level.share}]" if level.share is not None else f"exposure_s = [{level.seconds}]"
+            text = UNSEEN.format(light=light, luminance=level.luminance, exposure=exposure)
+            _simulated(text, folder, f"unseen{number}", trial.seed + 1)
+            figures.append(_judged(table, folder / f"unseen{number}.h5", shown))
+        digest = np.frombuffer(shown.digest(), np.uint8)
+        return {"figures": np.array(figures), "digest": digest}
+
+
+def _simulated(text: str, folder: Path, name: str, seed: int) -> None:
+    (folder / f"{name}.toml").write_text(text)
+    simulate(folder / f"{name}.toml", folder / "camera.h5", folder / f"{name}.h5", SimulateOptions(seed=seed))
+
+
+def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> NDArray[np.float64]:
+    """Return the mean FIGURES over the frames of a training set; `shown` takes in what they show."""
+    rows = []
+    renderers = FrameRenderers("reference", table, Silent())
+    with open_training_set(frames) as reader:
+        for index in range(len(reader)):
+            frame = reader.frame(index)
+            assert isinstance(frame, TrainingFrame)
+            assert frame.shown is not None
+            shown.update(f"{np.round(frame.shown.scene, 3).tolist()} {frame.luminance} {frame.illuminant}".encode())
+            outputs = renderers.of(frame).outputs(raw_of(frame, index, reader.head.camera))
+            target = Target(frame.target, frame.white, table.first.rule.radius)
+            quality = target.judge(outputs * (table.output_unit / frame.exposure))[0]
+            rows.append([getattr(quality, name) for name in FIGURES])
+    return np.array(rows).mean(axis=0)
+
+
+def rank_correlation(one: NDArray, other: NDArray) -> float:
+    """Return Spearman's correlation of two lists of numbers."""
+    ranks = [np.argsort(np.argsort(each)) for each in (one, other)]
+    return float(np.corrcoef(*ranks)[0, 1])
