@@ -10,6 +10,7 @@ from l3cli.artifacts.schema import Artifact, check, data, group
 
 SHARP, SOFT = slice(0, 3), slice(3, 6)  # of targets: X, Y, Z; the same, blurred as an eye sees chroma
 WEIGHTINGS = ("seen", "linear")
+TIE = 0.02  # relative difference of errors that means nothing
 
 
 @dataclass(frozen=True)
@@ -129,10 +130,10 @@ class Truth:
     def correlation(self, level: int, figure: int = 0) -> float:
         """Return Spearman's rank correlation of predicted errors with a figure; of dB with their negatives."""
         better = -1 if self.figures[figure].endswith("psnr") else 1
-        ranks = [
+        expected, measured = (
             np.argsort(np.argsort(each)) for each in (self.expected[:, level], better * self.measured[:, level, figure])
-        ]
-        return float(np.corrcoef(*ranks)[0, 1])
+        )
+        return float(np.corrcoef(expected, measured)[0, 1])
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,12 @@ class Design(Artifact):
         "float64", "candidate", "level", doc="predicted error of the best Bayer array of the same filters; 0: there is none"
     )
     bayer: int = data("int64", doc="place among the candidates of the best Bayer array of the library; -1: there is none")
+    sensitivity: NDArray[np.float64] = data(
+        "float64", "filter", doc="relative change of the best array's error if a filter lies 5 nm off, the larger of both"
+    )
+    dose: NDArray[np.float64] = data("float64", "dose", unit="cd s/m^2", doc="luminance of white x time", coordinate=True)
+    mapped: tuple[str, ...] = data("str", "mapped", doc="arrays: the best, Bayer, the best of each level")
+    map_error: NDArray[np.float64] = data("float64", "mapped", "dose", doc="predicted error under the first level's light")
     tuned: Tuned | None = group(default=None)
     truth: Truth | None = group(default=None)
 
@@ -177,3 +184,45 @@ class Design(Artifact):
     def score(self) -> NDArray[np.float64]:
         """Return the predicted error (candidate) over all levels, their geometric mean."""
         return np.asarray(np.exp(np.log(np.maximum(self.predicted, 1e-12)).mean(axis=1)))
+
+    @property
+    def ties(self) -> NDArray[np.bool_]:
+        """Return which arrays (candidate) beside the best are as good, within TIE."""
+        return np.asarray((self.score <= self.score[0] * (1 + TIE)) & (np.arange(len(self.score)) > 0))
+
+    @property
+    def verdict(self) -> list[str]:
+        """Return a sentence a level: what beats Bayer's array there, by how much, and how much of it the filters alone."""
+        lines = []
+        for place, level in enumerate(self.levels):
+            errors = self.predicted[:, place]
+            best = int(errors.argmin())
+            if self.bayer < 0:
+                lines.append(f"{level}: {self.patterns[best]}, {errors[best]:.2f} {self.unit}.")
+                continue
+            bayer, own = errors[self.bayer], self.dyes[best, place]
+            if errors[best] > bayer * (1 - TIE):
+                lines.append(f"{level}: nothing beats {self.patterns[self.bayer]} (Bayer) by more than {TIE:.0%}.")
+                continue
+            gain = f"{bayer - errors[best]:.2f} {self.unit} ({1 - errors[best] / bayer:.0%})"
+            filters = min(max((bayer - own) / (bayer - errors[best]), 0), 1) if own else 0.0
+            most = f"; its filters in Bayer's array make {filters:.0%} of that" if filters else ""
+            lines.append(f"{level}: {self.patterns[best]} beats {self.patterns[self.bayer]} (Bayer) by {gain}{most}.")
+        return lines
+
+    @property
+    def crossings(self) -> list[str]:
+        """Return a sentence on each array of the map that Bayer's overtakes, or that overtakes it, as light grows."""
+        if self.bayer < 0:
+            return []
+        bayer = self.map_error[self.mapped.index(self.patterns[self.bayer])]
+        lines = []
+        for name, errors in zip(self.mapped, self.map_error, strict=True):
+            over = errors / bayer - 1
+            sign = np.sign(over)
+            for at in np.flatnonzero(sign[1:] * sign[:-1] < 0):
+                if min(np.abs(over[: at + 1]).max(), np.abs(over[at + 1 :]).max()) < TIE:
+                    continue
+                below, above = (name, "Bayer") if sign[at] < 0 else ("Bayer", name)
+                lines.append(f"Below {self.dose[at]:.2g}–{self.dose[at + 1]:.2g} cd s/m² {below}, above {above}.")
+        return lines

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from l3cli.artifacts.design import Design
 
 SHOWN = 20  # arrays that are printed
-TIE = 0.02  # relative difference of errors that means nothing
 
 
 @click.command()
@@ -76,7 +75,14 @@ def _document(made: "Design") -> dict[str, Any]:
         {"array": pattern, "error": predicted[place].tolist(), "bayer_of_its_filters": dyes[place].tolist()}
         for place, pattern in enumerate(made.patterns)
     ]
-    return {"tried": made.tried, "levels": list(made.levels), "unit": made.unit, "bayer": made.bayer, "arrays": arrays}
+    return {
+        "tried": made.tried,
+        "levels": list(made.levels),
+        "unit": made.unit,
+        "bayer": made.bayer,
+        "arrays": arrays,
+        "verdict": made.verdict,
+    }
 
 
 def _text(made: "Design") -> None:
@@ -84,12 +90,20 @@ def _text(made: "Design") -> None:
     places = [*range(min(SHOWN, len(score))), *([made.bayer] if made.bayer >= SHOWN else [])]
     rows = []
     for place in places:
-        tie = "=" if place and score[place] <= score[0] * (1 + TIE) else ""
         to_bayer = "–" if made.dyes[place].min() <= 0 else f"{_gain(score[place], made.dyes[place]):+.1f} %"
         name = f"{made.patterns[place]}{' (Bayer)' if place == made.bayer else ''}"
-        rows.append([f"{place + 1}{tie}", *(f"{error:.3f}" for error in predicted[place]), to_bayer, name])
+        rows.append(
+            [
+                f"{place + 1}{'=' if made.ties[place] else ''}",
+                *(f"{error:.3f}" for error in predicted[place]),
+                to_bayer,
+                name,
+            ]
+        )
+    from l3cli.artifacts.design import TIE
+
     title = [f"{made.tried} arrays, predicted error ({made.unit}); =: within {TIE:.0%} of the best"]
-    show_table(title, ["", *made.levels, "to Bayer", "array"], rows)
+    show_table(title, ["", *made.levels, "to Bayer", "array"], rows, *made.verdict, *made.crossings)
     _more(made)
 
 

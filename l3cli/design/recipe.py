@@ -129,8 +129,8 @@ def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
     for number, level in enumerate(recipe.level):
         yield from _level_faults(level, f"level {number + 1}", ("level", number))
     for number, array in enumerate(recipe.truth.rivals if recipe.truth else []):
-        key = ("truth", "rivals", number)
-        yield from _array_faults(array, recipe.filters, f"truth.rivals: array {number + 1}", key)
+        where = ("truth", "rivals", number)
+        yield from _array_faults(array, recipe.filters, f"truth.rivals: array {number + 1}", where)
     if recipe.optimise is not None:
         yield from _array_faults(recipe.optimise.pattern, recipe.filters, "optimise.pattern", ("optimise", "pattern"))
         used = {name for row in sites_of(recipe.optimise.pattern) for name in row}

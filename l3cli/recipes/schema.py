@@ -213,6 +213,7 @@ RESULTS: dict[str, dict[str, dict[str, Any]]] = {  # command → keys of its res
         "lights": _described(ANY, "of moments: illuminant → principal spectra and the share of power that they leave out"),
         "design": TEXT,
         "levels": _listed(TEXT),
+        "verdict": _described(_listed(TEXT), "what beats Bayer's array at each level, by how much"),
         "arrays": _described(
             ANY, "best first: rows of filters, predicted error at each level, that of Bayer of its filters"
         ),

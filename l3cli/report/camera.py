@@ -57,7 +57,7 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
 # ---------------------------------------------------------------------------------------------------------- array
 
 
-def array_figure(camera: CameraModel) -> Figure:
+def array_figure(camera: colours.Filters) -> Figure:
     """Return one period of the array."""
     rows, cols = camera.cfa.shape
     light = colours.channel_light(camera)
@@ -106,7 +106,7 @@ def _declared_from(camera: CameraModel) -> str:
 # -------------------------------------------------------------------------------------------------- responsivities
 
 
-def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
+def responsivity_figures(camera: colours.Filters) -> tuple[Figure, ...]:
     """Return the curves, and where they were measured their confidence bands."""
     label = "quantum efficiency (e⁻/photon)" if camera.absolute else "relative responsivity (1)"
     upper, measured = camera.responsivity + camera.responsivity_band, bool(camera.responsivity_band.any())
@@ -126,7 +126,7 @@ def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
     return (curves, _band_figure(camera)) if measured else (curves,)
 
 
-def _band_figure(camera: CameraModel) -> Figure:
+def _band_figure(camera: colours.Filters) -> Figure:
     """Return the half widths alone, since a good calibration's bands are thinner than its lines."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.design import Design
 from l3cli.artifacts.schema import Artifact, equal
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
@@ -25,7 +26,9 @@ class Entry:
 
     @property
     def array(self) -> tuple[Any, ...]:
-        """Return the key that distinguishes colour filter arrays."""
+        """Return the key that distinguishes colour filter arrays; empty of a design, which holds many."""
+        if isinstance(self.artifact, Design):
+            return ()
         of: Any = self.artifact.camera if isinstance(self.artifact, TrainingSet) else self.artifact
         return of.channels, of.cfa.shape, of.cfa.tobytes()
 
@@ -65,7 +68,7 @@ class Given:
     def arrays(self) -> list["Given"]:
         """Return the artifacts of each colour filter array, without sequences."""
         keys = dict.fromkeys(entry.array for entry in self.entries)
-        return [Given([entry for entry in self.entries if entry.array == key], {}, {}) for key in keys]
+        return [Given([entry for entry in self.entries if entry.array == key], {}, {}) for key in keys if key]
 
 
 def trained_on(table: TransformTable, frames: Entry) -> bool:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
+from l3cli.artifacts.design import Design
 from l3cli.artifacts.schema import Artifact
 from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
@@ -24,6 +25,7 @@ from l3cli.physics.display import XYZ
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
+from l3cli.report.design import design_section
 from l3cli.report.evaluation import evaluation_section, front_section, shown_frames
 from l3cli.report.given import Entry, Given, Pair, cameras_within, lead_without_evaluation, role_of
 from l3cli.report.parts import LIMIT, Figures, Pixels, Section, Subsection, history_section, render_page
@@ -45,7 +47,7 @@ from l3cli.system.text import short_names
 
 # of all evaluated frames, of all pixels that can be looked into, of classes elsewhere, of all training sets: see page.LIMIT
 PICTURE_BYTES, PIXEL_BYTES, CLASS_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 300_000, 2_000_000
-KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable)}
+KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable, Design)}
 SEQUENCE = ".json"  # suffix of an evaluation of a sequence
 CROPPED = ("ours", "ideal", "basic")  # pictures whose pixels can be looked at
 
@@ -97,7 +99,7 @@ def _artifact(path: Path) -> Artifact:
     with open_artifact(path) as root:
         kind = str(root.attrs["kind"])
     if kind not in KINDS:
-        raise InputFileError(f"{path} holds {kind}; give camera models, training sets or transform tables")
+        raise InputFileError(f"{path} holds {kind}; give camera models, training sets, transform tables or designs")
     if KINDS[kind] is not TrainingSet:
         return load(KINDS[kind], path)
     with open_training_set(path, unchanged=True) as reader:
@@ -135,7 +137,11 @@ def _compose(given: Given, backend: str, console: Console) -> tuple[str, str, li
     if given.sequences:
         sections.append(sequence_section(given.sequences))
         files += [(name, "evaluation of a sequence", digest, ()) for name, digest in given.sequence_sums.items()]
+    designs = given.of(Design)
+    sections += [design_section(design, entry.name) for entry, design in designs]
     sections.append(history_section(files))
+    if designs and not judged:
+        return f"{', '.join(design.name for _, design in designs)}: report", " ".join(designs[0][1].verdict), sections
     names = called or [table.camera_name for _, table in tables] or [*given.sequences]
     if len(judged) > 1:
         lead = " ".join((first[0].lead, *(f"But {each.warning}." for each in judged if each.warning)))

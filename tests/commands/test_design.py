@@ -129,7 +129,8 @@ def test_a_design_ranks_arrays_beside_bayer_of_their_filters(folder: Path, l3: L
     code, out, err = l3(*call, "--top", 3)
     assert code == 0, err
     assert "array" in out.splitlines()[1]
-    assert out.count("(Bayer)") == 1
+    assert f"{bayer} (Bayer)\n" in out
+    assert f"white at 0.9: nothing beats {bayer} (Bayer) by more than 2%." in out
     code, out, _ = l3(*call, "--json", "--force")
     document = json.loads(out)
     assert document["arrays"][0]["array"] == made.patterns[0]
@@ -163,6 +164,12 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     assert np.isfinite(trained.measured).all()
     assert -1 <= trained.correlation(0) <= 1
     assert "rank correlation" in out
+    page = tmp_path / "page.html"
+    assert l3("report", tmp_path / "d.h5", "-o", page)[0] == 0
+    text = page.read_text()
+    for words in ("Design: four", "Error over light", "Error by group", "5 nm off", "Predicted and measured error"):
+        assert words in text
+    assert "nothing beats g r / b g (Bayer)" in text
     assert "trained and judged on the same unseen scenes" in out
 
 

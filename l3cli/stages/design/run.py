@@ -44,8 +44,10 @@ from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
 
 AT_ONCE = 64  # arrays that a process judges in a go
-UNITS = {"lab": "ΔE00, about", "scielab": "ΔE, chroma softened", "luminance": "L*", "linear": "% of white"}
+UNITS = {"lab": "ΔE00", "scielab": "ΔE of soft chroma", "luminance": "L*", "linear": "% of white"}
 TUNED = " (tuned)"  # behind the name of an array with tuned filters
+SHIFT = 5.0  # nm, of a filter that is not as it should be
+DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # cd s/m², of the map of errors over light
 SAME = 1e-6  # relative; of numbers that agree
 
 
@@ -290,6 +292,10 @@ def _design(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64], top:
         listed_places.append(best)
     dyes = [_best_bayer(task, np.unique(arrays[place]).tolist(), places, scores) for place in listed_places]
     levels = (errors * problem.share).sum(axis=2)
+    leaders = [order[0], *([] if best is None else [best]), *levels.argmin(axis=0)]
+    mapped = list(dict.fromkeys(int(place) for place in leaders))
+    over_light = [Level("", problem.levels[0].light, None, float(dose), 1.0) for dose in DOSES]
+    light = dataclasses.replace(problem, levels=tuple(over_light), noise=dataclasses.replace(problem.noise, dark=0.0))
     return Design(
         name=task.wanted.name,
         unit=UNITS[task.wanted.counts if task.wanted.output == "XYZ" else "linear"],
@@ -303,8 +309,25 @@ def _design(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64], top:
         patterns=tuple(shown(arrays[place], names) for place in listed_places),
         error=errors[listed_places],
         dyes=np.array([np.zeros(len(problem.levels)) if each is None else levels[each] for each in dyes]),
+        sensitivity=_sensitivity(task, arrays[order[0]]),
+        dose=DOSES,
+        mapped=tuple(shown(arrays[place], names) for place in mapped),
+        map_error=np.array([(light.errors(arrays[place]) * light.share).sum(axis=1) for place in mapped]),
         bayer=-1 if best is None else listed_places.index(best),
     )
+
+
+def _sensitivity(task: Task, cfa: Cfa) -> NDArray[np.float64]:
+    """Return by how much (filter) the error of an array changes, relative, if one filter lies SHIFT nm off."""
+    changes, given = np.zeros(len(task.curves)), task.problem.score(task.problem.errors(cfa))
+    for place in np.unique(cfa):
+        for shift in (-SHIFT, SHIFT):
+            curves = task.curves.copy()
+            curves[place] = np.interp(task.scenes.wavelength - shift, task.scenes.wavelength, curves[place])
+            problem = task.problem_of(curves)
+            change = problem.score(problem.errors(cfa)) / given - 1
+            changes[place] = max(changes[place], change, key=abs)
+    return changes
 
 
 def _tuned(task: Task, asked: OptimiseRecipe, parts: Parts, pool: WorkerPool, options: DesignOptions) -> Tuned:

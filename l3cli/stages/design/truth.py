@@ -121,9 +121,3 @@ def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> NDAr
             quality = target.judge(outputs * (table.output_unit / frame.exposure))[0]
             rows.append([getattr(quality, name) for name in FIGURES])
     return np.array(rows).mean(axis=0)
-
-
-def rank_correlation(one: NDArray, other: NDArray) -> float:
-    """Return Spearman's correlation of two lists of numbers."""
-    ranks = [np.argsort(np.argsort(each)) for each in (one, other)]
-    return float(np.corrcoef(*ranks)[0, 1])
