@@ -15,7 +15,7 @@ Array = NDArray[np.floating]
 
 
 class Filters(Protocol):
-    """What drawings of an array take of a camera."""
+    """Part of a camera that drawings of its array take."""
 
     @property
     def channels(self) -> tuple[str, ...]: ...
