@@ -136,7 +136,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     gain: float | None = option(
         None,
-        "Analog gain of the inputs over that of the table's camera [default: by the file's ISO speed, else 1].",
+        "Analog gain of the inputs over that of the table's camera [default: by the file's ISO speed, else estimated].",
         GAIN,
         metavar="TIMES",
     )

@@ -21,6 +21,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.io.images import read_image
+from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.io.raw.files import RawOverrides, frame_of
 from l3cli.rendering.conditions import at_gain, gains_of, nearest_step
 from l3cli.rendering.exposure import SteadyExposure
@@ -34,6 +35,7 @@ from l3cli.training.recipe import APART, learned_gains
 from tests.helpers.calls import L3, Refused
 from tests.helpers.dng_files import SHORT, SRATIONAL, write_dng
 from tests.helpers.paths import CONFIGS
+from tests.helpers.plain_scenes import SHAPE, cells, taken
 
 LEAVES = (
     'exposure_share = [0.03]\n[[scene]]\nsource = "dead leaves"\nsize = [96, 96]\ncount = 4\n[sensor]\nanalog_gain = {}\n'
@@ -252,6 +254,31 @@ def test_a_file_tells_its_gain_by_its_iso_speed(several: TransformTable) -> None
     assert frames[1].dark > 0
     unknown = [frame_of("a.dng", content | {"exposure": None}, table, RawOverrides(gain=gain)).dark for gain in (1.0, 4.0)]
     assert unknown[0] == unknown[1] > 0  # that of training, whose frames at a higher gain are exposed as much shorter
+
+
+def test_the_gain_of_frames_without_iso_speed_is_estimated(
+    learned: dict[str, Path], several: TransformTable, l3: L3, tmp_path: Path
+) -> None:
+    """Once a run, of the first frame, and said; of one without plain areas nothing is known."""
+    assert several.camera is not None
+    camera, rng = dataclasses.replace(several.camera, rows=SHAPE[0], cols=SHAPE[1]), np.random.default_rng(1)
+    plain, textured = cells(camera, rng, 0.0), cells(camera, rng, 1.0)
+    for name, share in (("in_0", plain), ("in_1", plain), ("textured", textured)):
+        write_mosaic(tmp_path / f"{name}.tif", taken(camera, share, 8.0))
+    call = ("render", learned["several"], tmp_path / "in_%d.tif", "-o")
+    code, _, words = l3(*call, tmp_path / "out")
+    assert code == 0
+    found = re.search(r"in_0.tif: gain ([\d.]+) \(([\d.]+) to ([\d.]+)\) estimated from its noise, for all frames", words)
+    assert found, words
+    gain, low, high = map(float, found.groups())
+    assert low < 8 < high
+    assert gain == pytest.approx(8, rel=0.1)
+    assert "estimated" not in l3(*call, tmp_path / "given", "--gain", gain)[2]
+    for picture in ("in_0.png", "in_1.png"):
+        assert (tmp_path / "out" / picture).read_bytes() == (tmp_path / "given" / picture).read_bytes()
+
+    one = ("render", learned["several"], tmp_path / "textured.tif", "-o", tmp_path / "x.png")
+    assert "textured.tif: its gain is unknown (no area is plain), and taken for 1; give --gain" in l3(*one)[2]
 
 
 def test_a_gain_that_changes_from_frame_to_frame_makes_no_step(several: TransformTable) -> None:

@@ -130,6 +130,7 @@ class RawOverrides:
     exposure: float | None = None  # s
     gain: float | None = None  # analog gain over the camera's; None: by the ISO speed of the file
     gains: tuple[float, ...] = ()  # of the frames of a sequence, in its order; none: all have `gain`
+    unlabelled_gain: float = 1.0  # the same of frames of which nothing else states it
     dark: DarkFrame | None = None  # what the camera gives without light
     correction: Correction | None = None  # of its defects and shading
     hot: HotTest | None = None  # by which its hot pixels are found; None: they are left
@@ -221,7 +222,7 @@ def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
     rows, cols = table.cfa.shape
     recorded = frame.exposure if frame.exposure is not None and 0 < frame.exposure <= LONGEST else None
     exposure = recorded if known.exposure is None else known.exposure
-    gain = (table.gain_at(frame.shot.iso) or 1.0) if known.gain is None else known.gain
+    gain = (table.gain_at(frame.shot.iso) or known.unlabelled_gain) if known.gain is None else known.gain
     dark = (
         (gain if exposure is not None else 1.0)
         * table.dark_signal(exposure)

@@ -17,13 +17,14 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError, suggestion
 from l3cli.frames.correction import CameraFile, correction_in, hot_test
 from l3cli.frames.frame import RawFrame
+from l3cli.frames.gain_estimate import estimate_gain
 from l3cli.io.pictures.dng import MOSAICS
 from l3cli.io.pictures.registry import write_picture
-from l3cli.io.sequences import FrameSequence, find_frames, read_dark
+from l3cli.io.sequences import STDIN_NAME, FrameSequence, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, Pacing
 from l3cli.options.render import RenderOptions
 from l3cli.physics.spaces import REC2020
-from l3cli.rendering.conditions import Mix, described, mixed, nearest_for
+from l3cli.rendering.conditions import Mix, described, gains_of, mixed, nearest_for
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.raw_checks import odd_exposure_time
@@ -84,7 +85,8 @@ def render(
         model = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if options.hot == "auto" else None)
-        sequence = find_frames(inputs, transforms, known, options.frames, options.dataset)
+        find = functools.partial(find_frames, inputs, transforms, selection=options.frames, dataset=options.dataset)
+        sequence = find(known)
         has_white = not destination.linear or options.space is not None
         photos = has_white and sequence.are_photos
         source = white_source(white, transforms, photos)
@@ -104,6 +106,9 @@ def render(
         if sequence.missing and not options.skip_bad:
             raise sequence.absent(sequence.missing[0])
         plan(table, inputs, sequence, destination, options)
+        if options.gain is None and not known.gains and (gain := gain_of_first(transforms, find(known), console)):
+            known = replace(known, unlabelled_gain=gain)
+            sequence = replace(sequence, frames=find(known).frames)
         stated = sequence.times() if sequence.times is not None and options.fps is None else None
         stated = None if stated is None or stated.are_even else stated
         pacing = Pacing(sequence.unit, stated, sequence.unit or 1)
@@ -120,7 +125,7 @@ def render(
             table.absolute(), digest, options.backend, engine, known, rendition, destination.file_suffix, model, mix
         )
         chunks = _chunks(options.backend, engine, transforms, scheduler, sequence, console) if options.temporal else None
-        key = options.run_key(digest, os.environ.get("L3_DEVICE"), choice, mix and astuple(mix))
+        key = options.run_key(digest, os.environ.get("L3_DEVICE"), choice, mix and astuple(mix), known.unlabelled_gain)
         job = SequenceJob(sequence, destination, transforms, rendition, source, choice, pacing, chunks, options)
         digests = functools.partial(FrameDigests, inputs[0], job.follows)
         with (
@@ -249,6 +254,31 @@ def mix_of_first(
     extent = "" if alone else ", for all frames"
     console.info(f"{first.name}: white {source.about}: transforms of {described(table, mix)}{extent}")
     return mix, sequence
+
+
+def gain_of_first(table: TransformTable, sequence: FrameSequence, console: Console) -> float | None:
+    """Return the analog gain that is estimated from the noise of the first of the frames, for all that do not state theirs;
+    None where the first does, the table has transforms for one gain alone, or there is no estimate."""
+    if table.camera is None or len(gains_of(table)) == 1:
+        return None
+    if sequence.what == STDIN_NAME:
+        console.warn("the gain of frames on stdin is not estimated, but taken for 1; give ‹gain›")
+        return None
+    first, _ = _first_frame(sequence)
+    if first is None or table.gain_at(first.shot.iso) is not None:
+        return None
+    try:
+        estimate = estimate_gain(first, table.camera)
+    except ValueError as reason:
+        console.warn(f"{first.name}: its gain is unknown ({reason}), and taken for 1; give ‹gain›")
+        return None
+    low, high = estimate.bounds
+    extent = "" if sequence.count == 1 else ", for all frames without ISO speed"
+    console.warn(
+        f"{first.name}: gain {estimate.gain:.3g} ({low:.2g} to {high:.2g}) estimated from its noise{extent}; give ‹gain› to "
+        "state it"
+    )
+    return estimate.gain
 
 
 def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequence]:
