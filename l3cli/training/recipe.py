@@ -130,8 +130,6 @@ class LayerRecipe(Recipe):
     coarse_chroma: bool = False
     level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weight of classes one, two… levels away
     parent_patches: CountOrNone = 200  # pseudo-rows of the parent, added to every class
-    # uniform windows, a row of a class without structure, that keep their colour (docs/method.md#plain-windows)
-    plain_windows: NotNegative = 0.0
 
 
 class TrainingRecipe(Recipe):
@@ -242,8 +240,6 @@ def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
             yield fault(f"{name}.colour_ratios is for the last layer alone", f"{key}.colour_ratios")
         if recipe.coarse_chroma and number + 1 < len(layers):
             yield fault(f"{name}.coarse_chroma is for the last layer alone", f"{key}.coarse_chroma")
-        if recipe.plain_windows and recipe.leaves:
-            yield fault(f"{name}.plain_windows are of classes by structure; leaves do not know them", f"{key}.plain_windows")
         if recipe.side % 2 == 0:
             yield fault(f"{name}.side is {recipe.side}; windows have odd sides", f"{key}.side")
         if not recipe.strengths or any(high - low < LEAST_STEP for low, high in itertools.pairwise(recipe.strengths)):

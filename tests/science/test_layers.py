@@ -204,22 +204,7 @@ def test_noise_counts_as_its_weight_states(bayer: CameraModel) -> None:
     assert power[2][[0, 2]] == pytest.approx(power[0][[0, 2]], rel=1e-3)
 
 
-def test_plain_windows_keep_their_colour_where_there_is_no_structure(bayer: CameraModel) -> None:
-    """However much noise weighs, and nothing else is changed."""
-    learned = []
-    for plain in (0.0, 1e6):
-        layer = a_pass(bayer, luminance_noise=5, chroma_noise=5, plain_windows=plain, **UNSPREAD)
-        rule = a_rule(layer)
-        learned.append(in_planes(layer, learn_layer(layer, rule, known_sums(layer, rule, 2000.0))))
-    flat = rule.split(np.arange(len(learned[0]))).kind == 0
-    assert flat.any()
-    assert (learned[0][~flat] == learned[1][~flat]).all()
-    response = [filters[flat].sum(axis=-1) for filters in learned]  # (class, plane of the output, plane)
-    assert np.abs(response[0] - np.eye(3)).max() > 0.1
-    assert response[1] == pytest.approx(np.broadcast_to(np.eye(3), response[1].shape), abs=1e-3)
-
-
-def test_plain_windows_keep_their_colour_where_chroma_comes_from_far_around(bayer: CameraModel) -> None:
+def test_plain_areas_keep_their_colour_where_chroma_comes_from_far_around(bayer: CameraModel) -> None:
     """In every unsaturated class that would fade it, however much noise weighs; the others are what they would be."""
     learned = []
     for coarse in (False, True):
@@ -351,7 +336,6 @@ def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: L3) -> None:
         ("strengths = [3, 2]", "layer[1].strengths must be one or more numbers, each 0.001 above the last"),
         ("strengths = [-1, 2]", "layer[1].strengths[1] is -1; give more than 0"),
         ("colour_ratios = true\n[[layer]]", "layer[1].colour_ratios is for the last layer alone"),
-        ("leaves = 3\nplain_windows = 1", "layer[1].plain_windows are of classes by structure; leaves do not know them"),
         ("brightness_power = 1.5", "layer[1].brightness_power is 1.5; the most is 1"),
         ("sides = 3", "unknown key `sides` in [layer[1]]"),
     ],

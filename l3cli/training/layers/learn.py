@@ -163,7 +163,6 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
         noise,
         white,
         windows,
-        recipe.plain_windows,
         recipe.coarse_chroma,
     )
     sums = {site: _symmetric(layer, rule, site, one) for site, one in sums.items()}

@@ -12,7 +12,6 @@ from l3cli.training.sums import moment_matrix
 from l3cli.training.systems import fits_between, solve_positive
 
 Array = NDArray[np.float64]
-NO_STRUCTURE = 0  # the kind of a class whose window shows no more than noise
 FADING = 0.97  # response of a chroma plane to itself, below which it is faded
 NEAR_SHARE = 0.9  # of the pseudo-patches come from the class's level, the others from all levels
 
@@ -27,7 +26,6 @@ class LayerGoal:
     noise: tuple[float, ...]  # (output) weight of noise
     white: Array  # (plane) what the layer before makes of a white of Y = 1, and this one shall
     windows: int  # taps of the windows; those behind them are zero on flat areas
-    plain: float  # uniform windows, a row of a class without structure, that keep their colour
     keeps: bool = False  # whether unsaturated classes that would fade the chroma of uniform windows keep it
 
 
@@ -50,8 +48,6 @@ def solve_layer(
         if len(whole) < len(sums):
             continue
         solved[index] = True
-        if goal.plain and rule.split(index).kind == NO_STRUCTURE:
-            whole = [(moments + goal.plain * _plain_moments(moments, member), noise) for moments, noise in whole]
         for output, factor in enumerate(goal.noise):
             estimates = [_solution(moments, noise, factor, goal.ridge, output, member) for moments, noise in whole]
             keeps = goal.keeps and not goal.white[output] and not rule.case(rule.split(index).kind)
@@ -67,16 +63,6 @@ def solve_layer(
     fitting = solved & np.all([fits_between(one) for one in rows], axis=0)
     source = _nearest(fitting if fitting.any() else solved, rule)
     return [one[source] for one in rows]
-
-
-def _plain_moments(moments: Array, member: Array) -> Array:
-    """Return moments (column, column) of uniform windows of the mean colours of a class's windows, which stay as they are;
-    columns as of `moments`: taps, intercept and outputs. `member` (tap, plane) is 1 where a tap is of the plane."""
-    taps, planes = member.shape
-    mean = member / member.sum(axis=0)
-    colours = mean.T @ moments[:taps, :taps] @ mean
-    columns = np.concatenate([member, np.zeros((1, planes)), np.eye(planes)])
-    return np.asarray(columns @ colours @ columns.T)
 
 
 def _solution(moments: Array, noise: Array, factor: float, ridge: float, output: int, member: Array) -> Array:
