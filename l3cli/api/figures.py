@@ -44,7 +44,7 @@ def _colours(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
     """Return both pictures in 0…1, of three colours."""
     pictures = _pictures(one, other)
     if pictures[0].ndim != 3:
-        raise InputFileError(f"{_described(one)} is no picture of colours; give sRGB (row, col, 3)")
+        raise InputFileError(f"{_described(one)} is not a picture of colours; give sRGB (row, col, 3)")
     return pictures
 
 
@@ -59,11 +59,11 @@ def _pictures(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
 def _picture(given: ArrayLike) -> Array:
     array = np.asarray(given)
     if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or not array.size:
-        raise InputFileError(f"{_described(given)} is no picture; give sRGB (row, col, 3) or grey (row, col)")
+        raise InputFileError(f"{_described(given)} is not a picture; give sRGB (row, col, 3) or grey (row, col)")
     if array.dtype in DEPTHS:
         return array / DEPTHS[array.dtype]
     if array.dtype.kind != "f":
-        raise InputFileError(f"{_described(given)} is no picture; give uint8, uint16 or floats of 0…1")
+        raise InputFileError(f"{_described(given)} is not a picture; give uint8, uint16 or floats of 0…1")
     if not (array.min() >= 0 and array.max() <= 1):
         raise InputFileError(f"{_described(given)} holds values outside of 0…1; clip it, or give codes as uint8 or uint16")
     return array.astype(np.float64)

@@ -170,7 +170,7 @@ class Renderer:
         array = np.asarray(given)
         if array.dtype not in (np.uint8, np.uint16) or array.ndim != 2 or not array.size:
             raise InputFileError(
-                f"an array of shape {array.shape} and dtype {array.dtype} is no raw frame; give DN (row, col) as uint16"
+                f"an array of shape {array.shape} and dtype {array.dtype} is not a raw frame; give DN (row, col) as uint16"
             )
         frame = frame_of("the array", {"values": array}, self.table, RawOverrides())
         if text := beyond_converter(frame, self.table):

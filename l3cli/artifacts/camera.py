@@ -37,7 +37,7 @@ class DefectMap:
         if len(np.unique(self.position, axis=0)) < len(self.position):
             raise ValueError("defects: a pixel is listed twice")
         if odd := sorted(set(self.pixel_kind) - set(DEFECTS)):
-            raise ValueError(f'defects: "{odd[0]}" is no kind of pixel; known are {", ".join(DEFECTS)}')
+            raise ValueError(f'defects: "{odd[0]}" is not a kind of pixel; known are {", ".join(DEFECTS)}')
 
 
 @dataclass(frozen=True)

@@ -78,14 +78,14 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
 def column_faults(columns: Mapping[str, str], channels: Sequence[str], key: str) -> Iterator[Fault]:
     """Yield the faults of `columns` (channel → name), which stand at `key`."""
     if odd := sorted(set(columns) - set(channels)):
-        yield fault(f'{key}: "{odd[0]}" is no channel; {suggestion(odd[0], channels)}', key)
+        yield fault(f'{key}: "{odd[0]}" is not a channel; {suggestion(odd[0], channels)}', key)
 
 
 def differences(names: Iterable[str], channels: Sequence[str]) -> str:
     """Return how `names` differ from the channels, in words."""
     odd = sorted(set(names) - set(channels))
     if odd:
-        return f'"{odd[0]}" is no channel; {suggestion(odd[0], channels)}'
+        return f'"{odd[0]}" is not a channel; {suggestion(odd[0], channels)}'
     return f"{', '.join(sorted(set(channels) - set(names)))} is missing"
 
 

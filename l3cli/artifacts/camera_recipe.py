@@ -47,7 +47,7 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
     """Yield the faults of a channel that does not exist or cannot be read in this way."""
     for name, one in channel.items():
         if name not in channels:
-            yield fault(f'"{name}" is no channel of cfa.channels; {suggestion(name, channels)}', ("channel", name))
+            yield fault(f'"{name}" is not a channel of cfa.channels; {suggestion(name, channels)}', ("channel", name))
         numbers = (
             ("exposure", one.exposure, SHORTEST, 1.0, "a share of the frame's exposure time"),
             ("gain", one.gain, 1.0, MOST_GAIN, "a multiple of sensor.gain_dn_per_e"),
@@ -61,7 +61,7 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
             continue
         like = ("channel", name, "like")
         if one.like not in channels:
-            message = f'channel.{name}.like: "{one.like}" is no channel of cfa.channels; {suggestion(one.like, channels)}'
+            message = f'channel.{name}.like: "{one.like}" is not a channel of cfa.channels; {suggestion(one.like, channels)}'
             yield fault(message, like)
         elif one.like == name or (one.like in channel and channel[one.like].like is not None):
             yield fault(f'channel.{name}.like: "{one.like}" has no responsivity of its own; name one that has', like)

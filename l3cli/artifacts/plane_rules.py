@@ -171,7 +171,7 @@ class TreeRule(PlaneClasses):
         inner = np.flatnonzero(self.branch)
         every = np.concatenate([[0], self.branch[inner], self.branch[inner] + 1])
         if (self.branch[inner] <= inner).any() or not np.array_equal(np.sort(every), np.arange(len(self.branch))):
-            raise ValueError("branch is no tree: every node but the first must be a branch of one before it")
+            raise ValueError("branch is not a tree: every node but the first must be a branch of one before it")
         if self.structures > MOST_LEAVES:
             raise ValueError(f"the tree has {self.structures} leaves, more than {MOST_LEAVES}")
         if self.depth > DEEPEST:

@@ -243,7 +243,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
-        band = band if curves.band.any() else np.zeros_like(band)  # the scale's error alone is no band of the curve
+        band = band if curves.band.any() else np.zeros_like(band)  # the scale's error alone is not a band of the curve
         check_exposures(curve, body)
         check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
     elif body.readout is not None:

@@ -137,7 +137,7 @@ def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
         chosen = tuned_filters(recipe.optimise, recipe.filters)
         for name in chosen:
             if name not in used or name not in recipe.filters or recipe.filters[name].centre_nm is None:
-                yield fault(f'optimise.filters: "{name}" is no Gaussian of optimise.pattern', "optimise.filters")
+                yield fault(f'optimise.filters: "{name}" is not a Gaussian of optimise.pattern', "optimise.filters")
         if not chosen:
             yield fault("optimise.pattern has no filter with centre_nm, and only Gaussians are tuned", "optimise.pattern")
 
@@ -165,7 +165,7 @@ def _filter_faults(name: str, one: FilterRecipe, known: Mapping[str, FilterRecip
         if other not in known:
             yield fault(f'filter {name}: stack names "{other}"; {suggestion(other, known)}', (*key, "stack"))
         elif known[other].stack is not None or known[other].channel is not None:
-            yield fault(f"filter {name}: {other} is no single filter; stack Gaussians or files", (*key, "stack"))
+            yield fault(f"filter {name}: {other} is not a single filter; stack Gaussians or files", (*key, "stack"))
 
 
 def _pattern_faults(pattern: PatternRecipe, recipe: DesignRecipe, key: tuple[str | int, ...]) -> Iterator[Fault]:
@@ -176,7 +176,7 @@ def _pattern_faults(pattern: PatternRecipe, recipe: DesignRecipe, key: tuple[str
         yield fault(f"{where}: shape is {pattern.shape[0]}×{pattern.shape[1]}, larger than {MOST_SIDE}×{MOST_SIDE}", key)
     for name in (*pattern.filters, *(pattern.counts or ())):
         if name not in recipe.filters:
-            yield fault(f'{where}: "{name}" is no filter; {suggestion(name, recipe.filters)}', key)
+            yield fault(f'{where}: "{name}" is not a filter; {suggestion(name, recipe.filters)}', key)
     if pattern.counts is not None and pattern.filters:
         yield fault(f"{where}: counts name the filters; leave filters out", (*key, "filters"))
     if pattern.counts is not None and pattern.shape is not None:
@@ -196,7 +196,7 @@ def _array_faults(
     elif max(len(sites), len(sites[0])) > MOST_SIDE:
         yield fault(f"{what} is larger than {MOST_SIDE}×{MOST_SIDE}", key)
     for name in {name for row in sites for name in row} - set(known):
-        yield fault(f'{what}: "{name}" is no filter; {suggestion(name, known)}', key)
+        yield fault(f'{what}: "{name}" is not a filter; {suggestion(name, known)}', key)
 
 
 def _level_faults(level: LevelRecipe, where: str, key: tuple[str | int, ...]) -> Iterator[Fault]:

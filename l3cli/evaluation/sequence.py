@@ -319,7 +319,7 @@ def read_sequence_figures(path: Path) -> SequenceFigures:
         printed.pop("run", None)  # how the command ran
         figures = msgspec.convert(printed, SequenceFigures)
     except (OSError, msgspec.MsgspecError, RecursionError) as error:
-        raise InputFileError(f"{path} is no evaluation of a sequence; {GIVE}") from error
+        raise InputFileError(f"{path} is not an evaluation of a sequence; {GIVE}") from error
     if len(figures.frames) < 2:
         raise InputFileError(f"{path} holds fewer than two frames; {GIVE}")
     return figures

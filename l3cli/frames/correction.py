@@ -123,8 +123,8 @@ class Correction:
         """
         if frame.values.shape != self.shape or frame.phase != (0, 0):
             raise InputFileError(
-                f"{frame.name} of {_size(frame.values.shape)} pixels, first site {frame.phase[0]},{frame.phase[1]}, is no "
-                f"whole frame of camera {self.camera} of {_size(self.shape)}; give the ‹camera› that took it"
+                f"{frame.name} of {_size(frame.values.shape)} pixels, first site {frame.phase[0]},{frame.phase[1]}, is not "
+                f"a whole frame of camera {self.camera} of {_size(self.shape)}; give the ‹camera› that took it"
             )
         values = frame.values if self.bad_pixels is None else self.bad_pixels.corrected(frame.values)
         return replace(frame, values=values, shading=self.shading or frame.shading)
@@ -297,7 +297,7 @@ def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
     stay clipped. InputFileError if the dark frame is of another size or kind."""
     if dark.offset.shape != frame.values.shape or (dark.phase, dark.orientation) != (frame.phase, frame.orientation):
         raise InputFileError(
-            f"{dark.name} of {_size(dark.offset.shape)} is no dark frame of {frame.name} of {_size(frame.values.shape)}; "
+            f"{dark.name} of {_size(dark.offset.shape)} is not a dark frame of {frame.name} of {_size(frame.values.shape)}; "
             "give one of the same camera, size and phase"
         )
     if dark.exposure and frame.exposure and not math.isclose(dark.exposure, frame.exposure, rel_tol=0.02):

@@ -84,9 +84,9 @@ def _read_json(path: Path) -> CurveTable:
         rows, names = content["data"]["main"], content.get("index", {}).get("main")
         table = np.array([[float(key), *map(float, values)] for key, values in rows.items()])
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputFileError(f"{path} is no rawtoaces JSON: spectral_data.data.main is missing or not numbers") from error
+        raise InputFileError(f"{path} is not a rawtoaces JSON: spectral_data.data.main is missing or not numbers") from error
     if table.ndim != 2 or table.shape[1] < 2:
-        raise InputFileError(f"{path} is no rawtoaces JSON: it holds no curves")
+        raise InputFileError(f"{path} is not a rawtoaces JSON: it holds no curves")
     table = table[np.argsort(table[:, 0])]
     if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputFileError(f"{path}: wavelengths must differ and every value be a number within ±{LARGEST:g}")

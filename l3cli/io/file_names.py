@@ -86,7 +86,7 @@ def find_scenes(pattern: str, folder: Path, folders: bool = False) -> list[Path]
     try:
         paths = sorted(path for path in root.glob(str(single.relative_to(root))) if wanted(path))
     except ValueError as error:
-        raise InputFileError(f'{single} is no glob; write "**" between slashes only') from error
+        raise InputFileError(f'{single} is not a glob; write "**" between slashes only') from error
     if not paths:
         raise InputFileError(f"{single} does not exist; name a scene file or a glob relative to the recipe")
     return paths

@@ -32,14 +32,14 @@ PICTURES = (".tif", ".png")  # of formats whose depth is checked before their pi
 
 
 def raw_content(path: Path) -> RawContent:
-    """Return the content of a raw file of one frame; InputFileError if it is no mosaic of one channel."""
+    """Return the content of a raw file of one frame; InputFileError if it is not a mosaic of one channel."""
     require_regular(path, RAW_FILE)
     kind = format_of(path)
     if not kind.holds_frame or kind.wants_geometry:
-        raise InputFileError(f"{path} is no raw file of a camera; {RAW_FILE}, or a picture of one channel")
+        raise InputFileError(f"{path} is not a raw file of a camera; {RAW_FILE}, or a picture of one channel")
     content = kind.read(path)
     if content["values"].ndim != 2 or content["values"].size == 0:
-        raise InputFileError(f"{path} is no mosaic; {RAW_FILE}")
+        raise InputFileError(f"{path} is not a mosaic; {RAW_FILE}")
     require_picture(str(path), *content["values"].shape)
     return content
 
@@ -71,7 +71,7 @@ class WholeFrames:
             frame = read_raw(path, self.camera)
             if frame.values.shape != shape or frame.phase != (0, 0):
                 raise InputFileError(
-                    f"{path} of {frame.values.shape[0]}×{frame.values.shape[1]} pixels, first site {frame.phase}, is no "
+                    f"{path} of {frame.values.shape[0]}×{frame.values.shape[1]} pixels, first site {frame.phase}, is not a "
                     f"whole frame of camera {self.camera.name} of {shape[0]}×{shape[1]}; give whole raw frames"
                 )
             require_bits(path, frame.values, self.camera.bits)
@@ -145,14 +145,14 @@ FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # a row of a tab
 def list_captures(folder: Path) -> CaptureFolder:
     """Return the content of a folder and of those below it; InputFileError if it is none, or holds too many files."""
     if not folder.is_dir():
-        raise InputFileError(f"{folder} is no folder; give the folder of a lab's captures")
+        raise InputFileError(f"{folder} is not a folder; give the folder of a lab's captures")
     frames, tables, notes = [], [], Counter[str]()
     for number, path in enumerate(_files(folder)):
         if number >= MOST_FILES:
             raise InputFileError(f"{folder} holds more than {MOST_FILES} files; give the folder of one camera's captures")
         suffix, name = path.suffix.lower(), path.relative_to(folder).as_posix()
         if re.search("[\ud800-\udfff]", name):  # which no measurement file can hold
-            notes[f"{suffix}: their names are no text; left out"] += 1
+            notes[f"{suffix}: their names are not text; left out"] += 1
             continue
         kind = BY_SUFFIX.get(suffix)
         if suffix in SUFFIXES:

@@ -361,7 +361,7 @@ def picture_files(path: Path) -> list[Path]:
     if not files:
         raise InputFileError(f"{path} holds no pictures; {GIVE}")
     if wrong := next((each for each in files if each.suffix.lower() not in PICTURES), None):
-        raise InputFileError(f"{wrong} is no picture; pictures are {', '.join(PICTURES)}")
+        raise InputFileError(f"{wrong} is not a picture; pictures are {', '.join(PICTURES)}")
     return files
 
 
@@ -369,7 +369,7 @@ def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
     """Return the motion of a frame since the one before (3, row, col): pixels down, right, and 1 where the same was seen."""
     planes, names = read_image(path)
     if names != KNOWN_MOTION or planes.shape[:2] != shape or not np.isfinite(planes).all():
-        raise InputFileError(f"{path} is no motion of frames of {shape[0]}×{shape[1]}; give what l3 simulate wrote")
+        raise InputFileError(f"{path} is not a motion of frames of {shape[0]}×{shape[1]}; give what l3 simulate wrote")
     return np.ascontiguousarray(np.moveaxis(planes, -1, 0), np.float32)
 
 

@@ -153,7 +153,7 @@ def shot_of_page(page: Any) -> dict[str, str | float]:
 
 
 def shot_of_file(path: Path) -> dict[str, str | float]:
-    """Return the settings stated by a camera raw; none if it is no TIFF, or a damaged one."""
+    """Return the settings stated by a camera raw; none if it is not a TIFF, or a damaged one."""
     import tifffile
 
     try:

@@ -306,7 +306,7 @@ class DecodedVideo:
         try:
             self._container = av.open(str(path), options=options)
         except (av.error.FFmpegError, OSError) as error:
-            raise InputFileError(f"{path} is no video that can be read ({error.strerror}); give {what}") from error
+            raise InputFileError(f"{path} is not a video that can be read ({error.strerror}); give {what}") from error
         if not self._container.streams.video:
             raise InputFileError(f"{path} holds no video; give {what}")
         stream = self._container.streams.video[0]

@@ -59,7 +59,7 @@ class Text(Reader):
 
     def read(self, given: Any) -> str:
         if not isinstance(given, str):
-            raise ValueError(f"{shortened(repr(given))} is no text")
+            raise ValueError(f"{shortened(repr(given))} is not text")
         return given
 
 

@@ -50,7 +50,7 @@ class Scheduler:
         """Raise RecipeError if that is no address, or files are missing or given in vain."""
         match = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)
         if not match or not 0 < int(match[2]) < 65536:
-            raise RecipeError(f'"{self.address}" is no scheduler\'s address; give tcp://HOST:PORT or tls://HOST:PORT')
+            raise RecipeError(f'"{self.address}" is not a scheduler\'s address; give tcp://HOST:PORT or tls://HOST:PORT')
         files = (self.ca, self.certificate, self.key)
         if match[1] == "tls" and None in files:
             raise RecipeError(f"{self.address} needs ‹tls_ca›, ‹tls_cert› and ‹tls_key›")

@@ -77,7 +77,7 @@ def scene_white(text: str) -> NDArray[np.float64]:
             f'white "{shortened(text)}" is not a chromaticity{why}; give it as x,y such as 0.3127,0.3290'
         ) from None
     if x + y > CHROMATICITY.most:
-        raise RecipeError(f"white {text} is no chromaticity: x + y is at most {CHROMATICITY.most}")
+        raise RecipeError(f"white {text} is not a chromaticity: x + y is at most {CHROMATICITY.most}")
     return np.array([x, y, 1 - x - y]) / y
 
 

@@ -204,7 +204,7 @@ def illuminant(name: str, wavelength: Array) -> Array:
         try:
             kelvin = kind.read(temperature[2])
         except NoSuchNumber as error:
-            raise RecipeError(f'illuminant "{shortened(name)}" is no light of {what}: {error}') from None
+            raise RecipeError(f'illuminant "{shortened(name)}" is not a light of {what}: {error}') from None
     if temperature and temperature[1]:
         photons = photons_from_energy(wavelength, _daylight(kelvin, wavelength))
     elif temperature:

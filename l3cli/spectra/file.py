@@ -387,7 +387,7 @@ def _spdx(path: Path) -> CurveTable:
     try:
         wavelength, values, unit = _read_spdx(path)
     except ValueError as error:
-        raise InputFileError(f"{path} is no IES TM-27 spectrum ({error}); give one, or CSV") from error
+        raise InputFileError(f"{path} is not an IES TM-27 spectrum ({error}); give one, or CSV") from error
     if wavelength.size < 2 or not _monotonic(wavelength) or not (np.abs(values) <= LARGEST).all():
         raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
     if not (wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST):

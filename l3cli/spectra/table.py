@@ -129,7 +129,7 @@ class CurveTable:
         conversion = conversion or other
         if conversion is None:
             raise InputFileError(
-                f'{self.path}: "{unit}" is no unit of spectral radiance; give "{units.PHOTON_RADIANCE}", '
+                f'{self.path}: "{unit}" is not a unit of spectral radiance; give "{units.PHOTON_RADIANCE}", '
                 f'"{units.POWER_RADIANCE}", multiples of them, or "relative photons", "relative power"'
             )
         of, scale = conversion
@@ -158,7 +158,7 @@ class CurveTable:
         for values, heading in zip(self.values, self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
             if heading is not None and unit is None and heading not in units.PLAIN:
-                raise InputFileError(f'{self.path}: "{heading}" is no unit of power per nm; give "W/nm", or photons')
+                raise InputFileError(f'{self.path}: "{heading}" is not a unit of power per nm; give "W/nm", or photons')
             photons = unit is not None and "photon" in unit.powers
             rows.append(values / self.wavelength if photons else values)
         return np.array(rows)
@@ -168,7 +168,9 @@ class CurveTable:
         shares = self.values * np.array([[_share(heading)] for heading in self.units])
         if shares.min() < 0 or shares.max() > 1:
             percent = '; if they are percent, write "(%)" after the column\'s name' if 1 < shares.max() <= 100 else ""
-            raise InputFileError(f"{self.path}: values of {shares.min():g}…{shares.max():g} are no shares of light{percent}")
+            raise InputFileError(
+                f"{self.path}: values of {shares.min():g}…{shares.max():g} are not shares of light{percent}"
+            )
         return shares
 
     def responses(self, per_energy: bool, key: str) -> Array:
@@ -180,7 +182,9 @@ class CurveTable:
                 continue
             by_energy = None if unit is None else _energy_response(unit)
             if by_energy is None:
-                raise InputFileError(f'{self.path}: "{heading}" is no unit of responsivity; give "A/W", "e-/photon" or "%"')
+                raise InputFileError(
+                    f'{self.path}: "{heading}" is not a unit of responsivity; give "A/W", "e-/photon" or "%"'
+                )
             if by_energy != per_energy:
                 wanted = str(by_energy).lower()
                 raise InputFileError(f'{self.path}: its heading says "{heading}", which is {key} = {wanted}; correct one')
@@ -195,12 +199,12 @@ class CurveTable:
             if heading in units.PLAIN or (per_energy and unit is None):
                 what = f'"{heading}"' if heading else "per energy without a unit"
                 raise InputFileError(
-                    f'{self.path}: {what} is no quantum efficiency; write "(A/W)" or "(e-/photon)" after the names of the '
-                    "columns, or give responsivity.peak_efficiency"
+                    f'{self.path}: {what} is not a quantum efficiency; write "(A/W)" or "(e-/photon)" after the names of '
+                    "the columns, or give responsivity.peak_efficiency"
                 )
             if per_energy:
                 if unit is None or unit.powers != AMPERES_PER_WATT:
-                    raise InputFileError(f'{self.path}: "{heading}" is no "A/W"; give responsivity.peak_efficiency')
+                    raise InputFileError(f'{self.path}: "{heading}" is not "A/W"; give responsivity.peak_efficiency')
                 values = values * unit.scale * ELECTRONVOLT_NM / self.wavelength
             rows.append(values)
         return np.array(rows)

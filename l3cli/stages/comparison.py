@@ -19,7 +19,7 @@ GIVE = 'give what "l3 evaluate --json" prints'
 def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOptions) -> Comparison:
     """Compare cameras by figures of their evaluations (what `l3 evaluate --json` prints) at each luminance.
 
-    `page`: HTML file to write with the curves. InputFileError if a file is no evaluation or
+    `page`: HTML file to write with the curves. InputFileError if a file is not an evaluation or
     has other luminances than the others, RecipeError for a figure that there is none of, L3Error if the page cannot be
     written.
     """
@@ -52,7 +52,7 @@ def _read(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         raise InputFileError(f"{path}: not readable as JSON; {GIVE}") from error
     if not isinstance(document, dict):
-        raise InputFileError(f"{path} is no evaluation; {GIVE}")
+        raise InputFileError(f"{path} is not an evaluation; {GIVE}")
     return document
 
 

@@ -84,7 +84,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
     """Write the recipe folder of the camera that took the raw files `photos`, or that lie in folders among them; of several
     cameras a folder each within `folder`. The folders.
 
-    InputFileError if a file is no raw file that states its array and levels, L3Error if the folder cannot be written.
+    InputFileError if a file is not a raw file that states its array and levels, L3Error if the folder cannot be written.
     """
     names = (*COMMON, "camera.toml", CURVES)
     console = options.console

@@ -98,7 +98,7 @@ class Logged(Passing):
         self._path, self._command, self._wording = path, command, wording
         self._lost = False  # whether it could not be written
         if path.exists() and not (path.is_file() and _is_log(path)):
-            raise RecipeError(f"{path} is no log of l3's; name another file for ‹log›")
+            raise RecipeError(f"{path} is not a log of l3's; name another file for ‹log›")
         self._append(b"" if path.exists() else HEADING)
         Logged.current = self
 

@@ -224,7 +224,7 @@ def refuse_protected(output: Path | int) -> None:
 
 
 def identity(file: Path | int) -> Identity | None:
-    """Return the identity of the file under a path or descriptor, symbolic links followed; None if it is no regular file."""
+    """Return the identity of the file under a path or descriptor, symbolic links followed; None if it is not regular."""
     try:
         state = os.stat(file)
     except OSError:

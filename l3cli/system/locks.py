@@ -165,7 +165,7 @@ def _existing(lock: Path) -> int | None:
     except PermissionError as error:
         raise L3Error(f"{lock} is another user's; remove it if no run of theirs goes on, or name another output") from error
     except OSError as error:
-        raise L3Error(f"{lock} is no lock file of l3's; remove it or name another output") from error
+        raise L3Error(f"{lock} is not a lock file of l3's; remove it or name another output") from error
 
 
 @uninterrupted

@@ -128,7 +128,7 @@ class Quantity:
         spelled = WHOLE if self.whole else DECIMAL
         if not spelled.fullmatch(text):
             what = "whole number" if self.whole and DECIMAL.fullmatch(text) else "number"
-            raise NoSuchNumber(f'"{shortened(text)}" is no {what}; give one within {self}')
+            raise NoSuchNumber(f'"{shortened(text)}" is not a {what}; give one within {self}')
         number = _whole(text) if self.whole else float(text) + 0.0  # no -0
         if not self.least <= number <= self.most:
             nearest = self.least if number < self.least else self.most

@@ -221,5 +221,5 @@ def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.flo
     """Return white (output) of a frame's light at Y = 1, or at a mean of 1 where no output is called Y."""
     size = float(brightness_of(frame.white, outputs))
     if frame.white.size != len(outputs) or size <= 0:
-        raise InputFileError(f"white of scene {frame.scene} is no positive white of the outputs {', '.join(outputs)}")
+        raise InputFileError(f"white of scene {frame.scene} is not a positive white of the outputs {', '.join(outputs)}")
     return frame.white / size

@@ -207,7 +207,7 @@ def test_options_have_names_types_and_ranges(tmp_path: Path) -> None:
 def test_an_array_that_is_no_frame_is_described(wrong: Any, described: str) -> None:
     renderer = l3.Renderer(RGGB, backend="reference")
     for call in (renderer.picture, renderer.outputs, renderer.labels, renderer.sequence(None)):
-        with pytest.raises(InputFileError, match=f"array of .*{described} is no raw frame; give DN"):
+        with pytest.raises(InputFileError, match=f"array of .*{described} is not a raw frame; give DN"):
             call(wrong)
 
 
@@ -249,9 +249,9 @@ def test_figures_of_two_pictures_are_those_of_evaluations() -> None:
     ("one", "other", "words"),
     [
         (np.zeros((8, 9, 3)), np.zeros((9, 8, 3)), r"\(8, 9, 3\) and dtype float64 and .*\(9, 8, 3\).* differ in shape"),
-        (np.zeros((8, 9)), np.zeros((8, 9)), r"\(8, 9\) and dtype float64 is no picture of colours"),
-        (np.zeros((8, 9, 4)), np.zeros((8, 9, 4)), r"\(8, 9, 4\) .* is no picture; give sRGB"),
-        (np.zeros((8, 9, 3), int), np.zeros((8, 9, 3), int), r"dtype int64 is no picture; give uint8"),
+        (np.zeros((8, 9)), np.zeros((8, 9)), r"\(8, 9\) and dtype float64 is not a picture of colours"),
+        (np.zeros((8, 9, 4)), np.zeros((8, 9, 4)), r"\(8, 9, 4\) .* is not a picture; give sRGB"),
+        (np.zeros((8, 9, 3), int), np.zeros((8, 9, 3), int), r"dtype int64 is not a picture; give uint8"),
         (np.full((8, 9, 3), 255.0), np.zeros((8, 9, 3)), r"dtype float64 holds values outside of 0…1"),
         (np.full((8, 9, 3), np.nan), np.zeros((8, 9, 3)), r"dtype float64 holds values outside of 0…1"),
     ],

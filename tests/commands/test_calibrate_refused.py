@@ -50,7 +50,7 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ("bits = 12", "bits = 99", "1 to 16 bits"),
         ("rows = 192", "rows = 12", "too few"),
         ('column = "410nm"', "column = 999", "column 999 of spectra/mono.csv"),
-        ('"g b"', '"g x"', '"x" is no channel'),
+        ('"g b"', '"g x"', '"x" is not a channel'),
         ("[sensor]", "[sensor", "not valid TOML"),
         ("f_number = 2.8", "f_number = 0", "above 0"),
         ("object_distance_m = 0.0", "object_distance_m = 0.01", "nearer than the focal length"),
@@ -239,7 +239,7 @@ def test_finished_curves_are_columns_of_a_shared_file(table: Path, tmp_path: Pat
     text = (table / "MEASUREMENTS.toml").read_text().replace('[sweep]\ntable = "sweep.csv"\nphotodiode', "[curves]\n{}\n#")
     command = ("calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
     (table / "MEASUREMENTS.toml").write_text(text.replace("{}", 'file = "curves.csv"\ncolumns = {w = "red"}'))
-    assert 'curves.columns: "w" is no channel' in refused(2, *command)
+    assert 'curves.columns: "w" is not a channel' in refused(2, *command)
     (table / "MEASUREMENTS.toml").write_text(text.replace("{}", 'file = "curves.csv"\ncolumns = {r = "red"}'))
     code, _, err = l3(*command)
     assert (code, "curves.csv: left out are the columns IR" in err) == (0, True)

@@ -43,7 +43,7 @@ CAMERA = [
     ("rows = 192\n", "", ("missing key `rows` in [sensor]",)),
     ("prnu = 0.005", "prnu = 0.5", ("0.5 % is 0.005",)),
     ("focal_length_mm = 25", "focal_length_mm = 0.025", ("is 25 meant?",)),
-    ('"g b"', '"g x"', ('"x" is no channel',)),
+    ('"g b"', '"g x"', ('"x" is not a channel',)),
     ("sigma_nm = 40", "sigma_nm = 0", ("a sigma of the Gaussians of g is 0",)),
     ("well_capacity_e = 15000", "well_capacity_e = nan", ("noise.well_capacity_e is nan",)),
 ]
@@ -158,7 +158,7 @@ def test_every_fault_of_a_measurement_file_is_reported(tmp_path: Path, l3: L3) -
 
 PHOTOS = """[[photo]]
 frames = ["none.dng"]  # none.dng does not exist
-light = "32K"  # is no light of a black body
+light = "32K"  # is not a light of a black body
 chart = "clasic"  # did you mean "classic"
 [[photo]]
 frames = ["there.tif"]
@@ -307,7 +307,7 @@ def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
         (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "its keys do not show its kind"),
         (b"\xff\xfe\x00", 1, "is not a text file"),
         (b'name = "x"\nbase = "none.toml"\nphase = [0, 0]\n', 2, "none.toml does not exist"),
-        (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = 'a**b'\n", 4, "a**b is no glob"),
+        (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = 'a**b'\n", 4, "a**b is not a glob"),
         (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = '%s'\n" % (b"x" * 300), 4, "File name too long"),
         (b"[[scene]]\r\nsource = 'rgb'\r\n\r\nfile = 'x.png'\r\n", 4, "x.png does not exist"),
     ],

@@ -336,7 +336,7 @@ def test_wrong_doors_are_one_line(
     assert "go with --scheduler" in refused(2, *run, *tls)
     assert "leave it out with --scheduler" in refused(2, *run, "--scheduler", "tcp://127.0.0.1:1", "--jobs", 2)
     for address in ("127.0.0.1:8786", "http://127.0.0.1:8786", "tcp://127.0.0.1", "tcp://127.0.0.1:99999"):
-        assert "is no scheduler's address" in refused(2, *run, "--scheduler", address)
+        assert "is not a scheduler's address" in refused(2, *run, "--scheduler", address)
     assert "needs --tls-ca, --tls-cert and --tls-key" in refused(2, *run, "--scheduler", "tls://127.0.0.1:1")
     assert "speaks no TLS" in refused(2, *run, "--scheduler", "tcp://127.0.0.1:1", *tls)
     absent = (*tls[:-1], tmp_path / "absent.pem")

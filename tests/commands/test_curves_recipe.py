@@ -90,7 +90,7 @@ def test_arrays_share_a_file_whose_other_columns_are_left_out(folder: Path, l3: 
     words = 'no column is called "r"; there are b, NIR, red, G; name it, columns = {r = "NIR"}'
     assert words in refused(3, *simulate, "--force")
     (folder / "camera.toml").write_text(RECIPE.read_text().replace(f'"{CSV}"', f'"{CSV}"\ncolumns = {{ir = "NIR"}}'))
-    assert 'responsivity.columns: "ir" is no channel; did you mean' in refused(2, *simulate, "--force")
+    assert 'responsivity.columns: "ir" is not a channel; did you mean' in refused(2, *simulate, "--force")
     (folder / CSV).write_text(written("nm,r (%),r (%),g (%),b (%)", nm, four))
     (folder / "camera.toml").write_text(RECIPE.read_text())
     assert 'two columns are called "r"; name each once' in refused(3, *simulate, "--force")
@@ -132,7 +132,10 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
         'column "green" is none of those wanted',
     ),
     "count": (lambda nm, percent: written("nm,r (%),g (%)", nm, percent[:, :2]), "holds 2 curves, 3 are wanted"),
-    "unit": (lambda nm, percent: written("nm,r (W/nm),g (W/nm),b (W/nm)", nm, percent), '"W/nm" is no unit of responsivity'),
+    "unit": (
+        lambda nm, percent: written("nm,r (W/nm),g (W/nm),b (W/nm)", nm, percent),
+        '"W/nm" is not a unit of responsivity',
+    ),
     "energy": (lambda nm, percent: written("nm,r (A/W),g (A/W),b (A/W)", nm, percent / 200), "per_energy = true"),
     "relative": (lambda nm, percent: written("nm,r (a.u.),g (a.u.),b (a.u.)", nm, percent / 100), "give responsivity.peak"),
     "percent": (percent_without_unit, 'its peak quantum efficiency is 55.93, which cannot exceed 1; write "(%)"'),

@@ -176,15 +176,15 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
 WRONG = """
     shape = [2, 2]                      | shape = [2, 9]                     | 2 | larger than 8×8
     arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "r g"]]          | 2 | fewer than 3 independent outputs
-    arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "b x"]]          | 2 | "x" is no filter
+    arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "b x"]]          | 2 | "x" is not a filter
     counts = { g = 4, r = 2, b = 2 }    | counts = { g = 4, r = 2 }          | 2 | counts add up to 6, and the shape has 8
     counts = { g = 4, r = 2, b = 2 }    | counts = { g = 4, r = 4 }          | 2 | fewer than 3 independent outputs
     g = { centre_nm = 535, sigma_nm = 40 } | g = { centre_nm = 535 }         | 2 | centre_nm and sigma_nm go together
     g = { centre_nm = 535, sigma_nm = 40 } | g = { centre_nm = 900, sigma_nm = 9, floor = 0 } | 2 | filter g passes nothing
     r = { channel = "r" }               | r = { channel = "q" }              | 2 | has no channel "q"
-    r = { channel = "r" }               | r = { stack = ["g", "gb"] }        | 2 | gb is no single filter
+    r = { channel = "r" }               | r = { stack = ["g", "gb"] }        | 2 | gb is not a single filter
     [[level]]                           | [optimise]; pattern = ["r b"]; [[level]] | 2 | only Gaussians are tuned
-    [[level]]                           | [truth]; rivals = [["r x"]]; [[level]] | 2 | "x" is no filter
+    [[level]]                           | [truth]; rivals = [["r x"]]; [[level]] | 2 | "x" is not a filter
     lux = 10                            | lux = 1e9                          | 2 | every filter clips
     lux = 10                            | luminance_cd_m2 = 1; lux = 10      | 2 | give either luminance_cd_m2 or lux
     illuminant = "A"                    | illuminant = "F2"                  | 2 | gather them under F2

@@ -196,7 +196,7 @@ def test_names_of_channels_and_order_do_not_matter(exported: Path, bayer: Camera
     for names in (("r", "g", "w"), ("r", "red", "g"), ("r", "g", "b", "w")):
         assert profiles.bayer_order(names, bayer.cfa) is None
     assert profiles.bayer_order(bayer.channels, np.array([[0, 1], [2, 1]], np.uint8)) is None
-    write(replace(turned, name="c\udcff\nm"), tmp_path, Silent())  # of a file whose name is no text
+    write(replace(turned, name="c\udcff\nm"), tmp_path, Silent())  # of a file whose name is not a text
     assert "camera,,c??m,,recipe" in (tmp_path / "datasheet.csv").read_text()
     ours, theirs = (read_tuning(folder / "libcamera_rpi.json") for folder in (tmp_path, exported))
     dcps = [json.loads((folder / "dcp.json").read_text()) for folder in (tmp_path, exported)]

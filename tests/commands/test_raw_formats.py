@@ -198,7 +198,7 @@ def test_packed_fits_and_its_header(tmp_path: Path, mosaic: np.ndarray) -> None:
     assert read_raw(tmp_path / "a.fits", RGGB, RawOverrides(phase=(1, 1))).phase == (1, 1)
     fits.setval(tmp_path / "a.fits", "BAYERPAT", value="RGB", ext=1)
     (note,) = read_raw(tmp_path / "a.fits", RGGB).notes
-    assert 'BAYERPAT "RGB" is no array of 2×2 colours' in note
+    assert 'BAYERPAT "RGB" is not an array of 2×2 colours' in note
     fits.setval(tmp_path / "a.fits", "ROWORDER", value="BOTTOM", ext=1)
     with pytest.raises(InputFileError, match='ROWORDER is "BOTTOM"; correct the header to TOP-DOWN or BOTTOM-UP'):
         read_raw(tmp_path / "a.fits", RGGB)

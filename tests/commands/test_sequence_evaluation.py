@@ -139,7 +139,7 @@ def test_what_does_not_belong_jointly_is_refused(ideal: Path, tmp_path: Path, re
         assert f"{option[0]} is for a table" in refused(2, *call, ideal, *option)
     assert "ends after 3" in refused(3, "evaluate", "--sequence", ideal, "--ideal", tmp_path / "short.mkv")
     write_picture(ideal / "00002_x_motion.exr", np.zeros((8, 8, 3), np.float32), ("down", "right", "seen"))
-    assert "no motion of frames of 24×32" in refused(3, *call, folder_of(tmp_path / "four", pictures()))
+    assert "not a motion of frames of 24×32" in refused(3, *call, folder_of(tmp_path / "four", pictures()))
 
 
 @pytest.mark.parametrize(
@@ -149,9 +149,9 @@ def test_what_does_not_belong_jointly_is_refused(ideal: Path, tmp_path: Path, re
         ("empty", 3, "holds no pictures"),
         ("one.png", 3, "single file"),
         ("*.png", 3, "holds one picture"),
-        ("*.txt", 3, "is no picture"),
+        ("*.txt", 3, "is not a picture"),
         ("?.nothing", 3, "holds no pictures"),
-        ("broken.mkv", 3, "is no video that can be read"),
+        ("broken.mkv", 3, "is not a video that can be read"),
         ("grey.mkv", 3, "holds gray pixels"),
     ],
 )
@@ -237,7 +237,7 @@ def test_a_line_keeps_its_colour_where_another_is_missing(evaluations: tuple[Pat
 )
 def test_what_is_no_evaluation_is_not_reported(content: str, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "a.json").write_text(content)
-    assert "no evaluation of a sequence" in refused(3, "report", tmp_path / "a.json", "-o", tmp_path / "a.html")
+    assert "not an evaluation of a sequence" in refused(3, "report", tmp_path / "a.json", "-o", tmp_path / "a.html")
 
 
 def test_an_evaluation_of_a_single_frame_is_none(evaluations: tuple[Path, Path], tmp_path: Path, refused: Refused) -> None:

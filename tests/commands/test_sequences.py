@@ -146,7 +146,7 @@ def test_wrong_calls_are_refused_in_one_line(refused: Refused, tmp_path: Path, t
         (2, "lower number first", (folder, *out, "--frames", "9-7")),
         (2, "FROM-TO", (folder, *out, "--frames", "9-")),
         (2, "within 1", (folder, *out, "--frames", "1-2x0")),
-        (2, "no number", (folder, *out, "--fps", "fast")),
+        (2, "not a number", (folder, *out, "--fps", "fast")),
         (2, "within 0.001…1000", (folder, *out, "--fps", 0)),
         (2, "--size", ("-", *out)),
         (2, "holds one picture", (folder / "*.tif", "-o", tmp_path / "a.png")),

@@ -129,7 +129,7 @@ def test_who_states_yes_trusts_and_who_states_no_does_not(monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize(
     ("name", "value", "words"),
-    [(TRUST, "maybe", "neither yes nor no"), (SECONDS, "soon", "no number"), (MEGAPIXELS, "-1", "not within")],
+    [(TRUST, "maybe", "neither yes nor no"), (SECONDS, "soon", "not a number"), (MEGAPIXELS, "-1", "not within")],
 )
 def test_what_a_variable_states_is_checked_where_nothing_depends_on_it(
     name: str, value: str, words: str, desk: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch

@@ -60,7 +60,7 @@ ODD = ["nan", "inf", "-inf", "", " ", "3 ", "0x10", "1_000", "٣", "²", "3²", 
 @pytest.mark.parametrize("text", ODD)
 def test_what_is_no_plain_number_is_refused(text: str) -> None:
     for whole in (False, True):
-        with pytest.raises(NoSuchNumber, match=r"is no number; give one within 2…1000 samples/degree"):
+        with pytest.raises(NoSuchNumber, match=r"is not a number; give one within 2…1000 samples/degree"):
             Quantity(2, 1000, "samples/degree", whole).read(text)
 
 
@@ -76,15 +76,15 @@ def test_the_nearest_number_is_named() -> None:
     assert whole.read(str(2**63 - 1)) == 2**63 - 1
     assert isinstance(whole.read(5000 * "0" + "7"), int)
     assert whole.read(5000 * "0" + "7") == 7
-    with pytest.raises(NoSuchNumber, match="is no whole number"):
+    with pytest.raises(NoSuchNumber, match="is not a whole number"):
         whole.read("2.5")
 
 
 REFUSED = f"""
     evaluate a b --viewing nan
-        "nan" is no number; give one within 2…1000 samples/degree
+        "nan" is not a number; give one within 2…1000 samples/degree
     train a -o b --shard 1/10²³
-        "10²³" is no number; give one within 0…1000000 shards
+        "10²³" is not a number; give one within 0…1000000 shards
     train a -o b --shard 1/{LONG}
         the nearest is 1000000
     train a -o b --shard 0/3
@@ -94,19 +94,19 @@ REFUSED = f"""
     train a -o b --seed {FAR}
         the nearest is 9223372036854775807
     simulate a.toml --camera b.toml -o c --seed ٣
-        "٣" is no number
+        "٣" is not a number
     render a b -o c.png --exposure 1e308
         1e308 is not within 1e-09…1e+09 times Y; the nearest is 1e+09
     render a b -o c.png --exposure bright
-        "bright" is no number; give one within 1e-09…1e+09 times Y, auto, or stops from it such as -1EV
+        "bright" is not a number; give one within 1e-09…1e+09 times Y, auto, or stops from it such as -1EV
     render a b -o c.mp4 --fps 1e999999999
         1e999999999 is not within 0.001…1000 frames/s; the nearest is 1000
     render a b -o c.mp4 --fps 1/3000000000
         the nearest is 0.001
     render a b -o c.mp4 --crf nan
-        "nan" is no number; give one within 0…51
+        "nan" is not a number; give one within 0…51
     render a b -o c.png --black-level nan
-        "nan" is no number; give one within 0…65535 DN
+        "nan" is not a number; give one within 0…65535 DN
     render a b -o c.png --size {FAR}x24
         the nearest is 1000000
     render a b -o c --frames 0-{LONG}

@@ -236,7 +236,7 @@ def test_cameras_that_do_not_fit_are_refused(flawed: Path, refused: Refused) -> 
     assert "neither defects nor a flat field" in refused(3, *call, flawed / "plain.h5")
     save(replace(camera, rows=48, flat_field=None), flawed / "large.h5")
     assert (
-        "0.npy of 24×32 pixels, first site 0,0, is no whole frame of camera random of 48×32; give the --camera"
+        "0.npy of 24×32 pixels, first site 0,0, is not a whole frame of camera random of 48×32; give the --camera"
         in refused(3, *call, flawed / "large.h5")
     )
     assert "first site 1,0" in refused(3, *call, flawed / "camera.h5", "--phase", "1,0")
@@ -497,7 +497,7 @@ def test_a_map_beyond_the_sensor_or_a_field_of_nonsense_is_refused(bayer: Camera
         replace(bayer, flat_field=FlatField(np.array([0.0, 95.0]), np.array([0.0, 255.0]), np.ones((3, 2, 2))))
     with pytest.raises(ValueError, match="twice"):
         DefectMap(np.array([[1, 0], [1, 0]]), ("hot", "hot"))
-    with pytest.raises(ValueError, match="no kind"):
+    with pytest.raises(ValueError, match="not a kind"):
         DefectMap(np.array([[1, 0]]), ("warm",))
     lines = np.array([0.0, 100.0])
     for gain in (0.0, 20.0, np.array([1.0, 1.0, 4.0])[:, None, None]):

@@ -443,7 +443,7 @@ def test_each_frame_of_a_sequence_has_its_gain(learned: dict[str, Path], l3: L3,
     assert "--gain is that of all frames, --gains that of each" in refused(2, *call, "--gain", "2")
     for text, words in (
         ("1\n4\n", "4 frames, and --gains lists 2"),
-        ("1\nx\n2\n2\n", 'gains.txt: gain 2: "x" is no number'),
+        ("1\nx\n2\n2\n", 'gains.txt: gain 2: "x" is not a number'),
         ("", "is empty"),
     ):
         listed.write_text(text)

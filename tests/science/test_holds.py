@@ -309,7 +309,7 @@ def test_what_cannot_be_compared_is_one_line(evaluations: Path, tmp_path: Path, 
     document = json.loads((evaluations / "bayer.json").read_text())
     assert "not readable" in refused(3, "compare", tmp_path / "no.json")
     assert "does not exist" in refused(3, "compare", tmp_path / "missing.json")
-    assert "no evaluation" in refused(3, "compare", tmp_path / "list.json")
+    assert "not an evaluation" in refused(3, "compare", tmp_path / "list.json")
     (tmp_path / "none.json").write_text("{}")
     assert "none.json: no figure scielab" in refused(3, "compare", evaluations / "bayer.json", tmp_path / "none.json")
     assert 'no figure "beauty"; there are ' in refused(2, "compare", evaluations / "bayer.json", "--figure", "beauty")

@@ -73,9 +73,9 @@ def recipe_of(name: str) -> Path:
     ("old", "new", "message"),
     [
         ("exposure = 0.0625", "exposure = 16.0", "channel.rs.exposure is 16, and must lie in 0.0001…1"),
-        ('like = "r"', 'like = "x"', '"x" is no channel of cfa.channels'),
+        ('like = "r"', 'like = "x"', '"x" is not a channel of cfa.channels'),
         ('like = "r"', 'like = "rs"', '"rs" has no responsivity of its own'),
-        ("[channel.rs]", "[channel.rz]", '"rz" is no channel of cfa.channels'),
+        ("[channel.rs]", "[channel.rz]", '"rz" is not a channel of cfa.channels'),
         ("exposure = 0.0625", "gain = 0.5", "channel.rs.gain is 0.5, and must lie in 1…1000"),
         ("exposure = 0.0625", "exposures = 0.5", "exposures"),
     ],

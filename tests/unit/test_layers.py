@@ -57,7 +57,7 @@ def test_trees_come_back_and_have_the_first_layers_levels_and_sites(tmp_path: Pa
         assert "structure" not in root["later/0"]
         root["later/0/tree/branch"][0] = 2
     seal(tmp_path / "table.h5")
-    with pytest.raises(InputFileError, match="branch is no tree"):
+    with pytest.raises(InputFileError, match="branch is not a tree"):
         load(TransformTable, tmp_path / "table.h5")
     for structure, tree in ((None, None), (structure_of(TABLE.later[0]), layer.tree)):
         with pytest.raises(ValueError, match="a layer has either a structure rule or a tree"):

@@ -198,7 +198,7 @@ def test_trees_at_their_limits() -> None:
     assert (lone.structures, lone.depth, lone.leaf.tolist(), lone.kinds) == (1, 0, [0], 2)
 
 
-NO_TREE = "branch is no tree"
+NO_TREE = "branch is not a tree"
 
 
 @pytest.mark.parametrize(

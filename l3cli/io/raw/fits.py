@@ -65,7 +65,7 @@ def read(path: Path, number: int | None = None) -> RawContent:
         square = np.roll(np.array(list(pattern)).reshape(2, 2), (-offset[0], -offset[1]), axis=(0, 1))
         content["pattern"] = codes_of("".join(square.ravel())).reshape(2, 2)
     elif pattern:
-        content["notes"] = (f'its BAYERPAT "{pattern}" is no array of 2×2 colours; it is taken for the table\'s',)
+        content["notes"] = (f'its BAYERPAT "{pattern}" is not an array of 2×2 colours; it is taken for the table\'s',)
     return content
 
 

@@ -135,7 +135,7 @@ LONGEST = 60  # letters of a name
 
 def stated(path: Path) -> Stated:
     """Return the facts stated by the file in `path`; a wrong statement of its tags counts as none. InputFileError if it
-    is no raw file that can be opened."""
+    is not a raw file that can be opened."""
     require_regular(path, "give a raw file")
     names, figures, matrices = _stated(path)
     found = tuple(

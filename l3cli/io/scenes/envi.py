@@ -50,7 +50,7 @@ def _header(path: Path) -> dict[str, str]:
     """Return the keys in lower case and values, braces taken off."""
     text = read_bounded(path).decode("latin-1")
     if not text.lstrip().startswith("ENVI"):
-        raise InputFileError(f"{path} is no ENVI header; give the .hdr file")
+        raise InputFileError(f"{path} is not an ENVI header; give the .hdr file")
     header, lines = {}, iter(text.splitlines())
     for line in lines:
         key, equals, value = line.partition("=")

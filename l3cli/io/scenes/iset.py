@@ -29,11 +29,11 @@ def read(path: Path, light: Curve | None = None) -> Scene:
         illuminant = _illuminant(content.get("illuminant"), wavelength, light)
     except KeyError as error:
         raise InputFileError(
-            f"{path} is no complete ISET scene: it lacks {error.args[0]}; save it from ISET again"
+            f"{path} is not a complete ISET scene: it lacks {error.args[0]}; save it from ISET again"
         ) from error
     except (ValueError, TypeError) as error:
         raise InputFileError(
-            f"{path}: wavelengths or photons are no numbers, or a wavelength occurs twice; save it again"
+            f"{path}: wavelengths or photons are not numbers, or a wavelength occurs twice; save it again"
         ) from error
     if wavelength.size == 1 and photons.ndim == 2:
         photons = photons[..., None]  # the axis was dropped

@@ -285,7 +285,7 @@ def white_source(
         size = int(SIZE.read(parts[2])) if len(parts) == 3 else USUAL_SIZE
     except NoSuchNumber as error:
         raise RecipeError(
-            f'white "{shortened(text)}" is no place of a grey: {error}; give it as ROW,COL or ROW,COL,SIZE in pixels'
+            f'white "{shortened(text)}" is not a place of a grey: {error}; give it as ROW,COL or ROW,COL,SIZE in pixels'
         ) from None
     return SquareWhite(table, Square(row, col, size))
 

@@ -278,7 +278,7 @@ class ClipJob:
     """Clips that go into a folder, each to a file or folder of its name."""
 
     def __init__(self, table: Path, folder: Path, options: RenderOptions) -> None:
-        """Raise RecipeError if the output is no folder or cannot hold videos or pictures of the options' format."""
+        """Raise RecipeError if the output is not a folder or cannot hold videos or pictures of the options' format."""
         if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
             raise RecipeError(f"{folder} is for one clip; name a folder, and the kind of its files with ‹format›")
         self.folder, self.console, self.summary = folder, options.console, Summary()
