@@ -4,7 +4,7 @@ python -m pytest -m slow -s tests/studies/test_gain_study.py -k NAME      two mi
 
 Scenes: compositions, dead leaves (one of them patterned), skin, foliage, four faces, a measured cube, four photos at half
 their size; a white at 0.9 of full scale, gains of 1 to 64, exposed as much shorter. Photos bring noise of their own, which
-counts as the camera's: Kodak's, at their whole size, are judged up to 25 % too high at gain 1 by cameras of little noise.
+counts as the camera's: Kodak's, at their whole size, are judged up to 30 % too high at gain 1 by cameras of little noise.
 Refused are frames without plain areas or with too few: at gain 1 seven of X-Trans, whose 30 000 electrons show any texture,
 at most two of others; and at gain 64 dark ones, where noise reaches below black, and five of `dual_iso`.
 """
