@@ -41,7 +41,7 @@ def _of_all_sets(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
 def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
     """Return the structure class (row, col) of pixels where nothing is saturated."""
     if isinstance(rule, StructureRule):
-        luminance = mirrored(planes[LUMINANCE].astype(np.int64), REACH)
+        luminance = mirrored(planes[LUMINANCE].astype(np.int32), REACH)
         return structures(luminance, mirrored(level, REACH - 1), site, rule)
     return tree.leaves(plane_evidence(planes, level, rule.gradient_factor, rule.gradient_shift), site, rule)
 
@@ -53,7 +53,7 @@ def plane_evidence(
     (level) of gradients."""
     place = mirrored(level, tree.REACH - 1)
     return tree.evidence(
-        mirrored(planes.astype(np.int64), tree.REACH), factor.astype(np.int64)[place], shift.astype(np.int64)[place]
+        mirrored(planes.astype(np.int32), tree.REACH), factor.astype(np.int32)[place], shift.astype(np.int32)[place]
     )
 
 

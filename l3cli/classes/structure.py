@@ -15,14 +15,16 @@ has a standard deviation of about SIGMA:
 All in integers below 2³¹, and so equal wherever it is computed.
 """
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.plane_rules import DIRECTIONS, GRADIENT, StructureRule
 from l3cli.classes.windows import Integers
 
+WIDE, NEAR = 3, 2  # lengths of `triangle_sums`: weights 1 2 3 2 1 and 1 2 1
 SIGMA = 16  # gradient units a standard deviation of noise
-WINDOW = (1, 2, 3, 2, 1)
 NOISE_TRACE = 2 * 81 * SIGMA**2  # trace of the tensor that noise alone makes on average
 REACH = 3  # pixels beyond a plane that the structure of its edge reads
 
@@ -30,7 +32,7 @@ REACH = 3  # pixels beyond a plane that the structure of its edge reads
 def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:
     """Return structure (row, col) from luminance (row + 2 REACH, col + 2 REACH) and levels of the first layer (row + 4, col
     + 4), both with a margin of mirrored pixels, and CFA sites (row, col)."""
-    xx, yy, xy = tensor(luminance, rule.gradient_factor.astype(np.int64)[level], rule.gradient_shift.astype(np.int64)[level])
+    xx, yy, xy = tensor(luminance, rule.gradient_factor.astype(np.int32)[level], rule.gradient_shift.astype(np.int32)[level])
     trace = xx + yy
     strength = np.searchsorted(rule.strength_edges.astype(np.int64), trace, side="left")
     turn = rule.turns.astype(np.int64)[site]
@@ -39,18 +41,26 @@ def structures(luminance: Integers, level: Integers, site: Integers, rule: Struc
     return np.where(strength > 0, 1 + (strength - 1) * (1 + DIRECTIONS) + within, 0)
 
 
-def tensor(luminance: Integers, factor: Integers, shift: Integers) -> tuple[Integers, Integers, Integers]:
+def tensor(
+    luminance: NDArray[np.integer], factor: NDArray[np.int32], shift: NDArray[np.int32]
+) -> tuple[Integers, Integers, Integers]:
     """Return weighted sums (row, col) of products of gradients, each scaled by `factor` and `shift` (row + 4, col + 4)."""
     across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * factor >> shift, -GRADIENT, GRADIENT)
     down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * factor >> shift, -GRADIENT, GRADIENT)
-    return _windowed(across * across), _windowed(down * down), _windowed(across * down)
+    xx, yy, xy = (triangle_sums(each, WIDE).astype(np.int64) for each in (across * across, down * down, across * down))
+    return xx, yy, xy
 
 
-def _windowed(values: Integers) -> Integers:
-    for axis in (0, 1):
-        length = values.shape[axis] - len(WINDOW) + 1
-        parts = [weight * values.take(range(i, i + length), axis) for i, weight in enumerate(WINDOW)]
-        values = np.add.reduce(parts)
+def triangle_sums(values: NDArray[np.integer], length: int) -> NDArray[np.integer]:
+    """Return sums of values (row, col) over windows whose weights grow along both axes from 1 to `length` and fall again: of
+    sums of `length` values those of as many. Integers of 32 bits are added in a third of the time of 64 with weights."""
+    for _ in range(2):
+        for axis in (0, 1):
+            count = values.shape[axis] - length + 1
+            parts = [
+                values[first : first + count] if axis == 0 else values[:, first : first + count] for first in range(length)
+            ]
+            values = functools.reduce(np.add, parts)
     return values
 
 

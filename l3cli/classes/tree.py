@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.plane_rules import TESTS, TreeRule
 from l3cli.classes.planes import LUMINANCE
-from l3cli.classes.structure import NOISE_TRACE
+from l3cli.classes.structure import NEAR, NOISE_TRACE, WIDE
+from l3cli.classes.structure import triangle_sums as sums
 from l3cli.classes.windows import Integers
 
 TOP, CHROMA_TOP = 2895, 2047  # of gradients: sums of 81 squares of both, and of their differences, stay below 2³¹
-WIDE, NEAR = (1, 2, 3, 2, 1), (1, 2, 1)
 DARK = 512  # 16 pixels of luminance in planes' steps below which colours are not distinguished
 REACH = 3  # pixels beyond a plane that the tests at its edge read
 
@@ -89,15 +89,15 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
     gx, gy = gradients(luminance, TOP)
     (ux, uy), (vx, vy) = (gradients(plane, CHROMA_TOP) for plane in chroma)
     bx, by = bend(luminance[1:-1, :-2], luminance[1:-1, 2:]), bend(luminance[:-2, 1:-1], luminance[2:, 1:-1])
-    xx, yy, diagonal = _sum(gx * gx, WIDE), _sum(gy * gy, WIDE), 2 * _sum(gx * gy, WIDE)
-    chroma_xx, chroma_yy = _sum(ux * ux + vx * vx, WIDE), _sum(uy * uy + vy * vy, WIDE)
+    xx, yy, diagonal = sums(gx * gx, WIDE), sums(gy * gy, WIDE), 2 * sums(gx * gy, WIDE)
+    chroma_xx, chroma_yy = sums(ux * ux + vx * vx, WIDE), sums(uy * uy + vy * vy, WIDE)
     trace, chroma_trace, straight = xx + yy, chroma_xx + chroma_yy, xx - yy
     both = np.abs(straight) + np.abs(diagonal)
     along = np.maximum(np.maximum(np.abs(straight), np.abs(diagonal)), (both >> 6) * 45)
-    colours = [_sum(_inner(plane, 2), NEAR) for plane in (*chroma, luminance)]
+    colours = [sums(_inner(plane, 2), NEAR) for plane in (*chroma, luminance)]
     numerators = (
         trace, straight, diagonal, straight + diagonal, straight - diagonal, along, _local(gx * gx + gy * gy),
-        chroma_trace, chroma_trace, chroma_xx - chroma_yy, _sum(gx * ux + gy * uy, WIDE), _sum(gx * vx + gy * vy, WIDE),
+        chroma_trace, chroma_trace, chroma_xx - chroma_yy, sums(gx * ux + gy * uy, WIDE), sums(gx * vx + gy * vy, WIDE),
         _local(bx * bx), _local(by * by), _signed_square(_inner(bx, 2)), _signed_square(_inner(by, 2)),
         _signed_square(_local(gx)), _signed_square(_local(gy)), *colours,
     )  # fmt: skip
@@ -144,21 +144,14 @@ def turned_axes(turn: int) -> tuple[bool, int, int]:
     return transposed, (across[0] if transposed else across[1]), (down[1] if transposed else down[0])
 
 
-def _local(values: Integers) -> Integers:
+def _local(values: Integers) -> NDArray[np.integer]:
     """Return the sums over 3 × 3 of values with a margin of 2."""
-    return _sum(_inner(values, 1), NEAR)
+    return sums(_inner(values, 1), NEAR)
 
 
 def _inner(values: Integers, margin: int) -> Integers:
     return values[margin:-margin, margin:-margin]
 
 
-def _sum(values: Integers, weights: tuple[int, ...]) -> Integers:
-    for axis in (0, 1):
-        length = values.shape[axis] - len(weights) + 1
-        values = np.add.reduce([weight * values.take(range(i, i + length), axis) for i, weight in enumerate(weights)])
-    return values
-
-
-def _signed_square(values: Integers) -> Integers:
+def _signed_square(values: NDArray[np.integer]) -> NDArray[np.integer]:
     return values * np.abs(values)

@@ -1,20 +1,33 @@
 """Threads that prefetch items, write behind whoever asks for it, or do a task in the background."""
 
 import contextlib
+import os
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 from l3cli.system.signals import is_wanted, raise_pending, uninterrupted
 
 T = TypeVar("T")
+R = TypeVar("R")
 READING, WRITING = 1.0, 25.0  # seconds after an interrupt in which an item that is being read, or written, is finished
 STEP = 0.5  # seconds
 
 
 class _End(Exception):
     """Mark behind the last item of a queue."""
+
+
+@contextlib.contextmanager
+def threaded(count: int) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], Iterable[R]]]:
+    """Yield a `map` that works in `count` threads, of no more than there are cores; results keep their order."""
+    if (count := min(count, os.cpu_count() or 1)) < 2:
+        yield map
+        return
+    with ThreadPoolExecutor(count) as pool:
+        yield pool.map
 
 
 def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:

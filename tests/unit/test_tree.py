@@ -13,6 +13,7 @@ from l3cli.artifacts.schema import equal
 from l3cli.artifacts.table import PLANE_TOP
 from l3cli.classes import tree
 from l3cli.classes.windows import Integers
+from l3cli.parallel.threads import threaded
 from l3cli.training.layers.rules import ROWS_PER_TAP, TreeSample, grow
 from l3cli.training.symmetry import orientations
 from tests.helpers.tables import random_tree
@@ -103,14 +104,14 @@ def test_evidence_fits_32_bits(names: list[str], signs: list[int], shift: int, s
     planes = np.stack([sign * np.rint(PLANE_TOP * (1 - 2 * up)) for sign, up in zip(signs, ups, strict=True)]).astype(
         np.int64
     )
-    plain_sum = tree._sum
+    plain_sums = tree.sums
 
-    def bounded_sum(values: Integers, weights: tuple[int, ...]) -> Integers:
-        assert plain_sum(np.abs(values.view(np.ndarray)), weights).max() < 2**31  # whatever is added first
-        return plain_sum(values.view(np.ndarray), weights).view(Bounded)
+    def bounded_sums(values: Integers, length: int) -> Integers:
+        assert plain_sums(np.abs(values.view(np.ndarray)), length).max() < 2**31  # whatever is added first
+        return plain_sums(values.view(np.ndarray), length).view(Bounded)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(tree, "_sum", bounded_sum)
+        patched.setattr(tree, "sums", bounded_sums)
         seen = seen_of(planes.view(Bounded), FACTORS[1], shift)
     assert (np.abs(seen.numerators) < 2.0**31).all()
     assert (seen.denominators >= 1).all()
@@ -312,10 +313,11 @@ def test_growth_adds_up_exactly_and_so_the_same_tree_from_rows_in_any_order() ->
     assert equal(*trees)
 
 
-def test_growth_gives_the_same_tree_again_and_as_many_leaves_as_may_be() -> None:
+def test_growth_gives_the_same_tree_in_threads_and_as_many_leaves_as_may_be() -> None:
     samples = [a_sample(6, 0.2, seed, rows=3000) for seed in (1, 2)]
     for leaves in (1, 2, 7):
-        one, again = (a_rule(**grow(samples, leaves)._asdict()) for _ in range(2))
+        with threaded(2) as mapped:
+            one, again = (a_rule(**grow(samples, leaves, each)._asdict()) for each in (map, mapped))
         assert equal(one, again)
         assert one.structures <= leaves
     assert (np.abs(one.threshold[one.threshold != 0]) >= SMALLEST).all()

@@ -13,6 +13,7 @@ from l3cli.artifacts.plane_rules import GradientScale
 from l3cli.artifacts.table import PlaneLayer, PlaneRule, TransformTable
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.planes import fixed_point, opponent_basis
+from l3cli.parallel.threads import threaded
 from l3cli.physics.display import XYZ
 from l3cli.stages.training.passes import Execution
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
@@ -122,7 +123,9 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
     else:
         units = _units(run, layer, scale, layer.blocks, execution)
         sampled = execution.console.progress(execution.pool(_sample, units), len(units), f"layer {layer.number}, tree")
-        rule = tree_rule(layer, scale, [sample for part in sampled for sample in part])
+        samples = [sample for part in sampled for sample in part]
+        with threaded(execution.pool.size) as mapped:  # processes of the pool have nothing to do meanwhile
+            rule = tree_rule(layer, scale, samples, mapped)
         classes = f"{rule.structures} leaves, {rule.depth} tests deep, + {rule.cases - 1} saturation cases"
     execution.console.info(f"layer {layer.number}: {sum(layer.mosaics)} mosaics, {classes} a site")
     return rule

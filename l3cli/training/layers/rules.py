@@ -6,7 +6,8 @@ tree is one for all sites, each of which has filters of its own.
 """
 
 import heapq
-from collections.abc import Iterable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -91,14 +92,26 @@ class _Split(NamedTuple):
     threshold: np.float32
 
 
-def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
-    """Return a tree of at most so many leaves from the samples of all canonical sites; of one leaf if there are none."""
+class _Sums(NamedTuple):
+    """Sums over rows, exact; of several parts, each with a further first axis."""
+
+    moments: Array  # (tap, tap) Σ x xᵀ
+    cross: Array  # (tap, output) Σ x yᵀ
+    power: Array  # () Σ y²
+
+
+Mapped = Callable[[Callable[[int], tuple[Floats, Array]], Iterable[int]], Iterable[tuple[Floats, Array]]]
+
+
+def grow(samples: Sequence[TreeSample], leaves: int, mapped: Mapped = map) -> Tree:
+    """Return a tree of at most so many leaves from the samples of all canonical sites; of one leaf if there are none.
+    `mapped` may work in several threads."""
     samples = [one.on_grid() for one in samples]
     test, threshold, branch, depth = [0], [np.float32(0)], [0], [0]
     waiting: list[tuple[float, int, _Split, list[Indices]]] = []
 
     def look(node: int, rows: list[Indices]) -> None:
-        split = _best_split(samples, rows) if depth[node] < DEEPEST else None
+        split = _best_split(samples, rows, mapped) if depth[node] < DEEPEST else None
         if split is not None:
             heapq.heappush(waiting, (-split.gain, node, split, rows))
 
@@ -119,57 +132,65 @@ def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
     return Tree(np.array(test, np.uint8), np.array(threshold, np.float32), np.array(branch, np.int32))
 
 
-def _best_split(samples: Sequence[TreeSample], rows: list[Indices]) -> _Split | None:
+def _best_split(samples: Sequence[TreeSample], rows: list[Indices], mapped: Mapped) -> _Split | None:
     """Return the split of a leaf's rows of every site that gains most; None if none gains and leaves enough."""
     taps = samples[0].taps.shape[1]
     if min(map(len, rows)) < 2 * ROWS_PER_TAP * taps:
         return None
     best = None
-    before = [
-        float(_error(*(each[-1:] for each in _sums(one, of_leaf, [of_leaf.size])))[0])
-        for one, of_leaf in zip(samples, rows, strict=True)
-    ]
+    whole = [_sums(one, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)]
+    before = [float(_error(*(np.asarray(each)[None] for each in sums))[0]) for sums in whole]
     noise = np.array([error / of_leaf.size for error, of_leaf in zip(before, rows, strict=True)])
     chance = SURE * np.sqrt(2 * taps * np.square(noise).sum())
-    for test in range(TESTS):
+
+    def tried(test: int) -> tuple[Floats, Array]:
         quotients = np.concatenate([one.quotient(test, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)])
         cuts = np.quantile(quotients, np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
         cuts = np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
         gain = np.zeros(len(cuts))
-        for one, of_leaf, error in zip(samples, rows, before, strict=True):
-            gain += _gains(one, of_leaf, test, cuts, error)
+        for one, of_leaf, sums, error in zip(samples, rows, whole, before, strict=True):
+            gain += _gains(one, of_leaf, test, cuts, sums, error)
+        return cuts, gain
+
+    for test, (cuts, gain) in enumerate(mapped(tried, range(TESTS))):
         if gain.max() > (best.gain if best else chance):
             best = _Split(float(gain.max()), test, cuts[gain.argmax()])
     return best
 
 
-def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, before: float) -> Array:
+def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, whole: _Sums, before: float) -> Array:
     """Return by how much (cut) the error of one site falls; −∞ where too few rows are left on a side."""
     taps = sample.taps.shape[1]
-    passed = np.add.reduce([sample.above(test, cut, rows).astype(np.intp) for cut in cuts])  # of increasing cuts
+    passed = np.add.reduce([sample.above(test, cut, rows).astype(np.int8) for cut in cuts])  # of increasing cuts
     order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
     many = np.array([below, rows.size - below])
     good = many.min(axis=0) >= ROWS_PER_TAP * taps
     gain = np.full(len(cuts), -np.inf)
     if good.any():
-        sums = _sums(sample, rows[order], [*below[good].tolist(), rows.size])
-        left = _error(*(each[:-1] for each in sums))
-        right = _error(*(each[-1] - each[:-1] for each in sums))
+        sums = _sums_below(sample, rows[order], below[good].tolist(), whole)
+        left = _error(*sums)
+        right = _error(*(total - each for total, each in zip(whole, sums, strict=True)))
         low, high = many[:, good]
         gain[good] = before - left - right - taps * (left / low + right / high - before / rows.size)
     return gain
 
 
-def _sums(sample: TreeSample, rows: Indices, ends: list[int]) -> tuple[Array, Array, Array]:
-    """Return Σ x xᵀ (end, tap, tap), Σ x yᵀ (end, tap, output), Σ y² (end) of the rows before each of `ends`, exact."""
-    taps, target = sample.taps[rows], sample.target[rows]
-    moments, cross, power = [], [], []
-    for first, last in zip([0, *ends[:-1]], ends, strict=True):
-        x, y = taps[first:last].astype(np.float64), target[first:last].astype(np.float64)
-        moments.append(x.T @ x)
-        cross.append(x.T @ y)
-        power.append((y * y).sum())
-    return np.cumsum(moments, axis=0), np.cumsum(cross, axis=0), np.cumsum(power)
+def _sums_below(sample: TreeSample, rows: Indices, ends: list[int], whole: _Sums) -> _Sums:
+    """Return the sums of the rows before each of `ends`; those of the largest part are what the others leave of `whole`."""
+    parts = list(itertools.pairwise([0, *ends, rows.size]))
+    largest = max(range(len(parts)), key=lambda part: parts[part][1] - parts[part][0])
+    known = [_sums(sample, rows[slice(*part)]) for number, part in enumerate(parts) if number != largest]
+    below = []
+    for total, of_parts in zip(whole, zip(*known, strict=True), strict=True):
+        left = total - np.add.reduce(of_parts)
+        below.append(np.cumsum([*of_parts[:largest], left, *of_parts[largest:]], axis=0)[:-1])
+    return _Sums(*below)
+
+
+def _sums(sample: TreeSample, rows: Indices) -> _Sums:
+    """Return the sums of rows."""
+    x, y = (values[rows].astype(np.float64) for values in (sample.taps, sample.target))
+    return _Sums(x.T @ x, x.T @ y, (y * y).sum())
 
 
 def _error(moments: Array, cross: Array, power: Array) -> Array:
@@ -267,11 +288,15 @@ def sample_tree(
     return sampled
 
 
-def tree_rule(layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSample]]) -> TreeRule:
-    """Return classes by the leaves of a tree grown on the samples of all frames in order."""
+def tree_rule(
+    layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSample]], mapped: Mapped = map
+) -> TreeRule:
+    """Return classes by the leaves of a tree grown on the samples of all frames in order, by `mapped` as in `grow`."""
     sites = sorted({site for sample in samples for site in sample})
     tree = grow(
-        [TreeSample.concatenated([one[site] for one in samples if site in one]) for site in sites], layer.recipe.leaves
+        [TreeSample.concatenated([one[site] for one in samples if site in one]) for site in sites],
+        layer.recipe.leaves,
+        mapped,
     )
     return TreeRule(**vars(scale), **tree._asdict(), turns=np.array(layer.turns, np.uint8), cases=layer.rule.lost_cases)
 
