@@ -79,6 +79,30 @@ class CoarseChroma:
 
 
 @dataclass(frozen=True)
+class Clipping:
+    """Outputs of plain areas where channels clip (docs/method.md#plain-clipped-areas)."""
+
+    response: NDArray[np.float64] = data(
+        "float64",
+        "clipped",
+        "signal",
+        "output",
+        doc="by the mean of each channel, a share of full scale, and by 1 behind them: of all areas, then what each channel "
+        "adds that clips",
+    )
+    white: NDArray[np.float64] = data("float64", "channel", doc="signals of a white at Y = 1 under the training light")
+
+    def __post_init__(self) -> None:
+        check(self)
+        if not self.white.min() > 0:
+            raise ValueError("white must give every channel a signal")
+        if self.response.shape[:2] != (1 + self.white.size,) * 2 or not np.isfinite(self.response).all():
+            raise ValueError(
+                f"response has the shape {self.response.shape}, and must be finite, and of one channel more twice"
+            )
+
+
+@dataclass(frozen=True)
 class PlaneLayer:
     """Transforms of square windows of the planes X − aY, Y, Z − bY (of a white: zero, its Y, zero) of the layer before."""
 
@@ -95,10 +119,13 @@ class PlaneLayer:
     structure: StructureRule | None = group(default=None)  # its classes, if by structure
     tree: TreeRule | None = group(default=None)  # its classes, if by a tree
     coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma is that of the windows alone
+    clipping: Clipping | None = group(default=None)  # beside coarse chroma; None: clipped areas are as classes leave them
 
     def __post_init__(self) -> None:
         check(self)
         one_rule(self.structure, self.tree)
+        if self.clipping and not self.coarse_chroma:
+            raise ValueError("a layer with clipping has coarse chroma, too")
 
     @property
     def rule(self) -> PlaneRule:

@@ -120,6 +120,11 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
     if table.later and table.later[-1].coarse_chroma:
         scales = scales_of(table.later[-1].coarse_chroma).astype(np.float32)
         arrays.append(Array("l3_coarse_scales", scales, "(step, plane, power of Y)", packed=True))
+        if table.later[-1].clipping:
+            response = table.later[-1].clipping.response.astype(np.float32)
+            white = table.later[-1].clipping.white.astype(np.float32)
+            arrays.append(Array("l3_clip_response", response, "(clipped, signal, output)", packed=True))
+            arrays.append(Array("l3_clip_white", white, "signals of a white (channel)", packed=True))
     if table.later:
         more, layers = _layers(table)
         return [*arrays, *more], [*lines, *layers, ""]

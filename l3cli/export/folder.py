@@ -10,6 +10,7 @@ from l3cli import __version__
 from l3cli.artifacts.plane_rules import GRADIENT
 from l3cli.artifacts.schema import Spec, declared
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, TransformTable, rule_fields
+from l3cli.classes import clipping
 from l3cli.classes.coarse_chroma import ALIKE
 from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, opponent_basis, refined_fixed_point
 from l3cli.classes.refinement import RATIO_DARKEST
@@ -60,6 +61,14 @@ LAYERS = {
     "frame 0; blocks: means of 4 x 4 pixels, the outermost repeated; they pass steps over 3 x 3 of them, spaced 1, 2, 4, 8, "
     "within the frame, with the weights 1 2 1 * max(0, 1 - sum of difference^2 / (8 * 4 alike^2 v))^8, alike of the step, "
     "v = sum of variance * max(Y, 0)^power at the Y of the middle",
+    "clipping": "of a layer that has it, at last output = (1 - w) * output + q, both read bilinearly at the middle of the "
+    "pixel's 2 x 2 pixels from blocks of clip_sides pixels, the last ones within the frame; w = f * S(max s; kept), q = w * "
+    "sum of response[0] * (s - h + g * white) + f * (A(s) - A(h)); A(s) = sum of S(s of channel c; begins) * "
+    "response[1 + c] * s; h = min(g * white, 1), g = (mean of s / white, by max(1 - S(s; begins), faintest)) + "
+    "min S(s; begins) * (max s / white - that mean); s: means of the channels over full scale, at most 1, over 3 x 3 blocks "
+    "by 1 2 1, and 1 behind them; f = 1 - S(d; plain), d: largest range of a channel in one of these blocks, and difference "
+    "of its means from the middle one's; S(x; a, b) = t^2 (3 - 2 t), t = (x - a) / (b - a) within 0 and 1; blocks without "
+    "a value of begins of full scale, or that lack a channel, have means of 0",
     "later class": "(site * levels + level // level_step) * kinds + kind; level and case of the first layer; kind: "
     "structure or leaf where case - spared_cases is at most 0, else structures - 1 + that; of a tree levels = 1",
 }
@@ -166,6 +175,8 @@ def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
         entry["features"] = arrays.add_fields(f"{prefix}features/", rule.features)
     if number and layer.coarse_chroma:
         entry["coarse_chroma"] = arrays.add_fields(f"{prefix}coarse_chroma/", layer.coarse_chroma)
+    if number and layer.clipping:
+        entry["clipping"] = arrays.add_fields(f"{prefix}clipping/", layer.clipping)
     if kind == "tree":
         arrays.add(f"{prefix}leaf", rule.leaf.astype(np.int32), ("node",), "1", "number of the leaf")
     return entry
@@ -221,6 +232,9 @@ def _constants(table: TransformTable) -> dict[str, Any]:
     if table.later:
         values |= {"plane_step": PLANE_STEP, "plane_top": PLANE_TOP, "coarse": COARSE, "coarse_top": COARSE_TOP,
                    "ratio_darkest": RATIO_DARKEST, "alike": ALIKE.tolist(),
+                   "clip_sides": list(clipping.block_sides(table.cfa)), "faintest": clipping.FAINTEST,
+                   "begins": [clipping.BEGINS, clipping.CLIPS],
+                   "kept": [clipping.KEPT, clipping.REPLACED], "plain": [clipping.PLAIN, clipping.TEXTURED],
                    "gradient_top": GRADIENT, "tree_gradient_top": TOP, "tree_chroma_gradient_top": CHROMA_TOP,
                    "tree_noise_trace": NOISE_TRACE, "tree_dark": DARK, "tree_tests": [test.name for test in EVERY],
                    "tree_denominators": [test.denominator for test in EVERY]}  # fmt: skip

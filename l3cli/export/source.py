@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.plane_rules import GRADIENT, StructureRule, TreeRule
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, CoarseChroma, TransformTable
-from l3cli.classes import direction, saturation
+from l3cli.classes import clipping, direction, saturation
 from l3cli.classes.features import further_features
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, raw_middle
 from l3cli.classes.refinement import RATIO_DARKEST
@@ -119,7 +119,10 @@ def _piece(name: str) -> str:
 def _pieces(table: TransformTable, words: Words) -> tuple[str, ...]:
     further = "direction.c" if table.first.rule.axes else "no_direction.c"
     coarse = "coarse_chroma.c" if _coarse_chroma(table) else "no_coarse_chroma.c"
-    layer_files = ("planes.c", coarse, "structure.c", "tree.c", "several_layers.c") if table.later else ("one_layer.c",)
+    clips = "clipping.c" if table.later and table.later[-1].clipping else "no_clipping.c"
+    layer_files = (
+        ("planes.c", coarse, clips, "structure.c", "tree.c", "several_layers.c") if table.later else ("one_layer.c",)
+    )
     spectra = "spectra.c" if table.spectra else "no_spectra.c"
     return ("head.c", further, "classes.c", f"{words}.c", *layer_files, spectra, "render.c")
 
@@ -161,6 +164,8 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         values |= {"SPECTRAL_WINDOW": table.spectra.window, "SPECTRAL_REACH": reach, "DARKEST": darkest}
     if _coarse_chroma(table):
         values["PLANE_STEP"] = _float(PLANE_STEP)
+    if table.later and table.later[-1].clipping:
+        values |= {name.upper(): _float(at) if isinstance(at, float) else at for name, at in _clipping_known(table).items()}
     if words == "float32":
         values |= {"OUTPUT_FRACTION": 0, "VALUE_OFFSET": "0.0f" if table.later else _float(table.black_level)}
     else:
@@ -171,6 +176,23 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
 
 def _coarse_chroma(table: TransformTable) -> CoarseChroma | None:
     return table.later[-1].coarse_chroma if table.later else None
+
+
+def _clipping_known(table: TransformTable) -> dict[str, float | int]:
+    """Return the numbers that the formula of plain clipped areas has, by name."""
+    rows, columns = clipping.block_sides(table.cfa)
+    return {
+        "clip_rows": rows,
+        "clip_columns": columns,
+        "clip_bright": clipping.first_bright(table.black_level, table.white_level),
+        "clip_faintest": clipping.FAINTEST,
+        "clip_begins": clipping.BEGINS,
+        "clip_clips": clipping.CLIPS,
+        "clip_kept": clipping.KEPT,
+        "clip_replaced": clipping.REPLACED,
+        "clip_plain": clipping.PLAIN,
+        "clip_textured": clipping.TEXTURED,
+    }
 
 
 def _plane_macros(table: TransformTable) -> dict[str, int | str]:
@@ -251,13 +273,14 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
         "columns": vector.raw.shape[1],
         "phase": "{}, {}".format(*vector.phase),
     }
-    known["ratio_darkest"] = RATIO_DARKEST
+    known |= {"ratio_darkest": RATIO_DARKEST, **_clipping_known(table)}
     known |= _words_known(table, short) if short else {"words": "float"}
     parts = ["readme.md", "readme_int16.md" if short else "readme_float32.md"]
     parts += ["readme_direction.md"] if rule.axes else []
     parts += ["readme_planes.md"] if table.later else ["readme_one_layer.md"]
     parts += ["readme_ratios.md"] if table.later and table.later[-1].ratio_taps else []
     parts += ["readme_coarse_chroma.md"] if _coarse_chroma(table) else []
+    parts += ["readme_clipping.md"] if table.later and table.later[-1].clipping else []
     if table.spectra:
         parts += ["readme_spectra.md"]
         known |= {"spectral_window": table.spectra.window, "spectral_reach": f"{table.spectra.reach:g}"}

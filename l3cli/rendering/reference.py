@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, SpectralSmoothing, TransformTable
+from l3cli.classes.clipping import Mosaic, replaced
 from l3cli.classes.coarse_chroma import coarse_change, scales_of
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.planes import CHROMA, FixedPoint, coarse, opponent_basis, refined_fixed_point
 from l3cli.classes.refinement import label_planes, mirrored, shaded_chroma
 from l3cli.classes.windows import Integers
-from l3cli.frames.frame import RawFrame, pad_mosaic
+from l3cli.frames.frame import RawFrame, pad_mosaic, shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
@@ -53,7 +54,8 @@ class ReferenceRenderer:
         gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
         if self.table.later:
             planes, refined_labels = self._refine(levelled, labels, len(self.table.later))
-            made = gain * refinement_outputs(planes, refined_labels, self._sets.later[-1], self._sets.share(frame))
+            made = refinement_outputs(planes, refined_labels, self._sets.later[-1], self._sets.share(frame))
+            made = gain * self._with_plain_clipped_areas(made, levelled)
         else:
             made = gain * output_planes(levelled, labels, self.table, self._sets.first)
         return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
@@ -90,6 +92,15 @@ class ReferenceRenderer:
             planes = refinement_planes(planes, labels, later[place - 1], fixed)
             labels = self._refined_labels(planes, first_labels, place)
         return planes, labels
+
+    def _with_plain_clipped_areas(self, made: NDArray[np.float64], levelled: RawFrame) -> NDArray[np.float64]:
+        """Return outputs (output, row, col) of a frame at the table's levels with those of its plain clipped areas replaced,
+        if the table has what becomes of them."""
+        clipping = self.table.later[-1].clipping
+        if clipping is None:
+            return made
+        cfa, levels = shifted_cfa(self.table.cfa, levelled.phase), (levelled.black_level, self.table.white_level)
+        return replaced(made, Mosaic(levelled.values, cfa, *levels), clipping.response, clipping.white)
 
     def _refined_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
         """Return class (row, col) in refinement layer `place`, from 0, of every pixel."""

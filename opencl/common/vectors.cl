@@ -67,6 +67,10 @@ VECTOR(short, pairs, 2 * LANES);
     STORE_PRIVATE(type, lane) = value; \
     AT_EDGE for (int i = 0; i < (count); i++) (to)[i] = lane[i]; \
 } while (0)
+#define STORE_FIRST(to, value, count) do { \
+    if ((count) >= LANES) STORE_GLOBAL(floats, to) = value; \
+    else WRITE_FIRST(float, floats, to, value, count); \
+} while (0)
 
 // Have the caches fetch the line at p, which is read a row later: no processor guesses where the next row of a tile lies. A line for
 // every LANES pixels, while others are computed: many at once would have to wait for one another.

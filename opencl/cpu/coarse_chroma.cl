@@ -1,10 +1,6 @@
 // Processor variant: planes → blocks; blocks → those after an edge-avoiding step. One work-item takes a tile of blocks.
 
 #define PAIRED(a, b) (__builtin_shufflevector(a, b, ALL_LANES(EVEN)) + __builtin_shufflevector(a, b, ALL_LANES(ODD)))
-#define STORE_FIRST(to, value, count) do { \
-    if ((count) >= LANES) STORE_GLOBAL(floats, to) = value; \
-    else WRITE_FIRST(float, floats, to, value, count); \
-} while (0)
 
 COMPILED_ONCE average_tile(int x0, int y0, __global const int *restrict planes, __global float *restrict blocks, int plane_rows,
                            int plane_columns, int rows, int columns) {

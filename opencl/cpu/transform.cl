@@ -98,6 +98,30 @@ INLINE void coarse_row(float *to, int s, int row, int x0, int width, int rows, i
 #define COARSE_READ
 #endif
 
+#ifdef CLIPPING
+#define CLIPPING_PARAMETER , __global const float *restrict maps  // (map, quad row, quad column)
+#define CLIPPING_READ , maps
+
+#define OF_QUAD(i) ((i) / 2)
+
+INLINE floats of_quads(__global const float *map) {
+    const floats quads = LOAD_GLOBAL(floats, map);
+    return __builtin_shufflevector(quads, quads, ALL_LANES(OF_QUAD));
+}
+
+// What becomes of plain clipped areas (l3cli/classes/clipping.py), of LANES pixels of a row of the planes.
+INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns CLIPPING_PARAMETER) {
+    const size_t quads = QUADS_PLANE(rows, columns);
+    __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
+    const floats left = 1.0f - of_quads(map);
+    #pragma unroll
+    for (int o = 0; o < 3; o++) made[o] = left * made[o] + of_quads(map + (1 + o) * quads);
+}
+#else
+#define CLIPPING_PARAMETER
+#define CLIPPING_READ
+#endif
+
 #if !defined(JOINED) && !defined(CLASSES_ONLY)
 #define TRANSFORM_PARAMETERS \
     __global const SOURCE *restrict source,      /* (source, row, col) DN of the mosaic, or planes */ \
@@ -106,7 +130,7 @@ INLINE void coarse_row(float *to, int s, int row, int x0, int width, int rows, i
     __global const uint *restrict labels,        /* (row, col) */ \
     __global const tap *restrict weights,        /* (class, …) per unit of the source */ \
     __global const float *restrict matrix,       /* (3, 3) encoded values from X, Y, Z, before the curve */ \
-    __global CODE *restrict picture GAIN_PARAMETER COARSE_PARAMETERS, \
+    __global CODE *restrict picture GAIN_PARAMETER COARSE_PARAMETERS CLIPPING_PARAMETER, \
     float black_level, int source_rows, int rows, int columns
 
 COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
@@ -147,6 +171,9 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
 #ifdef COARSE_CHROMA
             for (int c = 0; c < 2; c++) made[2 * c] += LOAD_PRIVATE(floats, change[c] + x);
 #endif
+#ifdef CLIPPING
+            replace_clipped(made, row_source[y + RADIUS], x0 + x, source_rows, columns CLIPPING_READ);
+#endif
 #ifdef SHADED
             even_pixels(made, gain + (size_t)y * GAIN_NODES(columns), x0 + x);
 #endif
@@ -156,7 +183,8 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
 }
 
 KERNEL_OF_ONE transform(TRANSFORM_PARAMETERS) {
-    transform_tile(GROUP_COLUMN, GROUP_ROW, source, row_source, column_source, labels, weights, matrix, picture GAIN_READ COARSE_READ, black_level,
+    transform_tile(GROUP_COLUMN, GROUP_ROW, source, row_source, column_source, labels, weights, matrix, picture GAIN_READ COARSE_READ
+                   CLIPPING_READ, black_level,
                    source_rows, rows, columns);
 }
 #endif

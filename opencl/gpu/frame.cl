@@ -145,6 +145,9 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const float *restrict before,       // blocks (plane, row, col)
                __global const float *restrict after,        // the same, softened
 #endif
+#ifdef CLIPPING
+               __global const float *restrict maps,         // (map, quad row, quad column)
+#endif
                float black_level, int source_rows, int rows, int columns) {
     __local tap signal[TILE_ROWS][TILE_COLUMNS][SOURCES];
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
@@ -200,6 +203,12 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         total[0].x += (after[there] - before[there]) * part * PLANE_STEP;
         total[0].z += (after[third] - before[third]) * part * PLANE_STEP;
     }
+#endif
+#ifdef CLIPPING
+    // What becomes of plain clipped areas (l3cli/classes/clipping.py).
+    const size_t quads = QUADS_PLANE(source_rows, columns);
+    __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
+    total[0].xyz = (1.0f - map[0]) * total[0].xyz + (float3)(map[quads], map[2 * quads], map[3 * quads]);
 #endif
     tap output[4 * FOURS];
     for (int f = 0; f < FOURS; f++) {

@@ -10,7 +10,15 @@ from l3cli.rendering.display import encode, make_display
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS
-from tests.helpers.tables import XYZ, random_table, with_coarse_chroma, with_low_noise, with_refinement, with_tree
+from tests.helpers.tables import (
+    XYZ,
+    random_table,
+    with_clipping,
+    with_coarse_chroma,
+    with_low_noise,
+    with_refinement,
+    with_tree,
+)
 
 # float32 sums of at most 225 products, each term below 1 and rounded to 6e-8: 225 · 6e-8 at worst, a tenth of it in fact.
 OUTPUT_TOLERANCE = 1e-5
@@ -40,9 +48,11 @@ TABLES = {
     "four layers": lambda: with_refinement(random_table(X_TRANS, bits=14, patch=5), 3, 7, 5, seed=4, ratios=True),
     "a layer of single pixels": lambda: with_refinement(random_table(BAYER, patch=5), 1, seed=6, ratios=True),
     "two wide layers": lambda: with_refinement(random_table(BAYER, bits=8, patch=5), 7, seed=3, ratios=True),
-    "coarse chroma": lambda: with_coarse_chroma(with_refinement(random_table(BAYER, black_level=64.0), 5, ratios=True)),
-    "coarse chroma of three layers": lambda: with_coarse_chroma(
-        with_refinement(random_table(FIVE_BAND, patch=5), 5, 3), 0.4
+    "coarse chroma": lambda: with_clipping(
+        with_coarse_chroma(with_refinement(random_table(BAYER, black_level=64.0), 5, ratios=True))
+    ),
+    "coarse chroma of three layers": lambda: with_clipping(
+        with_coarse_chroma(with_refinement(random_table(FIVE_BAND, patch=5), 5, 3), 0.4)
     ),
     "coarse chroma of a tree": lambda: with_coarse_chroma(
         with_tree(random_table(STRIPES, bits=14, black_level=512.5, patch=5, seed=11), 7, seed=4), 0.01

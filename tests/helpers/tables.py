@@ -11,6 +11,7 @@ from l3cli.artifacts.plane_rules import TESTS, GradientScale, StructureRule, Tre
 from l3cli.artifacts.table import (
     COMPARED,
     RATIO_TAPS,
+    Clipping,
     CoarseChroma,
     Condition,
     MosaicLayer,
@@ -124,6 +125,14 @@ def with_coarse_chroma(table: TransformTable, variance: float = 0.05) -> Transfo
     terms = variance * np.random.default_rng(8).uniform(0.3, 1, COMPARED) * (1.0, 0.2, 0.02)
     last = dataclasses.replace(table.later[-1], coarse_chroma=CoarseChroma(terms))
     return dataclasses.replace(table, later=(*table.later[:-1], last))
+
+
+def with_clipping(table: TransformTable, seed: int = 9) -> TransformTable:
+    """The table, which has coarse chroma, with something random that replaces plain clipped areas."""
+    size = len(table.channels) + 1
+    rng = np.random.default_rng(seed)
+    clipping = Clipping(rng.uniform(-0.5, 1, (size, size, len(table.outputs))), rng.uniform(0.4, 1, size - 1))
+    return dataclasses.replace(table, later=(*table.later[:-1], dataclasses.replace(table.later[-1], clipping=clipping)))
 
 
 def with_ratios(layer: PlaneLayer, rng: np.random.Generator) -> PlaneLayer:

@@ -29,6 +29,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.tables import (
     random_table,
+    with_clipping,
     with_coarse_chroma,
     with_first,
     with_low_noise,
@@ -73,7 +74,9 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
         5_000_000, 100_000_000, 700_000_000, 1_500_000_000,
     ),
     "smoothed spectra": lambda: with_spectra(a_table([[0, 1], [2, 3]], 12, 64.0, outputs=tuple("abcd")), 5, 0.4),
-    "coarse chroma": lambda: with_coarse_chroma(with_refinement(a_table([[0, 1], [2, 3]], 12, 64.0, contrasts=()), 5), 0.1),
+    "coarse chroma": lambda: with_clipping(
+        with_coarse_chroma(with_refinement(a_table([[0, 1], [2, 3]], 12, 64.0, contrasts=()), 5), 0.1)
+    ),
     "a tree, 6 × 6": lambda: with_tree(a_table(SIX, 12, 64.0, contrasts=()), ratios=True),
 }  # fmt: skip
 needs_compiler = pytest.mark.skipif(CC is None, reason="there is no C compiler (cc, gcc or CC)")

@@ -1,4 +1,4 @@
-"""What is seen where channels begin to clip: steps and hues along smooth ramps (docs/limits.md).
+"""What is seen where channels begin to clip: steps and hues along smooth ramps (docs/notebook.md#clipping).
 
 python -m pytest -m slow -s tests/studies/test_onset_study.py      eight minutes on two cores
 
@@ -28,7 +28,7 @@ COLUMNS, ROWS, RIM, APART = 384, 32, 8, 4  # pixels: of a ramp, of its rim, and 
 LEAST, MOST = 0.5, 4.0  # exposure, of what fills the first channel
 COLOURED = 8.0  # C*ab from which a hue counts
 # Largest step and error of hue of the eight surfaces and the sky. What is reached, and a twentieth: wanted are 2 and 15.
-REACHED = {"bayer": (44.3, 73.0), "fiveband": (30.0, 116.0), "rgbw": (38.8, 71.0), "rgbir": (64.0, 152.0)}
+REACHED = {"bayer": (3.6, 72.0), "fiveband": (4.3, 59.0), "rgbw": (2.5, 83.0), "rgbir": (7.4, 81.0)}
 
 pytestmark = pytest.mark.slow
 Array = NDArray[np.floating]
@@ -86,4 +86,4 @@ def test_onset_of_clipping(tmp_path: Path, camera: str) -> None:
     print(f"{camera}: largest step {steps.round(1)}, error of hue {errors.round()}")
     assert steps[:-1].max() < REACHED[camera][0]
     assert errors[:-1].max() < REACHED[camera][1]
-    assert steps[-1] < 7.0
+    assert steps[-1] < 1.1

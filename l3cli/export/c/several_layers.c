@@ -9,6 +9,7 @@ typedef struct {
     int32_t *planes[2];  /* (plane, row, column) that a layer reads, and that it makes */
     int32_t *sums;       /* (plane, padded column) of what the last layer reads, down a window */
     CoarseChroma coarse;
+    Clipping clipping;
 } Workspace;
 
 static Workspace workspace_in(Room *room, int rows, int columns) {
@@ -23,6 +24,7 @@ static Workspace workspace_in(Room *room, int rows, int columns) {
     for (int i = 0; i < 2; i++) w.planes[i] = take(room, i < L3_LAYERS - 1 ? 3 * pixels : 0, sizeof *w.planes[i]);
     w.sums = take(room, L3_RATIO_TAPS ? 3 * (uint64_t)(columns + L3_MOST_SIDE) : 0, sizeof *w.sums);
     w.coarse = coarse_in(room, rows, columns);
+    w.clipping = clipping_in(room, rows, columns);
     return w;
 }
 
@@ -41,6 +43,7 @@ static void render_layers(const Workspace *w, int rows, int columns, int phase_r
         if (i == L3_LAYERS - 2) {
             planes_to_outputs(layer, planes, &w->ring, w->ring_values, w->sums, rows, columns, own, outputs);
             add_coarse_chroma(&w->coarse, planes, rows, columns, outputs);
+            replace_clipped(&w->clipping, w->statistics.padded, rows, columns, phase_row, phase_column, outputs);
         } else planes_to_planes(layer, planes, w->fixed_ring, w->ring_values, rows, columns, own, w->planes[(i + 1) % 2]);
     }
 }

@@ -1,18 +1,21 @@
-"""Coarse chroma on an OpenCL device: what a last layer reads of far pixels (l3cli/classes/coarse_chroma.py is the truth)."""
+"""Coarse chroma and clipping on an OpenCL device: what a last layer reads of quads (l3cli/classes/coarse_chroma.py and
+clipping.py are the truth)."""
 
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.table import CoarseChroma
+from l3cli.artifacts.table import CoarseChroma, TransformTable
+from l3cli.classes.clipping import MAPS, QUAD, block_sides, first_bright
 from l3cli.classes.coarse_chroma import BLOCK, SPACINGS, scales_of
 from l3cli.classes.planes import LUMINANCE
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.opencl.devices import pyopencl
-from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, FAR, joined_files
-from l3cli.rendering.opencl.work import Band, Track
+from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, FAR, clipping_macros, joined_files
+from l3cli.rendering.opencl.work import Band, Track, scratch
 
-FILES = {"processor": "cpu/coarse_chroma.cl", "graphics": "gpu/coarse_chroma.cl"}
+FOLDERS = {"processor": "cpu", "graphics": "gpu"}
 BEYOND = 16  # behind the last of a row, which vectors may read
 
 
@@ -33,7 +36,7 @@ class DeviceCoarseChroma:
         """Enqueue what makes coarse chroma of the planes that a band's last layer reads: the events, and the buffers of
         blocks before and after, which the layer reads beside. `share`: of the camera's noise."""
         if not self._kernels:
-            source = joined_files("common/vectors.cl", "common/coarse_chroma.cl", FILES[self._variant])
+            source = joined_files(*_files("coarse_chroma.cl", self._variant))
             macros = {**COARSE_MACROS, "LUMINANCE": LUMINANCE}
             self._kernels = [self._make(source, macros, name) for name in ("average", "soften")]
         if share not in self._scales:
@@ -59,6 +62,53 @@ class DeviceCoarseChroma:
                 cl.enqueue_fill_buffer(track.queue, buffer, np.float32(FAR), 0, size)
             track.coarse = shape, buffers
         return track.coarse[1]
+
+
+class DeviceClipping:
+    """Kernels and buffers of a table that replaces plain clipped areas, made when the first frame comes."""
+
+    def __init__(
+        self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], table: TransformTable,
+        variant: str,
+    ) -> None:  # fmt: skip
+        """Take arguments as DeviceCoarseChroma does."""
+        self._make, self._run, self._constant, self._table, self._variant = kernel, run, constant, table, variant
+        self._kernels: list[Any] = []  # measure_blocks, map_blocks, read_maps
+        self._constants: list[Any] = []  # channels of the array, response
+
+    def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
+        """Enqueue the maps of a band of a frame at the table's levels: the events, and the buffer of the maps of the quads
+        of the planes that the last layer reads."""
+        table = self._table
+        clipping = table.later[-1].clipping
+        assert clipping is not None
+        if not self._kernels:
+            source = joined_files("common/vectors.cl", "common/quads.cl", *_files("clipping.cl", self._variant)[1:])
+            names = ("measure_blocks", "map_blocks", "read_maps")
+            self._kernels = [self._make(source, clipping_macros(table), name) for name in names]
+            response = np.append(clipping.response, clipping.white)
+            self._constants = [self._constant(table.cfa, np.uint8), self._constant(response, np.float32)]
+        (measure, make_maps, read), (cfa, response) = self._kernels, self._constants
+        rows, columns = frame.values.shape
+        blocks = tuple(-(-length // side) for length, side in zip((rows, columns), block_sides(table.cfa), strict=True))
+        shape = band.shape(len(band.later) - 1)
+        quads = -(-shape[0] // QUAD), -(-shape[1] // QUAD)
+        context, size = track.queue.context, 4 * blocks[0] * blocks[1]
+        track.means = scratch(context, track.means, size * (len(table.channels) + 1))
+        track.maps = scratch(context, track.maps, size * MAPS)
+        track.quads = scratch(context, track.quads, 4 * (MAPS * quads[0] * (quads[1] + BEYOND) + BEYOND))
+        bright, span = first_bright(frame.black_level, table.white_level), table.white_level - frame.black_level
+        levels = np.int32(bright), np.float32(frame.black_level), np.float32(span)
+        where = *frame.phase, band.raw_rows.start, band.raw_rows.stop - band.raw_rows.start, rows, columns
+        events = [self._run(measure, track, blocks, track.raw, cfa, track.means, *levels, *map(np.int32, where))]
+        events.append(self._run(make_maps, track, blocks, track.means, response, track.maps))
+        where = band.reads[len(band.later) - 1].start, *blocks, *shape
+        events.append(self._run(read, track, quads, track.maps, track.quads, *map(np.int32, where)))
+        return events, track.quads
+
+
+def _files(name: str, variant: str) -> tuple[str, str, str]:
+    return "common/vectors.cl", f"common/{name}", f"{FOLDERS[variant]}/{name}"
 
 
 def _blocks(shape: tuple[int, int]) -> tuple[int, int]:

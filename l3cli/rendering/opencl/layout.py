@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, TransformTable
+from l3cli.classes import clipping
 from l3cli.classes.coarse_chroma import SPACINGS
 from l3cli.classes.plane_kernel import (
     joined,
@@ -107,7 +108,7 @@ def first_source(variant: str, rule: ClassRule) -> str:
 def refinement_source(variant: str, layer: PlaneLayer) -> str:
     """Return the .cl files of a variant for a layer that reads planes, with the formula of its rule."""
     formula, kernels = rule_snippets(layer.rule)
-    chroma = ("common/coarse_chroma.cl",) if layer.coarse_chroma else ()
+    chroma = ("common/coarse_chroma.cl", "common/quads.cl") if layer.coarse_chroma else ()
     shared = ("common/vectors.cl", "common/encoding.cl", "common/gradient.cl", formula, *chroma)
     return joined_files(*shared, *VARIANTS[variant].refinement_sources, kernels[variant])
 
@@ -147,6 +148,31 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
 COARSE_MARGIN = max(SPACINGS)  # blocks about those of a band that are FAR from all
 FAR = 1e12  # steps of a plane
 COARSE_MACROS: Macros = {"MARGIN": COARSE_MARGIN}
+
+
+def clipping_macros(table: TransformTable) -> Macros:
+    """Return everything about a table that the kernels of plain clipped areas depend on."""
+    rows, columns = clipping.block_sides(table.cfa)
+    steps = {
+        "BEGINS": clipping.BEGINS,
+        "CLIPS": clipping.CLIPS,
+        "KEPT_UP_TO": clipping.KEPT,
+        "REPLACED_FROM": clipping.REPLACED,
+        "PLAIN_UP_TO": clipping.PLAIN,
+        "TEXTURED_FROM": clipping.TEXTURED,
+        "FAINTEST": clipping.FAINTEST,
+    }
+    return {
+        "CHANNELS": len(table.channels),
+        "CFA_ROWS": table.cfa.shape[0],
+        "CFA_COLUMNS": table.cfa.shape[1],
+        "BLOCK_ROWS": rows,
+        "BLOCK_COLUMNS": columns,
+        "MAX_RAW": 2**table.bits - 1,
+        **{name: _literal(value) for name, value in steps.items()},
+    }
+
+
 # What a layer writes for the next to read.
 TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "COARSE": COARSE, "COARSE_TOP": COARSE_TOP, "CODE": "int"}
 
@@ -163,6 +189,7 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
         "MAX_RAW": 0,
         **({"RATIO_TAPS": layer.ratio_taps, "DARKEST": RATIO_DARKEST} if layer.ratio_taps else {}),
         **({"COARSE_CHROMA": 1, "PLANE_STEP": _literal(PLANE_STEP), **COARSE_MACROS} if layer.coarse_chroma else {}),
+        **({"CLIPPING": 1} if layer.clipping else {}),
         **rule_macros(layer.rule),
     }
 

@@ -20,7 +20,7 @@ from l3cli.frames.shading import FRACTION, STEP, Shading, clipped_from
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl import layout
-from l3cli.rendering.opencl.coarse_chroma import DeviceCoarseChroma
+from l3cli.rendering.opencl.coarse_chroma import DeviceClipping, DeviceCoarseChroma
 from l3cli.rendering.opencl.devices import pyopencl, refusals
 from l3cli.rendering.opencl.layout import Macros, joined_files
 from l3cli.rendering.opencl.programs import Programs, chosen, compiler_of
@@ -184,6 +184,8 @@ class OpenCLRenderer:
             self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
             chroma = table.later[-1].coarse_chroma if table.later else None
             self._coarse = chroma and DeviceCoarseChroma(self._kernel, self._run, self._constant, chroma, self.variant)
+            clips = table.later and table.later[-1].clipping
+            self._clipping = clips and DeviceClipping(self._kernel, self._run, self._constant, table, self.variant)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
         """Return the class (row, col) of every pixel in a layer of the table."""
@@ -370,8 +372,11 @@ class OpenCLRenderer:
         made = (into, *self._shading.gain(frame.shading, band.made))
         if self._coarse:
             events, blocks = self._coarse.blocks(track, band, self._sets.share(frame))
-            work.events[COARSE_CHROMA] += events
             made += blocks
+            if self._clipping:
+                further, maps = self._clipping.maps(track, band, frame)
+                events, made = [*events, *further], (*made, maps)
+            work.events[COARSE_CHROMA] += events
         reads, ends = self._reads(number, track, band, frame)
         arguments = (*reads, self._weights, encoding, *made, np.float32(frame.black_level), *ends)
         work.add("transforms", self._run(kernel, track, band.shape(number), *arguments))

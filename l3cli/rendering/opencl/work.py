@@ -63,6 +63,9 @@ class Track:
         self.planes: list[Any] = [None] * layers  # that each refinement layer reads
         self.refined_labels: list[Any] = [None] * layers
         self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers, of coarse chroma
+        self.means: Any = None  # of blocks of the mosaic, where a table replaces plain clipped areas
+        self.maps: Any = None  # of blocks, made of these
+        self.quads: Any = None  # maps of quads, read of those
         self.made: Any = None  # outputs whose spectra are still to be smoothed
         self.result: Any = None
         self._typed: set[Any] = set()  # kernels

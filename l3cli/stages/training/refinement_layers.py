@@ -18,6 +18,7 @@ from l3cli.physics.display import XYZ
 from l3cli.stages.training.passes import Execution
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.system.console import Console
+from l3cli.training.clipping import learned_clipping
 from l3cli.training.layers.coarse_chroma import measured_noise
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
 from l3cli.training.layers.rules import (
@@ -48,14 +49,18 @@ def learn_refinement_layers(
         layer = layer_pass(table, run.given, layer_mosaics(run, len(table.later)), run.seed)
         rule = layer_rule(run, layer, execution, like.later[len(table.later)].rule if like else None)
         sums = summed_layer(run, layer, rule, layer.blocks, execution)
-        table = replace(table, later=(*table.later, finished_layer(layer, rule, sums)), history=run.history())
+        table = replace(table, later=(*table.later, finished_layer(layer, rule, sums, table)), history=run.history())
     return table
 
 
-def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -> PlaneLayer:
-    """Return the layer from the sums of all canonical sites, with the noise of what its coarse chroma compares."""
+def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums], table: TransformTable) -> PlaneLayer:
+    """Return the layer that follows those of `table`, from the sums of all canonical sites; beside coarse chroma with the
+    noise of what that compares, and with what plain clipped areas become."""
     learned = learn_layer(layer, rule, sums)
-    return replace(learned, coarse_chroma=measured_noise(layer)) if layer.recipe.coarse_chroma else learned
+    if not layer.recipe.coarse_chroma:
+        return learned
+    clipping = learned_clipping(layer.camera, table.light, table.white_point) if layer.pictures else None
+    return replace(learned, coarse_chroma=measured_noise(layer), clipping=clipping)
 
 
 def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:

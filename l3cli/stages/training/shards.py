@@ -249,4 +249,4 @@ def _with_layer(
     for index, site in enumerate(sums):
         for reader in readers:
             add_sums({site: sums[site]}, {site: reader.site(index, condition)})
-    return replace(table, later=(*table.later, finished_layer(layer, rule, sums)), history=head.history)
+    return replace(table, later=(*table.later, finished_layer(layer, rule, sums, table)), history=head.history)

@@ -1,0 +1,146 @@
+
+/* ----------------------------------------------------------------------------------------------------- plain clipped areas */
+
+#define MAPS 4
+#define CLIP_BLOCKS(length, side) (((length) + (side) - 1) / (side))
+
+/* Blocks of whole periods of the array, and what replaces the outputs of plain ones in which channels clip. */
+typedef struct {
+    float *means; /* (block row, block column, channel + 1) shares of full scale, and the largest range; -1: does not count */
+    float *maps;  /* (block row, block column, map) share of the outputs that is replaced, and what is added to each */
+} Clipping;
+
+static Clipping clipping_in(Room *room, int rows, int columns) {
+    const uint64_t blocks = (uint64_t)CLIP_BLOCKS(rows, L3_CLIP_ROWS) * (uint64_t)CLIP_BLOCKS(columns, L3_CLIP_COLUMNS);
+    Clipping c;
+    c.means = take(room, blocks * (L3_CHANNELS + 1), sizeof *c.means);
+    c.maps = take(room, blocks * MAPS, sizeof *c.maps);
+    return c;
+}
+
+static float smooth_step(float value, float low, float high) {
+    const float share = (value - low) / (high - low), part = share < 0 ? 0 : share > 1 ? 1 : share;
+    return part * part * (3 - 2 * part);
+}
+
+/* Means and largest range of the block at (y, x) of the padded mosaic. */
+static void measure_block(const uint16_t *padded, int y, int x, int rows, int columns, int phase_row, int phase_column, float *made) {
+    const ptrdiff_t span = padded_span(columns);
+    const int last_top = rows > L3_CLIP_ROWS ? rows - L3_CLIP_ROWS : 0, top = smaller(y * L3_CLIP_ROWS, last_top);
+    const int last_left = columns > L3_CLIP_COLUMNS ? columns - L3_CLIP_COLUMNS : 0, left = smaller(x * L3_CLIP_COLUMNS, last_left);
+    int sum[L3_CHANNELS] = {0}, count[L3_CHANNELS] = {0}, lowest[L3_CHANNELS], highest[L3_CHANNELS] = {0};
+    int brightest = 0, widest = 0, whole = 1;
+    for (int c = 0; c < L3_CHANNELS; c++) lowest[c] = L3_MOST_DN;
+    for (int r = top; r < smaller(top + L3_CLIP_ROWS, rows); r++)
+        for (int p = left; p < smaller(left + L3_CLIP_COLUMNS, columns); p++) {
+            const int value = padded[(r + L3_RADIUS) * span + p + L3_RADIUS];
+            const int c = l3_cfa[(r + phase_row) % L3_CFA_ROWS][(p + phase_column) % L3_CFA_COLUMNS];
+            sum[c] += value;
+            count[c]++;
+            lowest[c] = smaller(lowest[c], value);
+            if (value > highest[c]) highest[c] = value;
+            if (value > brightest) brightest = value;
+        }
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        whole &= count[c] > 0;
+        if (highest[c] - lowest[c] > widest) widest = highest[c] - lowest[c];
+    }
+    whole &= brightest >= L3_CLIP_BRIGHT;
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        const float mean = whole ? ((float)sum[c] / (float)count[c] - L3_BLACK_LEVEL) / (L3_WHITE_LEVEL - L3_BLACK_LEVEL) : 0;
+        made[c] = mean > 1 ? 1 : mean;
+    }
+    made[L3_CHANNELS] = whole ? (float)widest / (L3_WHITE_LEVEL - L3_BLACK_LEVEL) : -1;
+}
+
+/* The grey that is taken for the brightness of signals (channel), a white being 1. */
+static float grey_level(const float *signal) {
+    float total = 0, weights = 0, most = 0, every = 1;
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        const float level = signal[c] / l3_clip_white[c], clipped = smooth_step(signal[c], L3_CLIP_BEGINS, L3_CLIP_CLIPS);
+        const float weight = 1 - clipped > L3_CLIP_FAINTEST ? 1 - clipped : L3_CLIP_FAINTEST;
+        total += weight * level;
+        weights += weight;
+        if (level > most) most = level;
+        if (clipped < every) every = clipped;
+    }
+    return total / weights + every * (most - total / weights);
+}
+
+/* What channels add as far as they clip, times a factor. */
+static void add_clipped(const float *signal, float factor, float *added) {
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        const float weight = factor * smooth_step(signal[c], L3_CLIP_BEGINS, L3_CLIP_CLIPS);
+        const float *response = l3_clip_response + (c + 1) * (L3_CHANNELS + 1) * 3;
+        for (int o = 0; o < 3; o++) {
+            float sum = response[L3_CHANNELS * 3 + o];
+            for (int s = 0; s < L3_CHANNELS; s++) sum += signal[s] * response[s * 3 + o];
+            added[o] += weight * sum;
+        }
+    }
+}
+
+/* What becomes of the block at (y, x) -> map. */
+static void map_block(const float *means, int y, int x, int rows, int columns, float *map) {
+    const float *own = means + ((ptrdiff_t)y * columns + x) * (L3_CHANNELS + 1);
+    float signal[L3_CHANNELS] = {0}, grey[L3_CHANNELS], brightest = 0, widest = 0;
+    for (int m = 0; m < MAPS; m++) map[m] = 0;
+    if (own[L3_CHANNELS] < 0) return;
+    for (int n = 0; n < 9; n++) {
+        const int row = clamped(y + n / 3 - 1, 0, rows - 1), column = clamped(x + n % 3 - 1, 0, columns - 1);
+        const float *there = means + ((ptrdiff_t)row * columns + column) * (L3_CHANNELS + 1);
+        for (int c = 0; c < L3_CHANNELS; c++) {
+            const float differs = there[c] > own[c] ? there[c] - own[c] : own[c] - there[c];
+            if (differs > widest) widest = differs;
+            signal[c] += there[c] * (n == 4 ? 0.25f : n % 2 ? 0.125f : 0.0625f);
+        }
+        if (there[L3_CHANNELS] > widest) widest = there[L3_CHANNELS];
+    }
+    for (int c = 0; c < L3_CHANNELS; c++)
+        if (signal[c] > brightest) brightest = signal[c];
+    const float plain = 1 - smooth_step(widest, L3_CLIP_PLAIN, L3_CLIP_TEXTURED), level = grey_level(signal);
+    map[0] = plain * smooth_step(brightest, L3_CLIP_KEPT, L3_CLIP_REPLACED);
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        const float seen = level * l3_clip_white[c];
+        grey[c] = seen < 1 ? seen : 1;
+        for (int o = 0; o < 3; o++) map[1 + o] += map[0] * (signal[c] - grey[c] + seen) * l3_clip_response[c * 3 + o];
+    }
+    add_clipped(signal, plain, map + 1);
+    add_clipped(grey, -plain, map + 1);
+}
+
+/* Block before the middle of the quad of a pixel, which may be -1, and the share of the next. */
+static int block_before(int pixel, int side, float *share) {
+    const int place = 2 * (pixel / 2 * 2 + 1) + side;
+    *share = (float)(place % (2 * side)) / (float)(2 * side);
+    return place / (2 * side) - 1;
+}
+
+/* Outputs of plain areas where channels clip are replaced. */
+static void replace_clipped(const Clipping *c, const uint16_t *padded, int rows, int columns, int phase_row, int phase_column,
+                            L3Output *outputs) {
+    const int down = CLIP_BLOCKS(rows, L3_CLIP_ROWS), across = CLIP_BLOCKS(columns, L3_CLIP_COLUMNS);
+    const ptrdiff_t pixels = (ptrdiff_t)rows * columns;
+    for (int y = 0; y < down; y++)
+        for (int x = 0; x < across; x++)
+            measure_block(padded, y, x, rows, columns, phase_row, phase_column,
+                          c->means + ((ptrdiff_t)y * across + x) * (L3_CHANNELS + 1));
+    for (int y = 0; y < down; y++)
+        for (int x = 0; x < across; x++) map_block(c->means, y, x, down, across, c->maps + ((ptrdiff_t)y * across + x) * MAPS);
+    for (int y = 0; y < rows; y++)
+        for (int x = 0; x < columns; x++) {
+            float low, side, made[MAPS];
+            const int row = block_before(y, L3_CLIP_ROWS, &low), column = block_before(x, L3_CLIP_COLUMNS, &side);
+            const float *above = c->maps + (ptrdiff_t)clamped(row, 0, down - 1) * across * MAPS;
+            const float *below = c->maps + (ptrdiff_t)clamped(row + 1, 0, down - 1) * across * MAPS;
+            const int left = clamped(column, 0, across - 1) * MAPS, right = clamped(column + 1, 0, across - 1) * MAPS;
+            for (int m = 0; m < MAPS; m++) {
+                const float first = above[left + m] + low * (below[left + m] - above[left + m]);
+                made[m] = first + side * (above[right + m] + low * (below[right + m] - above[right + m]) - first);
+            }
+            for (int o = 0; o < 3; o++) {
+                L3Output *output = outputs + o * pixels + (ptrdiff_t)y * columns + x;
+                *output = changed(*output, made[1 + o] - made[0] * ((float)*output / (1 << L3_OUTPUT_FRACTION)));
+            }
+        }
+}

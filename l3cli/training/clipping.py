@@ -1,0 +1,66 @@
+"""Outputs of plain areas where channels clip, learned from measured surfaces in rising light
+(docs/method.md#plain-clipped-areas)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.table import Clipping
+from l3cli.artifacts.training_set import LightSpectrum
+from l3cli.classes.clipping import CLIPS, added_terms, grey_level
+from l3cli.training.goal import one_light
+from l3cli.training.plain_surfaces import plain_surfaces
+
+Array = NDArray[np.float64]
+EXPOSURES = np.geomspace(0.35, 4.5, 24)  # of what fills a surface's first channel
+EVERY = 7  # of the surfaces: they are many
+RIDGE = COLOUR_RIDGE = 1e-3  # relative to the rows, and to the power of colour
+
+
+def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Array) -> Clipping | None:
+    """Return the response of a camera's channels; None if surfaces are not known under one light, whose white at Y = 1 is
+    `white` (output), or channels of one filter clip one after the other."""
+    if light is None or one_light(light) is None or camera.readout is not None:
+        return None
+    surfaces = plain_surfaces(camera, light, light, white)
+    if surfaces is None:
+        return None
+    of_white = surfaces.white * (camera.output_unit / camera.full_scale)
+    signals, outputs = surfaces.signals[::EVERY], surfaces.outputs[::EVERY]
+    colours = _colours(signals / of_white, outputs / white) * white / of_white[:, None]
+    over = np.broadcast_to(EXPOSURES[:, None], (EXPOSURES.size, len(signals))).reshape(-1)
+    scale = (EXPOSURES[:, None] / signals.max(axis=1)).reshape(-1, 1)
+    signals, outputs = (np.tile(each, (EXPOSURES.size, 1)) for each in (signals, outputs))
+    target, seen = _target(outputs * scale, over, white, 1 / of_white.min()), np.minimum(signals * scale, 1.0)
+    level = grey_level(seen.T, of_white)[:, None]
+    grey = np.minimum(level * of_white, 1.0)
+    features = (added_terms(seen.T) - added_terms(grey.T)).reshape(-1, len(seen)).T
+    missing = np.where(over[:, None] >= CLIPS, target - (seen - grey + level * of_white) @ colours, 0.0)
+    weight = 1 / (len(signals) * target[:, 1] * seen.mean(axis=1))
+    # Not by BLAS, whose sums depend on how many threads it has.
+    system = np.einsum("r,ri,rj->ij", weight, features, features, optimize=False)
+    right = np.einsum("r,ri,rj->ij", weight, features, missing, optimize=False)
+    system += RIDGE * np.eye(len(system))
+    added = np.linalg.solve(system, right).reshape(len(of_white), -1, len(white))
+    usual = np.append(colours, np.zeros((1, len(white))), axis=0)
+    return Clipping(np.append(usual[None], added, axis=0), of_white)
+
+
+def _colours(signals: Array, outputs: Array) -> Array:
+    """Return outputs (channel, output) per signal of surfaces, both relative to white, which stays white."""
+    weight = 1 / signals.mean(axis=1)
+    about, wanted = (each - signals.mean(axis=1, keepdims=True) for each in (signals, outputs))
+    power = np.einsum("s,si,sj->ij", weight**2, about, about, optimize=False)
+    right = np.einsum("s,si,so->io", weight**2, about, wanted, optimize=False)
+    channels = len(power)
+    system = power + COLOUR_RIDGE * np.trace(power) / channels * np.eye(channels)
+    by_colour = np.linalg.solve(system, right)
+    return np.asarray(by_colour + (1 - by_colour.sum(axis=0)) / channels)
+
+
+def _target(outputs: Array, over: Array, white: Array, brightest: float) -> Array:
+    """Return the outputs that are wanted of surfaces `over` so many times what fills their first channel: no brighter than
+    the white whose last channel just clips, and the paler the further over."""
+    luminance = np.minimum(outputs[:, 1:2], brightest)
+    chroma = outputs / outputs[:, 1:2] - white
+    return np.asarray(luminance * (white + chroma / (1 + np.maximum(over[:, None] - 1, 0.0) ** 2)))

@@ -1,0 +1,163 @@
+// Plain areas where channels clip (l3cli/classes/clipping.py): means and ranges of blocks of the mosaic, and the maps that quads
+// read of them: how much of the outputs is replaced, and by what.
+
+// Builtin functions are calls in PoCL 3.0.
+#define MORE(a, b) ((a) > (b) ? (a) : (b))
+#define LESS(a, b) ((a) < (b) ? (a) : (b))
+#define WITHIN(value, low, high) LESS(MORE(value, low), high)
+#define MEANS (CHANNELS + 1)  // of each channel, and the largest range of one
+
+INLINE float smooth_step(float value, float low, float high) {
+    const float share = (value - low) * (1.0f / (high - low)), part = WITHIN(share, 0.0f, 1.0f);
+    return part * part * (3.0f - 2.0f * part);
+}
+
+// A block of the mosaic, within the frame.
+typedef struct {
+    int top, bottom, left, right;
+} Block;
+
+INLINE Block block_at(int y, int x, int frame_rows, int frame_columns) {
+    const int top = LESS(y * BLOCK_ROWS, frame_rows - BLOCK_ROWS), left = LESS(x * BLOCK_COLUMNS, frame_columns - BLOCK_COLUMNS);
+    Block block = {MORE(top, 0), LESS(MORE(top, 0) + BLOCK_ROWS, frame_rows), MORE(left, 0),
+                   LESS(MORE(left, 0) + BLOCK_COLUMNS, frame_columns)};
+    return block;
+}
+
+INLINE int brightest_of(Block block, __global const ushort *restrict raw, int first, int frame_columns) {
+    int brightest = 0;
+    for (int r = block.top; r < block.bottom; r++)
+        for (int c = block.left; c < block.right; c++) {
+            const int value = raw[(size_t)(r - first) * frame_columns + c];
+            brightest = MORE(brightest, value);
+        }
+    return brightest;
+}
+
+// made: the means of the channels, and the largest range of one, which is -1 of a block that does not count.
+INLINE void measure_block(float made[MEANS], Block block, __global const ushort *restrict raw, __global const uchar *restrict cfa,
+                          float black_level, float span, int phase_row, int phase_column, int first, int frame_columns) {
+    int sum[CHANNELS] = {0}, count[CHANNELS] = {0}, lowest[CHANNELS], highest[CHANNELS] = {0}, widest = 0;
+    bool whole = true;
+    for (int k = 0; k < CHANNELS; k++) lowest[k] = MAX_RAW;
+    for (int r = block.top; r < block.bottom; r++)
+        for (int c = block.left; c < block.right; c++) {
+            const int read = raw[(size_t)(r - first) * frame_columns + c], value = LESS(read, MAX_RAW);
+            const int k = cfa[(r + phase_row) % CFA_ROWS * CFA_COLUMNS + (c + phase_column) % CFA_COLUMNS];
+            sum[k] += value;
+            count[k]++;
+            lowest[k] = LESS(lowest[k], value);
+            highest[k] = MORE(highest[k], value);
+        }
+    for (int k = 0; k < CHANNELS; k++) {
+        whole = whole && count[k] > 0;
+        const float mean = ((float)sum[k] / (float)MORE(count[k], 1) - black_level) / span;
+        made[k] = LESS(mean, 1.0f);
+        widest = MORE(widest, highest[k] - lowest[k]);
+    }
+    for (int k = 0; k < CHANNELS; k++) made[k] = whole ? made[k] : 0.0f;
+    made[CHANNELS] = whole ? (float)widest / span : -1.0f;
+}
+
+#define NOT_COUNTED(made) do { \
+    for (int k_ = 0; k_ < CHANNELS; k_++) (made)[k_] = 0.0f; \
+    (made)[CHANNELS] = -1.0f; \
+} while (0)
+
+// The grey that is taken for the brightness of signals (channel); `white`: the signals of a white at 1.
+INLINE float grey_level(const float *signal, __global const float *white) {
+    float total = 0.0f, weights = 0.0f, most = 0.0f, every = 1.0f;
+    for (int c = 0; c < CHANNELS; c++) {
+        const float level = signal[c] / white[c], clipped = smooth_step(signal[c], BEGINS, CLIPS), open = 1.0f - clipped;
+        const float weight = MORE(open, FAINTEST);
+        total += weight * level;
+        weights += weight;
+        most = MORE(most, level);
+        every = LESS(every, clipped);
+    }
+    const float mean = total / weights;
+    return mean + every * (most - mean);
+}
+
+// The sum of what channels add as far as they clip, times a factor, to the outputs.
+INLINE void add_clipped(float added[3], const float *signal, float factor, __global const float *response) {
+    for (int c = 0; c < CHANNELS; c++) {
+        const float weight = factor * smooth_step(signal[c], BEGINS, CLIPS);
+        if (weight == 0.0f) continue;
+        __global const float *of_channel = response + (c + 1) * (CHANNELS + 1) * 3;
+        for (int o = 0; o < 3; o++) {
+            float sum = of_channel[CHANNELS * 3 + o];
+            for (int k = 0; k < CHANNELS; k++) sum += signal[k] * of_channel[k * 3 + o];
+            added[o] += weight * sum;
+        }
+    }
+}
+
+// The maps of block (y, x); response: (clipped, signal, output), behind it the signals of a white. Beside a plain block whose own means are far below BEGINS none is
+// bright, and one that does not count is not plain beside one that does.
+INLINE float4 maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
+                      int columns) {
+    const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
+    float widest = means[CHANNELS * plane + at], brightest = 0.0f, signal[MEANS];
+    float4 made = 0.0f;
+    for (int k = 0; k < CHANNELS; k++) brightest = MORE(brightest, means[k * plane + at]);
+    if (widest < 0.0f || widest >= TEXTURED_FROM || brightest < BEGINS - TEXTURED_FROM) return made;
+    const int up = (y > 0 ? -1 : 0) * columns, down = (y < rows - 1 ? 1 : 0) * columns;
+    const int back = x > 0 ? -1 : 0, on = x < columns - 1 ? 1 : 0;
+    brightest = 0.0f;
+    for (int k = 0; k <= CHANNELS; k++) {
+        __global const float *plane_of = means + k * plane + at;
+        const float own = plane_of[0], around[8] = {plane_of[up + back], plane_of[up], plane_of[up + on], plane_of[back], plane_of[on],
+                                                    plane_of[down + back], plane_of[down], plane_of[down + on]};
+        const float less = k < CHANNELS ? own : 0.0f;
+        for (int n = 0; n < 8; n++) {
+            const float differs = around[n] - less;
+            widest = MORE(widest, differs);
+            if (k < CHANNELS) widest = MORE(widest, -differs);
+        }
+        signal[k] = 0.25f * own + 0.125f * (around[1] + around[3] + around[4] + around[6])
+                  + 0.0625f * (around[0] + around[2] + around[5] + around[7]);
+        if (k < CHANNELS) brightest = MORE(brightest, signal[k]);
+    }
+    const float plain = 1.0f - smooth_step(widest, PLAIN_UP_TO, TEXTURED_FROM);
+    if (plain <= 0.0f || brightest <= BEGINS) return made;
+    const float share = plain * smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM);
+    __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
+    const float level = grey_level(signal, white);
+    float grey[CHANNELS], added[3] = {0.0f, 0.0f, 0.0f};
+    for (int k = 0; k < CHANNELS; k++) {
+        const float seen = level * white[k];
+        grey[k] = LESS(seen, 1.0f);
+        for (int o = 0; o < 3; o++) added[o] += share * (signal[k] - grey[k] + seen) * response[k * 3 + o];
+    }
+    add_clipped(added, signal, plain, response);
+    add_clipped(added, grey, -plain, response);
+    return (float4)(share, added[0], added[1], added[2]);
+}
+
+// Where a quad lies between blocks: `low` of a row or column, the next, and the share of that.
+typedef struct {
+    int low, high;
+    float share;
+} Between;
+
+INLINE Between between(int pixel, int side, int blocks) {
+    // In halves of a pixel, `side` of them aside, so that numbers stay whole and above 0.
+    const int place = 2 * pixel + 2 + side, low = place / (2 * side) - 1;
+    Between made = {WITHIN(low, 0, blocks - 1), WITHIN(low + 1, 0, blocks - 1), (float)(place % (2 * side)) / (2 * side)};
+    return made;
+}
+
+INLINE float4 read_maps_at(Between down, Between across, __global const float4 *restrict maps, int block_columns) {
+    __global const float4 *above = maps + (size_t)down.low * block_columns, *below = maps + (size_t)down.high * block_columns;
+    const float4 left = above[across.low] + down.share * (below[across.low] - above[across.low]);
+    const float4 right = above[across.high] + down.share * (below[across.high] - above[across.high]);
+    return left + across.share * (right - left);
+}
+
+INLINE void store_maps(__global float *restrict to, size_t at, size_t quads, float4 made) {
+    to[at] = made.x;
+    to[quads + at] = made.y;
+    to[2 * quads + at] = made.z;
+    to[3 * quads + at] = made.w;
+}

@@ -1,0 +1,90 @@
+// Processor variant: mosaic → means of blocks → maps → those that quads read. One work-item takes a tile of blocks, or of quads.
+// Nearly all of most frames is dark, or at least not plain and clipped: that is found out in vectors.
+
+#define EACH_OF_TILE \
+    for (int y = GROUP_ROW; y < min(GROUP_ROW + BAND, rows); y++) \
+        for (int x = GROUP_COLUMN; x < min(GROUP_COLUMN + TILE, columns); x++)
+
+// The band's raw rows begin at row `first` of the frame; blocks that do not lie in it are not read.
+COMPILED_ONCE measure_tile(int x0, int y0, __global const ushort *restrict raw, __global const uchar *restrict cfa,
+                           __global float *restrict means, int bright, float black_level, float span, int phase_row,
+                           int phase_column, int first, int raw_rows, int frame_rows, int frame_columns, int rows, int columns) {
+    const int begin = x0 * BLOCK_COLUMNS, width = min(TILE * BLOCK_COLUMNS, frame_columns - begin);
+    const size_t plane = (size_t)rows * columns;
+    ushort brightest[TILE * BLOCK_COLUMNS];  // of a column
+    for (int y = y0; y < min(y0 + BAND, rows); y++) {
+        const Block row = block_at(y, x0, frame_rows, frame_columns);
+        const bool inside = row.top >= first && row.bottom <= first + raw_rows;
+        __global const ushort *start = raw + (ptrdiff_t)(row.top - first) * frame_columns + begin;
+        int p = 0;
+        for (; inside && p + LANES <= width; p += LANES) {
+            shorts most = LOAD_GLOBAL(shorts, start + p);
+            for (int r = 1; r < row.bottom - row.top; r++) {
+                const shorts more = LOAD_GLOBAL(shorts, start + (size_t)r * frame_columns + p);
+                most = more > most ? more : most;
+            }
+            STORE_PRIVATE(shorts, brightest + p) = most;
+        }
+        AT_EDGE
+        for (; inside && p < width; p++) {
+            brightest[p] = 0;
+            for (int r = 0; r < row.bottom - row.top; r++) {
+                const ushort value = start[(size_t)r * frame_columns + p];
+                brightest[p] = MORE(brightest[p], value);
+            }
+        }
+        for (int x = x0; x < min(x0 + TILE, columns); x++) {
+            const Block block = block_at(y, x, frame_rows, frame_columns);
+            int most = 0;
+            if (inside && block.left < begin) most = brightest_of(block, raw, first, frame_columns);
+            else if (inside)
+                for (int c = block.left; c < block.right; c++) most = MORE(most, brightest[c - begin]);
+            float made[MEANS];
+            NOT_COUNTED(made);
+            if (min(most, MAX_RAW) >= bright)
+                measure_block(made, block, raw, cfa, black_level, span, phase_row, phase_column, first, frame_columns);
+            for (int k = 0; k < MEANS; k++) means[k * plane + (size_t)y * columns + x] = made[k];
+        }
+    }
+}
+
+KERNEL_OF_ONE measure_blocks(__global const ushort *restrict raw, __global const uchar *restrict cfa, __global float *restrict means,
+                             int bright, float black_level, float span, int phase_row, int phase_column, int first, int raw_rows,
+                             int frame_rows, int frame_columns, int rows, int columns) {
+    measure_tile(GROUP_COLUMN, GROUP_ROW, raw, cfa, means, bright, black_level, span, phase_row, phase_column, first, raw_rows,
+                 frame_rows, frame_columns, rows, columns);
+}
+
+KERNEL_OF_ONE map_blocks(__global const float *restrict means, __global const float *restrict response,
+                         __global float4 *restrict maps, int rows, int columns) {
+    EACH_OF_TILE maps[(size_t)y * columns + x] = maps_of(y, x, means, response, rows, columns);
+}
+
+// Of LANES quads of a row, which lie between no more blocks than these.
+#define BLOCKS_ACROSS (2 * LANES / BLOCK_COLUMNS + 2)
+
+COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float4 *restrict maps, __global float *restrict to, int first,
+                                int block_rows, int block_columns, int plane_rows, int plane_columns, int rows, int columns) {
+    const size_t quads = QUADS_PLANE(plane_rows, plane_columns);
+    for (int y = y0; y < min(y0 + BAND, rows); y++) {
+        const Between down = between(first + 2 * y, BLOCK_ROWS, block_rows);
+        __global const float4 *above = maps + (size_t)down.low * block_columns, *below = maps + (size_t)down.high * block_columns;
+        for (int x = x0; x < min(x0 + TILE, columns); x += LANES) {
+            const int start = between(2 * x, BLOCK_COLUMNS, block_columns).low, end = min(start + BLOCKS_ACROSS, block_columns);
+            const size_t at = (size_t)y * QUADS_STRIDE(plane_columns) + x;
+            float4 any = 0.0f;
+            for (int b = start; b < end; b++) any += above[b] * above[b] + below[b] * below[b];
+            if (any.x + any.y + any.z + any.w == 0.0f)
+                for (int m = 0; m < 4; m++) STORE_FIRST(to + m * quads + at, (floats)0.0f, columns - x);
+            else
+                for (int i = 0; i < min(LANES, columns - x); i++)
+                    store_maps(to, at + i, quads,
+                               read_maps_at(down, between(2 * (x + i), BLOCK_COLUMNS, block_columns), maps, block_columns));
+        }
+    }
+}
+
+KERNEL_OF_ONE read_maps(__global const float4 *restrict maps, __global float *restrict to, int first, int block_rows,
+                        int block_columns, int plane_rows, int plane_columns, int rows, int columns) {
+    read_maps_of_tile(GROUP_COLUMN, GROUP_ROW, maps, to, first, block_rows, block_columns, plane_rows, plane_columns, rows, columns);
+}

@@ -1,0 +1,34 @@
+// Graphics variant: mosaic → means of blocks → maps → those that quads read. A work-item a block, or a quad.
+
+#define KERNEL_OF_TILE __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1))) void
+#define ITS_PLACE \
+    const int x = get_global_id(0), y = get_global_id(1); \
+    if (x >= columns || y >= rows) return
+
+// The band's raw rows begin at row `first` of the frame; blocks that do not lie in it are not read.
+KERNEL_OF_TILE measure_blocks(__global const ushort *restrict raw, __global const uchar *restrict cfa, __global float *restrict means,
+                              int bright, float black_level, float span, int phase_row, int phase_column, int first, int raw_rows,
+                              int frame_rows, int frame_columns, int rows, int columns) {
+    ITS_PLACE;
+    const Block block = block_at(y, x, frame_rows, frame_columns);
+    float made[MEANS];
+    NOT_COUNTED(made);
+    if (block.top >= first && block.bottom <= first + raw_rows
+        && min(brightest_of(block, raw, first, frame_columns), MAX_RAW) >= bright)
+        measure_block(made, block, raw, cfa, black_level, span, phase_row, phase_column, first, frame_columns);
+    for (int k = 0; k < MEANS; k++) means[((size_t)k * rows + y) * columns + x] = made[k];
+}
+
+KERNEL_OF_TILE map_blocks(__global const float *restrict means, __global const float *restrict response,
+                          __global float4 *restrict maps, int rows, int columns) {
+    ITS_PLACE;
+    maps[(size_t)y * columns + x] = maps_of(y, x, means, response, rows, columns);
+}
+
+KERNEL_OF_TILE read_maps(__global const float4 *restrict maps, __global float *restrict to, int first, int block_rows,
+                         int block_columns, int plane_rows, int plane_columns, int rows, int columns) {
+    ITS_PLACE;
+    const Between down = between(first + 2 * y, BLOCK_ROWS, block_rows), across = between(2 * x, BLOCK_COLUMNS, block_columns);
+    store_maps(to, (size_t)y * QUADS_STRIDE(plane_columns) + x, QUADS_PLANE(plane_rows, plane_columns),
+               read_maps_at(down, across, maps, block_columns));
+}

@@ -1,0 +1,104 @@
+"""Plain areas where channels clip: what must hold of the formula (docs/method.md#plain-clipped-areas), and of kernels."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import Clipping, TransformTable
+from l3cli.artifacts.training_set import LightSpectrum
+from l3cli.classes.clipping import BEGINS, CLIPS, Mosaic, clipping_maps, replaced
+from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.physics import spectra
+from l3cli.rendering.opencl import work
+from l3cli.rendering.opencl.renderer import OpenCLRenderer
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.training.clipping import learned_clipping
+from tests.helpers.cameras import BAYER, X_TRANS
+from tests.helpers.paths import CONFIGS
+from tests.helpers.tables import random_table, with_clipping, with_coarse_chroma, with_refinement
+
+ARRAYS = {"bayer": BAYER, "x-trans": X_TRANS}
+
+
+def soft_frame(table: TransformTable, shape: tuple[int, int], phase: tuple[int, int] = (0, 0)) -> RawFrame:
+    """A frame whose channels rise to clip one after the other, but for a dark square."""
+    cfa = shifted_cfa(table.cfa, phase)
+    rows, cols = np.indices(shape)
+    gain = np.linspace(0.7, 1.3, len(table.channels))[cfa[rows % cfa.shape[0], cols % cfa.shape[1]]]
+    signal = gain * (0.3 + 1.1 * cols / shape[1]) + 0.01 * np.random.default_rng(0).normal(size=shape)
+    signal[shape[0] // 2 : shape[0] // 2 + 5, 5:12] = 0.1
+    span = table.white_level - table.black_level
+    values = np.clip(signal * span + table.black_level, 0, table.white_level).astype(np.uint16)
+    return RawFrame("soft", values, table.black_level, table.white_level, phase)
+
+
+@pytest.mark.parametrize(("array", "variant"), [("bayer", "graphics"), ("x-trans", "processor")])
+def test_backends_agree(monkeypatch: pytest.MonkeyPatch, array: str, variant: str) -> None:
+    """Also in bands, at any phase, and in frames smaller than a block."""
+    bare = with_coarse_chroma(with_refinement(random_table(ARRAYS[array], black_level=64.0, patch=5), 5))
+    table = with_clipping(bare)
+    frames = [soft_frame(table, (190, 131)), soft_frame(table, (43, 300), (1, 1)), soft_frame(table, (3, 2))]
+    device = OpenCLRenderer(table, variant=variant)
+    for frame in frames:
+        expected = ReferenceRenderer(table).exact_outputs(frame)
+        np.testing.assert_allclose(device.outputs(frame), expected, atol=1e-5 * np.abs(expected).max())
+    changed = np.abs(ReferenceRenderer(bare).exact_outputs(frames[0]) - ReferenceRenderer(table).exact_outputs(frames[0]))
+    assert changed.max() > 0.05
+    assert not changed[:, :, :10].any()  # nothing is near clipping
+    whole = device.outputs(frames[0])
+    monkeypatch.setattr(work, "BAND_PIXELS", 10 * 131)
+    np.testing.assert_array_equal(OpenCLRenderer(table, variant=variant).outputs(frames[0]), whole)
+
+
+def flat(signals: NDArray, cfa: NDArray[np.uint8]) -> Mosaic:
+    """A mosaic of one colour (channel), shares of full scale."""
+    values = np.minimum(np.tile(signals[cfa], (12, 12)), 1.0) * 60000
+    return Mosaic(values.astype(np.uint16), cfa, 0.0, 60000.0)
+
+
+@pytest.mark.parametrize("name", ["fiveband", "rgbw"])
+def test_light_rises_smoothly_to_white(name: str) -> None:
+    camera = load_camera(CONFIGS / f"cameras/{name}.toml")
+    grid = spectra.light_grid(camera.wavelength).astype(float)
+    light = LightSpectrum(grid, spectra.at_luminance(spectra.illuminant("D65", grid), grid, 1.0).astype(np.float32), 0.0)
+    radiance, weights = spectra.illuminant("D65", camera.wavelength), spectra.xyz_weights(camera.wavelength)
+    radiance = radiance / (radiance @ weights.T)[1]
+    white = radiance @ weights.T
+    to_signals = camera.signal_weights.T * (camera.output_unit / camera.full_scale)
+    clipping = learned_clipping(camera, light, white)
+    assert clipping is not None
+    signals, seen = radiance @ to_signals, []
+    for over in np.geomspace(0.5, 1.2 * signals.max() / signals.min(), 60):
+        mosaic = flat(over / signals.max() * signals, camera.cfa)
+        by_classes = over / signals.max() * white if over < CLIPS else np.zeros(3)  # that know nothing where a channel clips
+        outputs = np.broadcast_to(by_classes[:, None, None], (3, *mosaic.values.shape))
+        seen.append(replaced(outputs, mosaic, clipping.response, clipping.white)[:, 9, 9])
+    luminance = np.array(seen)[:, 1]
+    assert np.diff(luminance).min() > -0.005 * luminance.max()
+    assert np.diff(luminance).max() < 0.1 * luminance.max()
+    np.testing.assert_allclose(np.array(seen) / luminance[:, None], np.broadcast_to(white, (60, 3)), rtol=0.002)
+    np.testing.assert_allclose(luminance[-1], 1 / signals.min(), rtol=0.002)
+    dark = clipping_maps(flat(0.99 * BEGINS * signals / signals.max(), camera.cfa), clipping.response, clipping.white)
+    assert not dark.any()
+
+
+def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
+    table = with_clipping(with_coarse_chroma(with_refinement(random_table(BAYER, patch=5), 5)))
+    save(table, tmp_path / "table.h5")
+    kept, clipping = load(TransformTable, tmp_path / "table.h5").later[-1].clipping, table.later[-1].clipping
+    assert kept is not None
+    assert clipping is not None
+    np.testing.assert_array_equal(kept.response, clipping.response)
+    for response in (np.zeros((4, 3, 3)), np.full((4, 4, 3), np.nan)):
+        with pytest.raises(ValueError, match="response"):
+            Clipping(response, np.ones(3))
+    with pytest.raises(ValueError, match="has coarse chroma, too"):
+        dataclasses.replace(table.later[-1], coarse_chroma=None)
+    wrong = dataclasses.replace(table.later[-1], clipping=Clipping(np.zeros((5, 5, 3)), np.ones(4)))
+    with pytest.raises(ValueError, match="along channel"):
+        dataclasses.replace(table, later=(wrong,))
