@@ -118,7 +118,7 @@ def test_nor_one_between_layers() -> None:
         rows = np.column_stack([windows, np.ones(200), rng.random((200, 3))])
         count[index], moments[index] = 200, (rows.T @ rows)[row, col]
     sums = LayerSums(moments, np.zeros((count.size, taps * (taps + 1) // 2)), count)
-    goal = LayerGoal((), 0.0, 1e-18, (1.0, 1.0, 1.0), np.array([0.0, 1.0, 0.0]), taps, 0.0)
+    goal = LayerGoal((), 0.0, 1e-18, (1.0, 1.0, 1.0), np.array([0.0, 1.0, 0.0]), taps)
     (solved,) = solve_layer([sums], [1], rule, goal)
     planes = np.swapaxes(solved, 1, 2)
     assert room_between(planes[..., :-1], planes[..., -1]).min() > 1
