@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.design import Design
 from l3cli.report.camera import array_figure, responsivity_figures
-from l3cli.report.colours import Filters
 from l3cli.report.drawing import SERIES, Plot, spanning
 from l3cli.report.parts import Figure, Figures, Key, Section, Subsection, Table
 
@@ -17,7 +16,7 @@ MARKS = ("line", "dashed", "dotted", "line")
 
 
 @dataclass(frozen=True)
-class _Drawn(Filters):
+class _Drawn:
     """An array of a design as drawings of cameras take it."""
 
     channels: tuple[str, ...]

@@ -97,7 +97,9 @@ def test_what_is_no_report_is_refused(pipeline: Path, tmp_path: Path, refused: R
     assert "is not an HDF5 file" in refused(3, "report", camera, tmp_path / "text.h5", "-o", out)
     shard = ("train", pipeline / "training.h5", "--classes", pipeline / "classes.toml", "--shard", "1/2")
     assert l3(*shard, "-o", tmp_path / "sums.h5")[0] == 0
-    assert "give camera models, training sets or transform tables" in refused(3, "report", tmp_path / "sums.h5", "-o", out)
+    assert "give camera models, training sets, transform tables or designs" in refused(
+        3, "report", tmp_path / "sums.h5", "-o", out
+    )
     out.write_text("mine")
     assert "--force" in refused(1, "report", camera, "-o", out)
     assert out.read_text() == "mine"
