@@ -64,7 +64,7 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
         options.console.info('next: one of them and a new folder, such as "l3 init bayer demo"')
         return Result({"recipes": recipes}, lambda: _list(recipes))
     if recipe not in known and recipe not in by_name:
-        raise click.UsageError(f'no recipe or camera "{recipe}"; {suggestion(recipe, (*known, *by_name))}')
+        raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, (*known, *by_name))}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
     if recipe in known:

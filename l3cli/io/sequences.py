@@ -37,7 +37,7 @@ from l3cli.io.images import picture_size, read_image
 from l3cli.io.isolated import isolated
 from l3cli.io.pictures.registry import suffixes
 from l3cli.io.raw.content import MultiFrameFile
-from l3cli.io.raw.files import RawOverrides, format_of, frame_of, is_frame, is_photo, read_raw, read_stack, read_stdin
+from l3cli.io.raw.files import RawOverrides, format_of, frame_of, is_frame, read_raw, read_stack, read_stdin
 from l3cli.io.scenes import rgb
 from l3cli.io.video import CONTAINERS, DecodedVideo, InTurn, Stated, is_video, pyav, unit_of
 from l3cli.physics.display import srgb_decoded
@@ -74,12 +74,6 @@ class FrameSequence:
     unit: int | None = 1  # by how much their numbers grow from frame to frame; None: they do not count frames
     times: Stated | None = None  # when they are shown, where the file states that of each
     part: range | None = None  # places, from 0, of the frames that are rendered of those that there are; None: all
-
-    @property
-    def are_photos(self) -> bool:
-        """Return whether the first frame is a file that says which camera took it."""
-        first = next(iter(self.frames), None) if not self.is_stream else None
-        return first is not None and first.source is not None and is_photo(first.source)
 
     @property
     def lost(self) -> int:

@@ -5,7 +5,6 @@ import os
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 from l3cli.system.signals import is_wanted, raise_pending, uninterrupted
@@ -26,6 +25,8 @@ def threaded(count: int) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], I
     if (count := min(count, os.cpu_count() or 1)) < 2:
         yield map
         return
+    from concurrent.futures import ThreadPoolExecutor  # which no frame needs
+
     with ThreadPoolExecutor(count) as pool:
         yield pool.map
 

@@ -59,7 +59,7 @@ def test_the_list_is_searched_by_words(l3: L3, refused: Refused) -> None:
     assert "Kiss X7" in l3("init", "--list", "rebel sl1")[1]  # by another name of it
     assert "52 cameras by name: l3 init --list" in l3("init")[2]
     assert 'no camera by the name "zeiss"; l3 init --list without words' in refused(2, "init", "--list", "zeiss")
-    assert 'no recipe or camera "nikon_d81"; did you mean "nikon_d810" or ' in refused(2, "init", "nikon_d81", "x")
+    assert 'no recipe "nikon_d81"; did you mean "nikon_d810" or ' in refused(2, "init", "nikon_d81", "x")
 
 
 @pytest.mark.parametrize(

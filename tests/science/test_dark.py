@@ -246,10 +246,10 @@ def test_a_table_of_before_has_no_dark_current(leaky: Path, l3: L3) -> None:
 def test_frames_of_simulate_state_their_exposure_time(pipeline: Path, l3: L3, tmp_path: Path) -> None:
     options = ("--camera", pipeline / "camera.toml", "-o", tmp_path / "u.h5")
     l3("simulate", pipeline / "unseen.toml", *options, "--pictures", tmp_path / "tif", "--dng", tmp_path / "dng", "--quiet")
-    rendered = []
+    rendered, shown = [], ("--white", "table", "--backend", "reference")
     for name in ("tif", "dng"):
         raw = next(path for path in (tmp_path / name).iterdir() if path.suffix == f".{name}")
-        code, _, err = l3("render", pipeline / "table.h5", raw, "-o", tmp_path / f"{name}.png", "--backend", "reference")
+        code, _, err = l3("render", pipeline / "table.h5", raw, "-o", tmp_path / f"{name}.png", *shown)
         assert code == 0
         assert "exposure time unknown" not in err
         rendered.append(read_image(tmp_path / f"{name}.png")[0].tobytes())

@@ -111,6 +111,11 @@ def is_photo(path: Path) -> bool:
     return path.suffix.lower() in PHOTOS
 
 
+def are_photos(path: Path) -> bool:
+    """Return whether a file, the names of a pattern or files of a folder say which camera took them."""
+    return is_photo(path) or (path.is_dir() and any(map(is_photo, path.iterdir())))
+
+
 def needs_isolation(path: Path) -> bool:
     """Return whether a file is decoded in an isolated process; a folder or stdin does not tell."""
     kind = format_of(path)

@@ -20,6 +20,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.frames.gain_estimate import estimate_gain
 from l3cli.io.pictures.dng import MOSAICS
 from l3cli.io.pictures.registry import write_picture
+from l3cli.io.raw.files import are_photos
 from l3cli.io.sequences import STDIN_NAME, FrameSequence, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, Pacing
 from l3cli.options.render import RenderOptions
@@ -85,14 +86,13 @@ def render(
         model = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if options.hot == "auto" else None)
-        find = functools.partial(find_frames, inputs, transforms, selection=options.frames, dataset=options.dataset)
-        sequence = find(known)
-        has_white = not destination.linear or options.space is not None
-        photos = has_white and sequence.are_photos
+        photos = are_photos(inputs[0]) and (not destination.linear or options.space is not None)
         source = white_source(white, transforms, photos)
         lit, mix = transforms, None if source else mix_of_given(white, transforms, nearest_for, console)
         transforms = mixed(lit, mix)
         rendition = _rendition(destination, None if source else white, transforms, options)
+        find = functools.partial(find_frames, inputs, transforms, selection=options.frames, dataset=options.dataset)
+        sequence = find(known)
         if options.shard is not None:
             if sequence.count == 1 and not (inputs[0].exists() or set("%#*?[") & set(str(inputs[0]))):
                 raise InputFileError(f"{inputs[0]} does not exist; give a folder, a pattern or a stack")
