@@ -99,8 +99,7 @@ class ReferenceRenderer:
         clipping = self.table.later[-1].clipping
         if clipping is None:
             return made
-        cfa, levels = shifted_cfa(self.table.cfa, levelled.phase), (levelled.black_level, self.table.white_level)
-        return replaced(made, Mosaic(levelled.values, cfa, *levels), clipping.response, clipping.white)
+        return replaced(made, mosaic_of(levelled, self.table), clipping.response, clipping.white)
 
     def _refined_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
         """Return class (row, col) in refinement layer `place`, from 0, of every pixel."""
@@ -111,6 +110,12 @@ class ReferenceRenderer:
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
     """Return the frame on the black level, white level and depth that the table is for, its channels shaded alike."""
     return frame.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
+
+
+def mosaic_of(levelled: RawFrame, table: TransformTable) -> Mosaic:
+    """Return the mosaic of a frame at the table's levels, in which plain clipped areas are sought."""
+    cfa = shifted_cfa(table.cfa, levelled.phase)
+    return Mosaic(levelled.values, cfa, levelled.black_level, table.white_level)
 
 
 def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, first: MosaicLayer) -> NDArray[np.float64]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, TransformTable
+from l3cli.classes.clipping import clipping_maps
 from l3cli.classes.coarse_chroma import BLOCK, blocks_of, own_shares, scales_of
 from l3cli.classes.planes import CHROMA, LUMINANCE, opponent_basis
 from l3cli.classes.refinement import RATIO_DARKEST, mirrored, window_means
@@ -21,11 +22,14 @@ from l3cli.classes.windows import window_channels
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame, as_taken, mirrored_indices, upright
 from l3cli.rendering.conditions import at_gain, nearest_step, with_edges_for
-from l3cli.rendering.reference import at_table_levels
+from l3cli.rendering.reference import at_table_levels, mosaic_of
 from l3cli.rendering.renderer import Renderer
 
 Array = NDArray[np.float64]
-CLIPPED, UNTRAINED = 1, 2  # bits of a mask: clipped values decide the class; a class without training patches of its own
+CLIPPED, UNTRAINED = (
+    1,
+    2,
+)  # bits of a mask: clipped values decide the class or the result; a class without training patches of its own
 SHARES = 8  # steps in which shares of coarse chroma are distinguished
 MOST_LAYERS = 1  # of refinement: what follows has classes that mirrored sites name in another way
 # Weights by distance of what blocks of four pixels, interpolated, are of a row of pixels, wherever these begin.
@@ -133,7 +137,7 @@ def uncertainty(table: TransformTable, frame: RawFrame, make: Callable[[Transfor
     scale = np.broadcast_to(np.asarray(frame.light_share * gain, np.float64), key.shape)
     sigma = np.moveaxis(scale * np.sqrt(np.maximum(kernels.variance(), 0.0)), 0, -1).astype(np.float32)
     turn = frame.orientation
-    return Uncertainty(upright(sigma, turn), upright(_mask(table, labels), turn), turn, kernels, scale)
+    return Uncertainty(upright(sigma, turn), upright(_mask(table, labels, frame), turn), turn, kernels, scale)
 
 
 @dataclass(frozen=True)
@@ -172,12 +176,16 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
     return inside
 
 
-def _mask(table: TransformTable, labels: Sequence[NDArray[np.int64]]) -> NDArray[np.uint8]:
-    """Return the mask (row, col) of pixels by their classes in each layer."""
+def _mask(table: TransformTable, labels: Sequence[NDArray[np.int64]], frame: RawFrame) -> NDArray[np.uint8]:
+    """Return the mask (row, col) of pixels by their classes in each layer, and where the clipped area about them takes the
+    place of their transforms, whose noise is not that of the result."""
     rule = table.first.rule
     mask = np.where(rule.case(rule.split(labels[0]).kind) > 0, CLIPPED, 0).astype(np.uint8)
     for layer, label in zip(table.layers, labels, strict=True):
         mask |= np.where(layer.samples[label] > 0, 0, UNTRAINED).astype(np.uint8)
+    if table.later and (clipping := table.later[-1].clipping):
+        mosaic = mosaic_of(at_table_levels(frame, table), table)
+        mask |= np.where(clipping_maps(mosaic, clipping.response, clipping.white)[0] > 0, CLIPPED, 0).astype(np.uint8)
     return mask
 
 

@@ -10,11 +10,14 @@ import contextlib
 import errno
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from l3cli.system.files import UNFINISHED, is_ours, refuse_filled_folder, sweep, write_whole
+from l3cli.errors import L3Error, RecipeError
+from l3cli.system.files import UNFINISHED, is_ours, refuse_filled_folder, refuse_protected, sweep, write_whole
+
+RUN = "run"  # name of the checkpoint in a folder of parts
 
 
 class Checkpoint:
@@ -71,6 +74,64 @@ def _read(path: Path) -> tuple[str | None, bool, list[str]]:
     first, *lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
     key, _, force = first.partition(" ")
     return key, bool(force), lines
+
+
+class PartsFolder:
+    """The folder in which the run `key` stores its parts for as long as it lasts, with their checkpoint."""
+
+    def __init__(self, folder: Path, key: str) -> None:
+        self.folder, self.key, self.checkpoint = folder, key, Checkpoint(folder / RUN, key)
+
+    def goes_on(self, resume: bool, force: bool) -> bool:
+        """Return whether the run goes on with parts that are stored: with `resume` those of the same run. If they are of
+        another one, RecipeError, unless `force`; L3Error if the folder is not of l3's making."""
+        if not self.folder.exists():
+            return False
+        for each in self.folder.iterdir():
+            refuse_protected(each)
+        is_checkpoint = self.checkpoint.path.is_file()
+        if not is_checkpoint and not all(is_ours(each.name) for each in self.folder.iterdir()):
+            raise L3Error(f"{self.folder} holds files that l3 did not make; move it elsewhere")
+        same = resume and self.checkpoint.take_over()
+        if resume and is_checkpoint and not same and not force:
+            raise RecipeError(
+                f"{self.folder} is of a run with another recipe, camera, seed or version; leave ‹resume› out or add ‹force›"
+            )
+        return same
+
+    @contextlib.contextmanager
+    def held(self, resume: bool, force: bool, is_whole: Callable[[Path], bool] = Path.is_file) -> Iterator[None]:
+        """Keep the folder for the block, with those parts to go on with that are listed and whole, and remove it at the end;
+        if that fails or is interrupted, keep what parts there are. Errors as of `goes_on`."""
+        if self.goes_on(resume, force):
+            sweep(self.folder)
+            items = self.checkpoint.items.items()
+            self.checkpoint.items = {name: state for name, state in items if is_whole(self.folder / name)}
+        elif self.folder.exists():
+            remove_parts(self.folder)
+        self.checkpoint.begin()
+        try:
+            yield
+        except BaseException:
+            sweep(self.folder)  # what worker processes left that were ended
+            if all(each.name == RUN for each in self.folder.iterdir()):
+                remove_parts(self.folder)
+            raise
+        remove_parts(self.folder)
+
+
+def parts_folder(output: Path) -> Path:
+    """Return the folder of the stored parts of an output."""
+    return output.with_name(f"{output.name}.parts")
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove a folder of parts, its checkpoint last: without one nobody would know whose it is."""
+    for each in folder.iterdir():
+        if each.name != RUN:
+            each.unlink(missing_ok=True)
+    (folder / RUN).unlink(missing_ok=True)
+    folder.rmdir()
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from l3cli.rendering.renderer import make_renderer
 from l3cli.rendering.uncertainty import CLIPPED, UNTRAINED, Uncertainty, region, uncertainty, within_polygon
 from l3cli.simulation.sensor import expose
 from tests.helpers.cameras import BAYER, FIVE_BAND, random_camera
-from tests.helpers.tables import random_table, with_refinement, with_spectra
+from tests.helpers.tables import random_table, with_clipping, with_coarse_chroma, with_refinement, with_spectra
 
 SIDE, FRAMES = 48, 150
 
@@ -71,6 +71,15 @@ def test_masks_name_what_was_not_trained() -> None:
     thin = replace(table, first=replace(table.first, samples=np.zeros_like(table.first.samples)))
     found = uncertainty(thin, noisy_frame(thin, 0.3, 1), lambda each: make_renderer("opencl", each))
     assert (found.mask & UNTRAINED).all()
+
+
+def test_masks_name_plain_areas_that_clipping_replaces() -> None:
+    """Nothing clips there yet, and classes are those of unclipped pixels."""
+    bare = with_coarse_chroma(even_table(BAYER, 2))
+    near = noisy_frame(bare, 0.94 / 1.4, 1)
+    assert not (uncertainty(bare, near, lambda each: make_renderer("reference", each)).mask & CLIPPED).any()
+    found = uncertainty(with_clipping(bare), near, lambda each: make_renderer("reference", each))
+    assert (found.mask & CLIPPED).mean() > 0.9
 
 
 def test_maps_are_upright_and_regions_are_those_of_the_picture() -> None:

@@ -102,6 +102,7 @@ def _between(now: WhiteBalance, wanted: WhiteBalance, share: float) -> WhiteBala
 GREY_LEVEL = 0.4  # of full scale, in the brightest channel: where tables have learned most
 LARGEST_GAIN = 8.0  # of a channel: beyond, it is noise
 SURFACES = 64  # measured reflectances that a table's colours under a light are corrected by
+UNSURE = 1e-3  # of a surface: error of what a table shows of it, which a correction is not to amplify
 DARKEST = 0.05  # of white: below, errors of surfaces count no more than there
 MOST_GREEN = 0.03  # distance from the black bodies in CIE 1960 uv that no lamp for people has
 SAME_WHITE = 5e-4  # distance in CIE 1960 uv of whites that are the same, as written with four digits
@@ -237,7 +238,8 @@ class Whites:
         true = with_white @ spectra.xyz_weights(camera.wavelength).T
         ours, ideal = (of[:-1] / of[-1, 1] @ adaptation(_white(of[-1])).T for of in (shown, true))
         weights = 1.0 / np.maximum(ideal[:, 1:2], DARKEST)  # errors are seen relative to lightness
-        return np.asarray(fit_through(ours * weights, ideal * weights, display_white(), display_white()), np.float64)
+        through = display_white(), display_white()
+        return np.asarray(fit_through(ours * weights, ideal * weights, *through, UNSURE**2), np.float64)
 
 
 def _is_plausible(light: CorrelatedLight) -> bool:

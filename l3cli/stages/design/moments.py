@@ -39,6 +39,7 @@ from l3cli.simulation.sources import Spectral, WantedScene, holds_codes, wanted_
 from l3cli.stages.design.parts import Parts
 from l3cli.stages.simulation.preparation import fitting, input_files, prepare, scene_over_time
 from l3cli.stages.simulation.units import key_of
+from l3cli.system.checkpoint import parts_folder
 from l3cli.system.files import sha256
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
@@ -69,7 +70,7 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
         ]
         size = -(-len(wanted) // PARTS)
         chunks = [list(enumerate(wanted))[start : start + size] for start in range(0, len(wanted), size)]
-        parts = Parts(output, key_of(stage))
+        parts = Parts(parts_folder(output), key_of(stage))
         with parts.held(options.resume, options.force), workers(options.jobs) as pool:
             spectra = parts.each("spectra", functools.partial(_spectra, run), chunks, pool, console)
             powers = functools.reduce(np.add, (part["power"] for part in spectra))

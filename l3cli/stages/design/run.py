@@ -38,6 +38,7 @@ from l3cli.stages.design.moments import pixel_files, pixel_of
 from l3cli.stages.design.parts import Parts
 from l3cli.stages.design.truth import FIGURES, Trial, camera_of, trained
 from l3cli.stages.simulation.units import key_of
+from l3cli.system.checkpoint import parts_folder
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
 from l3cli.system.output_guard import OutputGuard
@@ -160,7 +161,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> Design:
         before_work({"recipe": files, "moments": [options.moments]}, Made(output, "design"))
         sums = {"recipe": [sha256(path) for path in files], "moments": [sha256(options.moments)]}
         stage = Stage("design", options.chosen(), read_text(recipe), sums)
-        parts = Parts(output, key_of(stage))
+        parts = Parts(parts_folder(output), key_of(stage))
         with parts.held(options.resume, options.force), workers(options.jobs) as pool:
             arrays = list(_candidates(task, lists, parts, pool, options))
             errors = _judged(task, arrays, parts, pool, console)

@@ -7,7 +7,14 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from l3cli.artifacts.camera_recipe import camera_files, columns_left_out, load_camera
-from l3cli.artifacts.training_set import TrainingPair, TrainingSet, frame_name, open_training_set, write_training_set
+from l3cli.artifacts.training_set import (
+    TrainingPair,
+    TrainingSet,
+    frame_name,
+    open_training_set,
+    whole_part,
+    write_training_set,
+)
 from l3cli.io.file_names import IDEAL, MOTION, RAW
 from l3cli.options.commands import SimulateOptions
 from l3cli.parallel import workers
@@ -17,7 +24,6 @@ from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
 from l3cli.stages.simulation.units import (
     StoredFrames,
-    folder_of,
     is_of_run,
     key_of,
     received,
@@ -25,7 +31,7 @@ from l3cli.stages.simulation.units import (
     simulate_unit,
     units_of,
 )
-from l3cli.system.checkpoint import incomplete_folder, refuse_other_run
+from l3cli.system.checkpoint import incomplete_folder, parts_folder, refuse_other_run
 from l3cli.system.console import Console
 from l3cli.system.files import refuse_existing
 from l3cli.system.ledger import note_inputs, note_places
@@ -60,7 +66,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         guard.protect(*itertools.chain(*inputs.values()))
         head = head_of(run, model, (scenes, camera), inputs, options.chosen())
         key = key_of(head.history[-1])
-        stored = StoredFrames(folder_of(output), key)
+        stored = StoredFrames(parts_folder(output), key)
         stands = resume and not force and is_of_run(output, key)
         if not stands:
             refuse_existing(output, force)
@@ -81,7 +87,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
                     total = len(frames)
                     write_pictures(run, files, frames, options)
             else:
-                with stored.held(resume, force):
+                with stored.held(resume, force, whole_part):
                     total = _simulate_frames(run, files, head, stored, options)
                     write_pictures(run, files, stored, options)
                     _assemble(stored, head, output, console)  # last: whoever has the set has its pictures, too

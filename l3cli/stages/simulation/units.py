@@ -1,7 +1,6 @@
 """Work of a simulation's processes: read or draw a scene, simulate its frames, store each in a file of a folder beside the
 output, with the checkpoint from which a stopped run goes on."""
 
-import contextlib
 import dataclasses
 import hashlib
 import itertools
@@ -15,19 +14,17 @@ import numpy as np
 
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.store import open_artifact, read_history
-from l3cli.artifacts.training_set import SceneCoverage, TrainingPair, TrainingSetWriter, read_part, whole_part, write_part
-from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.artifacts.training_set import SceneCoverage, TrainingPair, TrainingSetWriter, read_part, write_part
+from l3cli.errors import InputFileError, L3Error
 from l3cli.parallel import WorkerPool
 from l3cli.parallel.cluster import scratch_folder
 from l3cli.simulation import sources
 from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.recipe import Pair, Shot
 from l3cli.stages.simulation.preparation import files_of, scene_over_time
-from l3cli.system.checkpoint import Checkpoint, key_in
-from l3cli.system.files import is_ours, refuse_protected, require_same, sweep, write_whole
+from l3cli.system.checkpoint import RUN, PartsFolder, key_in, parts_folder, remove_parts
+from l3cli.system.files import require_same, write_whole
 from l3cli.system.ledger import dated
-
-RUN = "run"  # name of the checkpoint in the folder
 
 
 def key_of(stage: Stage) -> str:
@@ -35,18 +32,10 @@ def key_of(stage: Stage) -> str:
     return hashlib.sha256(json.dumps(dataclasses.asdict(stage), sort_keys=True).encode()).hexdigest()
 
 
-def folder_of(output: Path) -> Path:
-    """Return the folder of the stored frames of an output."""
-    return output.with_name(f"{output.name}.parts")
+class StoredFrames(PartsFolder):
+    """The frames of a run, each in a file, by their indices; all of them, once they are there, are read one by one."""
 
-
-class StoredFrames:
-    """The frames of the run `key` in a folder, each in a file, by their indices; all of them, once they are there, are read
-    one by one."""
-
-    def __init__(self, folder: Path, key: str) -> None:
-        self.folder, self.key, self._checkpoint = folder, key, Checkpoint(folder / RUN, key)
-        self._total = 0
+    _total = 0
 
     def path(self, index: int) -> Path:
         return self.folder / f"{index:06d}.h5"
@@ -58,16 +47,16 @@ class StoredFrames:
 
     def list(self, index: int) -> None:
         """List a frame that has got its name."""
-        self._checkpoint.add(self.path(index).name, dated(self.path(index)))
+        self.checkpoint.add(self.path(index).name, dated(self.path(index)))
 
     def __contains__(self, index: int) -> bool:
         state = dated(self.path(index))
-        return state is not None and self._checkpoint.items.get(self.path(index).name) == list(state)
+        return state is not None and self.checkpoint.items.get(self.path(index).name) == list(state)
 
     def close(self, total: int) -> None:
         """Note that all frames, `total` of them, are stored, some by other processes."""
         self._total = total
-        self._checkpoint.take_over()
+        self.checkpoint.take_over()
 
     def __iter__(self) -> Iterator[TrainingPair]:
         return map(read_part, self._paths())
@@ -83,58 +72,12 @@ class StoredFrames:
                 raise L3Error(f"{self.path(index)} was replaced by another run; run again with ‹resume›")
             yield self.path(index)
 
-    def goes_on(self, resume: bool, force: bool) -> bool:
-        """Return whether the run goes on with frames that are stored: with `resume` those of the same run. If they are of
-        another one, RecipeError, unless `force`; L3Error if the folder is not of l3's making."""
-        if not self.folder.exists():
-            return False
-        for each in self.folder.iterdir():
-            refuse_protected(each)
-        is_checkpoint = self._checkpoint.path.is_file()
-        if not is_checkpoint and not all(is_ours(each.name) for each in self.folder.iterdir()):
-            raise L3Error(f"{self.folder} holds files that l3 did not make; move it elsewhere")
-        same = resume and self._checkpoint.take_over()
-        if resume and is_checkpoint and not same and not force:
-            raise RecipeError(
-                f"{self.folder} is of a run with another recipe, camera, seed or version; leave ‹resume› out or add ‹force›"
-            )
-        return same
-
-    @contextlib.contextmanager
-    def held(self, resume: bool, force: bool) -> Iterator[None]:
-        """Keep the folder for the block, with the frames that the run goes on with, and remove it at the end; if that fails
-        or is interrupted, keep what frames there are."""
-        if self.goes_on(resume, force):
-            sweep(self.folder)
-            items = self._checkpoint.items
-            self._checkpoint.items = {name: state for name, state in items.items() if whole_part(self.folder / name)}
-        elif self.folder.exists():
-            remove(self.folder)
-        self._checkpoint.begin()
-        try:
-            yield
-        except BaseException:
-            sweep(self.folder)  # what worker processes left that were ended
-            if not any(self.folder.glob("*.h5")):
-                remove(self.folder)
-            raise
-        remove(self.folder)
-
-
-def remove(folder: Path) -> None:
-    """Remove a folder of stored frames, its checkpoint last: without one nobody would know whose it is."""
-    for each in folder.iterdir():
-        if each.name != RUN:
-            each.unlink(missing_ok=True)
-    (folder / RUN).unlink(missing_ok=True)
-    folder.rmdir()
-
 
 def remove_finished(output: Path) -> None:
     """Remove the folder of a run that was killed after `output` had appeared, which holds all its frames."""
-    key = key_in(folder_of(output) / RUN)
+    key = key_in(parts_folder(output) / RUN)
     if key is not None and is_of_run(output, key):
-        remove(folder_of(output))
+        remove_parts(parts_folder(output))
 
 
 def is_of_run(output: Path, key: str) -> bool:
