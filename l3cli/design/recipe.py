@@ -1,6 +1,6 @@
 """DESIGN.toml: pixel, filters, arrays to try, lights and exposures, and what counts."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -113,6 +113,11 @@ class DesignRecipe(Recipe):
 def sites_of(rows: list[str]) -> list[list[str]]:
     """Return the names of filters of an array."""
     return [row.split() for row in rows]
+
+
+def shown(cfa: NDArray[np.integer], names: Sequence[str]) -> str:
+    """Return an array (row, col) of numbers of filters as text, rows of names divided by /."""
+    return " / ".join(" ".join(names[site] for site in row) for row in cfa)
 
 
 def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:

@@ -24,6 +24,7 @@ from l3cli.design.recipe import (
     filter_curves,
     level_name,
     require_exposed,
+    shown,
     sites_of,
     tuned_filters,
 )
@@ -205,11 +206,6 @@ def _numbered(task: Task, rows: list[str]) -> Cfa:
     """Return an array of names as numbers of filters."""
     names = _names(task)
     return np.array([[names.index(name) for name in row] for row in sites_of(rows)])
-
-
-def shown(cfa: Cfa, names: Sequence[str]) -> str:
-    """Return an array as text, rows of names divided by /."""
-    return " / ".join(" ".join(names[site] for site in row) for row in cfa)
 
 
 def _arrays(task: Task, pattern: PatternRecipe, number: int) -> list[Cfa] | None:

@@ -15,7 +15,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.design.error import Cfa, Level
-from l3cli.design.recipe import TruthRecipe
+from l3cli.design.recipe import TruthRecipe, shown
 from l3cli.evaluation.quality import Target
 from l3cli.options.commands import SimulateOptions, TrainOptions
 from l3cli.recipes.builtin import find_recipe
@@ -68,7 +68,7 @@ def camera_of(pixel: CameraModel, cfa: Cfa, names: Sequence[str], wavelength: ND
     used = np.unique(cfa)
     return dataclasses.replace(
         pixel,
-        name=" / ".join(" ".join(names[site] for site in row) for row in cfa),
+        name=shown(cfa, names),
         channels=tuple(names[each] for each in used),
         cfa=np.searchsorted(used, cfa).astype(np.uint8),
         wavelength=wavelength,
