@@ -16,6 +16,7 @@ from l3cli.artifacts.camera_curves import responsivity
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_faults, columns_left_out, load_camera
 from l3cli.artifacts.class_rule import MAX_PATCH
 from l3cli.classes import contrast, level
+from l3cli.design.pixel import pixel_of
 from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves, level_name
 from l3cli.errors import InputFileError, L3Error, shortened
 from l3cli.io.curves import prior_files
@@ -44,7 +45,6 @@ from l3cli.simulation.sources import FileSource, name_of, wanted_scenes
 from l3cli.simulation.sources import Source as SceneSource
 from l3cli.simulation.summary import array_lines, camera_figures, lab_figures, seconds_text
 from l3cli.spectra.file import read_table
-from l3cli.stages.design.moments import pixel_of
 from l3cli.stages.simulation.preparation import prepare, refusals, size_of
 from l3cli.system.text import counted
 from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.classes.rule import make_rule
+from l3cli.design.pixel import pixel_of
 from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves
 from l3cli.errors import L3Error
 from l3cli.recipes.faults import refuse_first
@@ -23,7 +24,6 @@ from l3cli.simulation.lab import LabRecipe, plan
 from l3cli.simulation.light import automatic_exposure, make_light
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.stages.check import KINDS, judge, names
-from l3cli.stages.design.moments import pixel_of
 from l3cli.stages.simulation.preparation import fitting, prepare
 from l3cli.system.console import Silent
 from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning

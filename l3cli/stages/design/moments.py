@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel, Optics
-from l3cli.artifacts.camera_recipe import camera_files, load_camera, recipe_text
+from l3cli.artifacts.camera_recipe import recipe_text
 from l3cli.artifacts.design import WEIGHTINGS, LightMoments, SceneMoments
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.store import save
@@ -25,13 +24,12 @@ from l3cli.design.moments import (
     principal_spectra,
     spectral_power,
 )
-from l3cli.design.recipe import DesignRecipe, PixelRecipe
+from l3cli.design.pixel import is_design, pixel_camera, pixel_files
 from l3cli.errors import RecipeError
 from l3cli.frames.scene import Scene
 from l3cli.options.commands import MomentsOptions
 from l3cli.parallel import workers
-from l3cli.recipes.builtin import find_recipe
-from l3cli.recipes.toml import KIND_KEYS, load_recipe, parse_toml, read_text
+from l3cli.recipes.toml import load_recipe, read_text
 from l3cli.simulation.frame import SimulationRun, spectral_planes
 from l3cli.simulation.light import SCENE_LIGHT, photon_weights
 from l3cli.simulation.recipe import SceneRecipe
@@ -95,54 +93,6 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
         for each in lights:
             console.info(f"{output}: {each.illuminant}, {each.patches.sum():.0f} patches, {each.terms} spectra")
         return moments
-
-
-def pixel_camera(path: Path) -> CameraModel:
-    """Return the camera of a file, or one with the pixel of a design recipe."""
-    if is_design(path):
-        recipe = load_recipe(path, DesignRecipe)
-        return pixel_of(recipe.pixel, path.parent)
-    return dataclasses.replace(load_camera(path), readout=None)
-
-
-def is_design(path: Path) -> bool:
-    """Return whether a file is a design recipe."""
-    if path.suffix != ".toml":
-        return False
-    content = parse_toml(read_text(path), str(path))
-    return any(key in content for key in KIND_KEYS[DesignRecipe.title])
-
-
-def pixel_files(path: Path) -> list[Path]:
-    """Return the files that `pixel_camera` reads."""
-    if is_design(path):
-        return [path, *camera_files(base_camera(load_recipe(path, DesignRecipe).pixel, path.parent))]
-    return camera_files(path)
-
-
-def base_camera(pixel: PixelRecipe, folder: Path) -> Path:
-    """Return the file of the camera that a pixel is of: beside the recipe, or one that comes with l3."""
-    own = folder / pixel.camera
-    return own if own.is_file() else find_recipe(pixel.camera, "cameras")
-
-
-def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
-    """Return the camera of a pixel; its array and filters do not count."""
-    base = load_camera(base_camera(pixel, folder))
-    if not base.absolute:
-        raise RecipeError(
-            f"pixel.camera: {base.name} has only a relative responsivity; give one of known quantum efficiency"
-        )
-    noise, optics = base.noise, base.optics
-    if pixel.read_noise_e is not None:
-        noise = dataclasses.replace(noise, read_noise=pixel.read_noise_e)
-    gain = base.gain
-    if pixel.well_e is not None:
-        noise, gain = dataclasses.replace(noise, well_capacity=pixel.well_e), gain * base.full_scale / pixel.well_e
-    if pixel.f_number is not None:
-        optics = Optics(optics.focal_length, pixel.f_number, optics.object_distance)
-    pitch = base.pixel_pitch if pixel.pitch_um is None else pixel.pitch_um * 1e-6
-    return dataclasses.replace(base, noise=noise, gain=gain, optics=optics, pixel_pitch=pitch, readout=None, fit=None)
 
 
 def _refuse(recipe: SceneRecipe, path: Path) -> None:
