@@ -6,6 +6,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import Artifact, check, data, group
 
 SHARP, SOFT = slice(0, 3), slice(3, 6)  # of targets: X, Y, Z; the same, blurred as an eye sees chroma
@@ -167,6 +168,7 @@ class Design(Artifact):
     dose: NDArray[np.float64] = data("float64", "dose", unit="cd s/m^2", doc="luminance of white x time", coordinate=True)
     mapped: tuple[str, ...] = data("str", "mapped", doc="arrays: the best, Bayer, the best of each level")
     map_error: NDArray[np.float64] = data("float64", "mapped", "dose", doc="predicted error under the first level's light")
+    pixel: CameraModel | None = group(default=None)  # sensor, noise and lens; its array does not count
     tuned: Tuned | None = group(default=None)
     truth: Truth | None = group(default=None)
 
@@ -184,6 +186,13 @@ class Design(Artifact):
     def score(self) -> NDArray[np.float64]:
         """Return the predicted error (candidate) over all levels, their geometric mean."""
         return np.asarray(np.exp(np.log(np.maximum(self.predicted, 1e-12)).mean(axis=1)))
+
+    @property
+    def winner(self) -> tuple[str, NDArray[np.float64]]:
+        """Return the best array, rows of names, and its filters (filter, wavelength): the tuned ones if they are better."""
+        if self.tuned is not None and np.exp(np.log(np.maximum(self.tuned.after, 1e-12)).mean()) < self.score[0]:
+            return self.tuned.pattern, self.tuned.tuned_efficiency
+        return self.patterns[0], self.efficiency
 
     @property
     def ties(self) -> NDArray[np.bool_]:

@@ -29,7 +29,8 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
     """Make DIR with the recipes of one kind of camera and a Makefile that makes a picture and a report from them, and
     the same pipeline for Snakemake and for job arrays of Slurm. RECIPE is also the name of a camera whose measured curves
     come with l3 (--list). With --from, the recipe is that of the camera which took the raw files; of several cameras, each
-    gets a folder in DIR. A benchmark's Makefile learns from one folder of your pictures and evaluates on another.
+    gets a folder in DIR; of a design (l3 design), it is that of its best array. A benchmark's Makefile learns from one
+    folder of your pictures and evaluates on another.
 
     Without arguments, list the recipes.
 
@@ -39,12 +40,17 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
              l3 init --from photo.dng mine && make -C mine picture.png
     """
     from l3cli.recipes.builtin import cameras_by_name, starters, summary
-    from l3cli.stages.starting import start, start_from, start_named
+    from l3cli.stages.starting import start, start_designed, start_from, start_named
 
     if options.photos:  # the shell may have made several files of a pattern
         named = [Path(each) for each in (recipe, folder, *more) if each is not None]
         if not named:
             raise click.UsageError('name the folder to make, such as "l3 init --from photo.dng mine"')
+        if any(each.suffix == ".h5" for each in options.photos):
+            if len(options.photos) + len(named) != 2:
+                raise click.UsageError("a design gives one folder; give one file with --from")
+            start_designed(options.photos[0], named[0], options)
+            return Result({"folders": [str(named[0])]})
         made = start_from([*options.photos, *named[:-1]], named[-1], options)
         return Result({"folders": [str(each) for each in made]})
     if options.light is not None:

@@ -51,6 +51,7 @@ def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64], top
         mapped=tuple(shown(arrays[place], names) for place in mapped),
         map_error=np.array([(light.errors(arrays[place]) * light.share).sum(axis=1) for place in mapped]),
         bayer=-1 if best is None else listed_places.index(best),
+        pixel=task.pixel,
     )
 
 

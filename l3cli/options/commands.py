@@ -271,7 +271,7 @@ class InitOptions(ForceOptions):
 
     photos: Paths = option(
         (),
-        "The camera that took a raw file (DNG, CR2, NEF…), or those of a folder; may be given several times.",
+        "The camera that took a raw file (DNG, CR2, NEF…), or those of a folder; may be given several times. Or a design.",
         flag="from",
         metavar="RAW",
         several=True,

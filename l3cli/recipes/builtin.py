@@ -18,6 +18,7 @@ KINDS = {
     "designs": "design",
 }  # folders of configs/: what they hold
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
+CURVES = "curves.csv"  # of a folder of recipes that l3 writes for a camera
 COMMON = {
     "lab.toml": "lab/default.toml",
     "scenes.toml": "scenes/default.toml",

@@ -9,10 +9,13 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.design import Design
+from l3cli.artifacts.store import load
 from l3cli.calibration import figures, model
 from l3cli.calibration.photo import responsivity
-from l3cli.calibration.photo.recipe import CURVES, PhotoCamera, SensorNoise, gains_of, noise_of, without_photo
+from l3cli.calibration.photo.recipe import PhotoCamera, SensorNoise, gains_of, noise_of, without_photo
 from l3cli.calibration.photo.responsivity import ColourMatrix
+from l3cli.design.pixel import camera_texts, camera_with
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.measurement import Measurements, Stated
 from l3cli.io.curves import shipped_statistics
@@ -22,7 +25,7 @@ from l3cli.io.raw.cfa_codes import code_of
 from l3cli.io.raw.files import BY_SUFFIX, is_photo
 from l3cli.io.raw.libraw import stated
 from l3cli.options.commands import InitOptions
-from l3cli.recipes.builtin import COMMON, curves_of, folder_files, known_camera, recipe_folder, summary
+from l3cli.recipes.builtin import COMMON, CURVES, curves_of, folder_files, known_camera, recipe_folder, summary
 from l3cli.system.console import Console
 from l3cli.system.files import atomic_output, blamed_on, refuse_protected, require_regular
 from l3cli.system.output_guard import OutputGuard
@@ -61,6 +64,29 @@ def start_named(name: str, folder: Path, options: InitOptions) -> None:
         write_folder(folder, contents)
         load_camera(folder / "camera.toml")
         options.console.info(_camera_line(folder, camera))
+
+
+def start_designed(path: Path, folder: Path, options: InitOptions) -> None:
+    """Write the recipe folder of the array that a design found best. InputFileError if the file is no design, L3Error as
+    `start`."""
+    with OutputGuard(options.console) as guard:
+        guard.protect(path)
+        guard.guard_folder(folder, options.force, *COMMON, "camera.toml", CURVES)
+        design = load(Design, path)
+        if design.pixel is None:
+            raise InputFileError(f"{path} does not hold its pixel; make it again with l3 design")
+        pattern, curves = design.winner
+        cfa = np.array([[design.filters.index(name) for name in row.split()] for row in pattern.split(" / ")])
+        camera = camera_with(design.pixel, cfa, design.filters, design.wavelength, curves)
+        common = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
+        texts = camera_texts(camera, f"The best array of the design {design.name}, by predicted error.")
+        contents = common | known_camera(common) | {name: text.encode() for name, text in texts.items()}
+        before_work({"design": [path]}, *(Made(folder / each, "recipe", len(content)) for each, content in contents.items()))
+        write_folder(folder, contents)
+        load_camera(folder / "camera.toml")
+        options.console.info(
+            f"{folder}: {pattern}, the best of {design.tried} arrays; next: make -C {shlex.quote(str(folder))}"
+        )
 
 
 def named_camera(name: str) -> PhotoCamera:

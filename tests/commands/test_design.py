@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.design import Design, SceneMoments
 from l3cli.artifacts.store import load
 from l3cli.stages.design import parts, truth
@@ -171,6 +172,24 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
         assert words in text
     assert "nothing beats g r / b g (Bayer)" in text
     assert "trained and judged on the same unseen scenes" in out
+
+
+def test_the_best_array_becomes_a_folder_of_recipes(folder: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
+    made, mine = load(Design, folder / "design.h5"), tmp_path / "mine"
+    code, _, err = l3("init", "--from", folder / "design.h5", mine)
+    assert (code, f"{made.patterns[0]}, the best of {made.tried} arrays; next: make -C" in err) == (0, True)
+    camera, pixel = load_camera(mine / "camera.toml"), load_camera(folder / "camera.toml")
+    assert [[camera.channels[site] for site in row] for row in camera.cfa] == [
+        row.split() for row in made.patterns[0].split(" / ")
+    ]
+    assert camera.absolute
+    used = [made.filters.index(name) for name in camera.channels]
+    np.testing.assert_allclose(camera.responsivity, made.efficiency[used], atol=1e-6)
+    assert (camera.noise, camera.optics, camera.gain) == (pixel.noise, pixel.optics, pixel.gain)
+    assert "CAMERA ?= camera.toml" in (mine / "Makefile").read_text()
+    assert "not empty" in refused(1, "init", "--from", folder / "design.h5", mine)
+    assert "one folder" in refused(2, "init", "--from", folder / "design.h5", "--from", folder / "design.h5", tmp_path / "a")
+    assert "moments" in refused(3, "init", "--from", folder / "scenes.h5", tmp_path / "a")
 
 
 WRONG = """

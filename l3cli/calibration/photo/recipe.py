@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, LEAST_F_NUMBER, LEAST_FOCAL_MM, PITCH_UM
 from l3cli.frames.measurement import Body, FinishedCurves, Stated
+from l3cli.recipes.builtin import CURVES
 from l3cli.recipes.toml import toml_value
 from l3cli.system.text import printable
 
-CURVES = "curves.csv"
 PEAK_EFFICIENCY = 0.4  # of usual silicon cameras behind their lens
 ELECTRONS_PER_UM2 = 1500.0  # that fill a pixel of usual sensors at ISO 100
 BASE_ISO = 100.0

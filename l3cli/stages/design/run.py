@@ -14,7 +14,7 @@ from l3cli.artifacts.design import Design, Truth, Tuned
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.store import save
 from l3cli.design.error import Cfa, clips_everything
-from l3cli.design.pixel import pixel_files
+from l3cli.design.pixel import camera_with, pixel_files
 from l3cli.design.ranking import designed
 from l3cli.design.recipe import (
     DesignRecipe,
@@ -32,7 +32,7 @@ from l3cli.options.commands import DesignOptions
 from l3cli.parallel import WorkerPool, workers
 from l3cli.recipes.toml import read_text
 from l3cli.stages.design.parts import Parts
-from l3cli.stages.design.truth import FIGURES, Trial, camera_of, trained
+from l3cli.stages.design.truth import FIGURES, Trial, trained
 from l3cli.stages.simulation.units import key_of
 from l3cli.system.checkpoint import parts_folder
 from l3cli.system.console import Console
@@ -173,7 +173,7 @@ def _truth(task: Task, made: Design, parts: Parts, pool: WorkerPool, options: De
     trials, expected = [], []
     for text, (curves, problem) in wanted.items():
         cfa = task.numbered(text.removesuffix(TUNED).split(" / "))
-        camera = camera_of(pixel, cfa, names, task.scenes.wavelength, curves)
+        camera = camera_with(pixel, cfa, names, task.scenes.wavelength, curves)
         trials.append(Trial(camera, levels, asked, options.seed))
         expected.append((problem.errors(cfa) * problem.share).sum(axis=1))
     ends = list(parts.each("trainings", trained, trials, pool, options.console))

@@ -1,6 +1,5 @@
 """Arrays of a design trained and judged on the same unseen scenes, so that nobody has to believe the closed form."""
 
-import dataclasses
 import hashlib
 import tempfile
 from collections.abc import Sequence
@@ -14,8 +13,8 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
-from l3cli.design.error import Cfa, Level
-from l3cli.design.recipe import TruthRecipe, shown
+from l3cli.design.error import Level
+from l3cli.design.recipe import TruthRecipe
 from l3cli.evaluation.quality import Target
 from l3cli.options.commands import SimulateOptions, TrainOptions
 from l3cli.recipes.builtin import find_recipe
@@ -61,20 +60,6 @@ class Trial:
     levels: Sequence[tuple[str, Level]]  # illuminant, and exposure
     recipe: TruthRecipe
     seed: int
-
-
-def camera_of(pixel: CameraModel, cfa: Cfa, names: Sequence[str], wavelength: NDArray, curves: NDArray) -> CameraModel:
-    """Return the camera of a pixel with an array of some filters of a library, whose `curves` are (filter, wavelength)."""
-    used = np.unique(cfa)
-    return dataclasses.replace(
-        pixel,
-        name=shown(cfa, names),
-        channels=tuple(names[each] for each in used),
-        cfa=np.searchsorted(used, cfa).astype(np.uint8),
-        wavelength=wavelength,
-        responsivity=curves[used],
-        responsivity_band=np.zeros_like(curves[used]),
-    )
 
 
 def trained(trial: Trial) -> dict[str, NDArray]:
