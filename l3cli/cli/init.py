@@ -53,8 +53,9 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
             return Result({"folders": [str(named[0])]})
         made = start_from([*options.photos, *named[:-1]], named[-1], options)
         return Result({"folders": [str(each) for each in made]})
-    if options.light is not None:
-        raise click.UsageError("--light is that of photos; give them with --from")
+    for each in ("light", "phase", "black_level"):
+        if getattr(options, each) is not None:
+            raise click.UsageError(f"--{each.replace('_', '-')} is that of photos; give them with --from")
     if more:
         raise click.UsageError(f'one recipe and one folder are wanted, not "{more[0]}"; give raw files with --from')
     if options.named:

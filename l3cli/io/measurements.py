@@ -62,7 +62,7 @@ from l3cli.io.measurement_recipe import (
     key_faults,
     spectrum_names,
 )
-from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS
+from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, neutral_of_channels
 from l3cli.physics import charts, spectra
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import parse_recipe, parse_toml, read_text
@@ -124,7 +124,9 @@ def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
     phase = (0, 0) if pattern is None else phase_of(path, pattern, body)
     values = np.ascontiguousarray(content["values"], np.uint16)
     try:
-        return RawFrame(str(path), values, float(black), float(2**body.bits - 1 if white is None else white), phase)
+        white = float(2**body.bits - 1 if white is None else white)
+        neutral = neutral_of_channels(content.get("neutral"), pattern, phase, body)
+        return RawFrame(str(path), values, float(black), white, phase, neutral=neutral)
     except ValueError as error:
         raise InputFileError(str(error)) from error
 

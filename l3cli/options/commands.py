@@ -8,7 +8,9 @@ from typing import Any, Literal
 from l3cli.errors import shortened
 from l3cli.options.option import Choice, Given, Name, Number, Options, Output, Reader, Recipe, option, options
 from l3cli.options.shared import (
+    LEVEL,
     PAIR,
+    SITE,
     BackendOptions,
     DeviceOptions,
     ForceOptions,
@@ -280,3 +282,10 @@ class InitOptions(ForceOptions):
     light: str | None = option(
         None, 'Light of a ColorChecker in them: "D65", "3200K"…; without, it is guessed.', metavar="LIGHT"
     )
+    phase: Given[PAIR | str | None, PAIR | None] = option(
+        None,
+        "Site of the array they state, from 0, that their first pixel has; 0,0: the array lies as they state.",
+        SITE,
+        metavar="ROW,COL",
+    )
+    black_level: float | None = option(None, "Black level of the raw files, where they misstate it.", LEVEL, metavar="DN")

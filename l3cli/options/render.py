@@ -8,10 +8,20 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from l3cli.errors import RecipeError, shortened
 from l3cli.options.option import Given, Name, Number, Output, Reader, option, options
-from l3cli.options.shared import PAIR, BackendOptions, DeviceOptions, ForceOptions, OnePath, Pair, SchedulerOptions, Shard
+from l3cli.options.shared import (
+    LEVEL,
+    PAIR,
+    SITE,
+    BackendOptions,
+    DeviceOptions,
+    ForceOptions,
+    OnePath,
+    Pair,
+    SchedulerOptions,
+    Shard,
+)
 
 Preset = Literal["ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow"]
-LEVEL = Number(0, 65535, "DN")
 GAIN = Number(1 / 1024, 1024, "times")
 
 
@@ -81,7 +91,7 @@ class Rate(Reader):
         return storable_rate(rate)
 
 
-ROWS_OR_COLS, PIXELS = Number(0, 65535, "rows or columns", whole=True), Number(1, 1_000_000, "pixels", whole=True)
+PIXELS = Number(1, 1_000_000, "pixels", whole=True)
 
 
 @options
@@ -156,7 +166,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     hot: Literal["auto", "off"] = option("off", "Hot pixels that no camera model lists: correct them in each frame.")
     phase: Given[PAIR | str | None, PAIR | None] = option(
-        None, "CFA site of the inputs' first pixel, from 0.", Pair("ROW,COL", ",", ROWS_OR_COLS), metavar="ROW,COL"
+        None, "CFA site of the inputs' first pixel, from 0.", SITE, metavar="ROW,COL"
     )
     size: Given[PAIR | str | None, PAIR | None] = option(
         None, "Pixels of headerless inputs [default: the table's].", Pair("ROWSxCOLS", "x", PIXELS), metavar="ROWSxCOLS"

@@ -32,6 +32,10 @@ class Pair(Reader):
         raise ValueError(f'"{shortened(text)}" is not {self._shape}')
 
 
+LEVEL = Number(0, 65535, "DN")
+SITE = Pair("ROW,COL", ",", Number(0, 65535, "rows or columns", whole=True))
+
+
 class Shard(Pair):
     """I/N, a part of a work divided into several."""
 

@@ -1,7 +1,6 @@
 """Warnings of frames that a table was not made for: of another camera, array, light level, or of values that its camera
 hardly gives, by mistakes about depth, byte order, black level and size."""
 
-import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -11,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame
+from l3cli.frames.raw_sanity import phase_doubt
 from l3cli.rendering.conditions import FAR, gains_of
 from l3cli.rendering.exposure import RangeMeter
 
@@ -25,13 +25,8 @@ DARKEST = 0.1  # percentile of the values: about black in most pictures
 SAME_DEPTH = 0.02  # of the white level
 TORN = 1.5  # times as much as with rows and columns exchanged that rows may differ by
 LINES = 64  # pairs of rows that are compared
-SAMPLES = 128  # super-pixels along either axis that are looked at, at most
-LEAST_SIGNAL = 1e-3  # of full scale: the mean of a frame below which it is dark
-
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
-SITES_DIFFER = 0.1  # of the mean of a channel, between its sites, from which on the array is not where it is taken to be
-SITES_AGREE = 0.4  # of that difference, if another phase leaves no more, the array is there
 LONG, MANY_TIMES = 60.0, 100.0  # s; times the training's: exposure times that are probably in another unit
 T = TypeVar("T", bound="WithFrame")
 
@@ -143,13 +138,13 @@ def _words(name: str) -> set[str]:
 def other_phase(frame: RawFrame, table: TransformTable) -> str:
     """Return a warning, with the phase that fits, if the sites of one channel differ as they do where a file misstates
     its array; else ""."""
-    now, least, phases = phase_contrasts(frame, table)
-    if now < SITES_DIFFER or not phases or least > SITES_AGREE * now:
+    doubt = phase_doubt(frame, table.cfa)
+    if doubt is None:
         return ""
-    fitting = " or ".join(f"{row},{col}" for row, col in phases)
+    fitting = " or ".join(f"{row},{col}" for row, col in doubt.phases)
     return (
-        f"sites of one channel differ by {now:.0%} on average, its colour filter array begins elsewhere than it says; "
-        f"‹phase› {fitting} leaves {least:.1%}"
+        f"sites of one channel differ by {doubt.stated:.1%} on average, its colour filter array begins elsewhere than it "
+        f"says; ‹phase› {fitting} leaves {doubt.least:.1%}"
     )
 
 
@@ -278,32 +273,3 @@ def _step(values: NDArray[np.uint16], period: int) -> float:
         return 0.0
     first = np.unique(np.linspace(0, last - 1, LINES).astype(int))
     return float(np.abs(values[first + period].astype(np.float32) - values[first]).mean())
-
-
-def site_means(frame: RawFrame, cfa_shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return mean signal (row, col) in DN above black and dark current of each site of a super-pixel, the frame's first
-    pixel being the first, over super-pixels evenly spread."""
-    rows, cols = cfa_shape
-    down, across = frame.values.shape[0] // rows, frame.values.shape[1] // cols
-    whole = frame.values[: down * rows, : across * cols].reshape(down, rows, across, cols)
-    some = whole[:: -(-down // SAMPLES)][:, :, :: -(-across // SAMPLES)] if whole.size else whole
-    return np.asarray(some.mean(axis=(0, 2)) - frame.black_level - frame.dark) if some.size else np.zeros((rows, cols))
-
-
-def disagreement(means: NDArray[np.float64], cfa: NDArray[np.uint8], phase: tuple[int, int]) -> float:
-    """Return the largest difference between the means (row, col) of sites of one channel, over the channel's mean."""
-    channel = shifted_cfa(cfa, phase)
-    seen = [means[channel == each] for each in set(channel.flat)]
-    return max(float(np.ptp(of_channel) / max(of_channel.mean(), 1e-9)) for of_channel in seen)
-
-
-def phase_contrasts(frame: RawFrame, table: TransformTable) -> tuple[float, float, list[tuple[int, int]]]:
-    """Return the disagreement of a frame's sites, the least one that another phase would leave, and the phases that leave
-    about as little; zeros and none of dark frames, and of arrays no channel of which has two sites."""
-    means = site_means(frame, table.cfa.shape)
-    if not means.mean() > LEAST_SIGNAL * (frame.white_level - frame.black_level):
-        return 0.0, 0.0, []
-    rows, cols = table.cfa.shape
-    of_phase = {phase: disagreement(means, table.cfa, phase) for phase in itertools.product(range(rows), range(cols))}
-    least = min(of_phase.values())
-    return of_phase[frame.phase], least, [phase for phase, each in of_phase.items() if each <= least * 1.5]

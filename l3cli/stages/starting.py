@@ -3,9 +3,11 @@
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
@@ -17,7 +19,9 @@ from l3cli.calibration.photo.recipe import PhotoCamera, SensorNoise, gains_of, n
 from l3cli.calibration.photo.responsivity import ColourMatrix
 from l3cli.design.pixel import camera_texts, camera_with
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frames.measurement import Measurements, Stated
+from l3cli.frames.frame import shifted_cfa
+from l3cli.frames.measurement import Body, Measurements, Stated
+from l3cli.frames.raw_sanity import PhaseDoubt, black_doubt, phase_doubt
 from l3cli.io.curves import shipped_statistics
 from l3cli.io.known_cameras import ROLES, known_as, known_cameras, known_curves
 from l3cli.io.measurements import photo_measurements
@@ -120,9 +124,11 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
         guard.guard_folder(folder, options.force, *names, *(f"*/{name}" for name in names))
         listed = {file for photo in photos if photo.is_dir() for file in _raw_files(photo)}
         cameras = _sorted_by_camera(files, listed, console)
+        if len(cameras) > 1 and (options.phase or options.black_level is not None):
+            raise RecipeError("‹phase› and ‹black_level› are those of one camera; give its raw files alone")
         places = _places(folder, list(cameras))
         made = {
-            places[name]: photographed(taken, options.light, console)
+            places[name]: photographed(taken, options)
             for name, taken in console.progress(cameras.items(), len(cameras), "cameras")
         }
         contents = {place: _contents(camera) for place, camera in made.items()}
@@ -169,7 +175,9 @@ def _contents(camera: PhotoCamera) -> dict[str, bytes]:
     common = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
     common |= known_camera(common)
     makefile = common["Makefile"].decode()
-    for line, value in (("PHOTO ?=\n", camera.photo and _shown(camera)), ("WHITE ?=\n", camera.light)):
+    shown = camera.photo and _shown(camera)
+    known = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in camera.overrides.items())
+    for line, value in (("PHOTO ?=\n", shown), ("WHITE ?=\n", camera.light), ("RENDER ?=\n", known)):
         assert line in makefile
         makefile = makefile.replace(line, f"{line.rstrip()} {value}\n" if value else line)
     common["classes.toml"] = common["classes.toml"].replace(
@@ -196,14 +204,14 @@ def _shown(camera: PhotoCamera) -> str:
 def _camera_line(place: Path, camera: PhotoCamera) -> str:
     """Return one line on a folder: the camera, what is from where, what is assumed, what comes next."""
     body = camera.body
-    pattern = "/".join("".join(body.channels[site] for site in row) for row in body.cfa)
     white = f" ‹white› {camera.light}" if camera.light else ""
-    others = f"l3 render {shlex.quote(str(place / 'table.h5'))} RAW{white} -o PICTURE.png"
+    known = "".join(f" ‹{name}› {value}" for name, value in camera.overrides.items())
+    others = f"l3 render {shlex.quote(str(place / 'table.h5'))} RAW{white}{known} -o PICTURE.png"
     levels = f"{camera.black_level:g}…{camera.white_level:g} DN"
     photo = "" if camera.photo else " PHOTO=RAW"
     return (
-        f"{place}: {camera.name}, {pattern}, {body.rows}×{body.cols}, {levels}; curves {camera.origin}; noise "
-        f"{camera.noise.source}; assumed: {', '.join(camera.assumed)}; next: make -C {shlex.quote(str(place))} "
+        f"{place}: {camera.name}, {_pattern(body, body.cfa)}, {body.rows}×{body.cols}, {levels}; curves {camera.origin}; "
+        f"noise {camera.noise.source}; assumed: {', '.join(camera.assumed)}; next: make -C {shlex.quote(str(place))} "
         f"picture.png{photo}; another photo: {others}"
     )
 
@@ -256,18 +264,21 @@ def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
 # ----------------------------------------------------------------------------- a camera as its raw files show it
 
 
-def photographed(taken: Taken, light: str | None, console: Console) -> PhotoCamera:
-    """Return the camera that took these raw files. `light`: of the charts in them; None: guessed. InputFileError if the
-    first is none that states its array and levels, or if nothing tells its curves."""
+def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
+    """Return the camera that took these raw files. InputFileError if the first is none that states its array and levels, if
+    its pixels show another array, or if nothing tells its curves."""
     taken = sorted(taken, key=lambda each: each[1].iso or 0.0)  # gains count from the lowest
     path, known = taken[0]
     gains = gains_of(known, [each for _, each in taken])
-    measured = _measurements(path, light)
+    measured = _measurements(path, options)
     frame = measured.photos[0].frames[0]
     levels = frame.black_level, frame.white_level
     noise = noise_of(known, levels[1] - levels[0])
+    phase = "0,0" if any(options.phase or ()) else None  # of the recipe's array, which begins there
+    given = {"phase": phase, "black_level": options.black_level}
+    overrides = {name: f"{value}" for name, value in given.items() if value is not None}
     for other, _ in taken[:SEARCHED]:
-        found = _by_chart(measured if other == path else _measurements(other, light), console)
+        found = _by_chart(measured if other == path else _measurements(other, options), options.console)
         if found is None or found.channels != measured.body.channels:
             continue
         assert found.fit is not None
@@ -279,19 +290,54 @@ def photographed(taken: Taken, light: str | None, console: Console) -> PhotoCame
             noise = SensorNoise(found.gain, found.noise.read_noise, "as the patches of the chart show it")
         curves = found.responsivity / found.responsivity.max()
         return PhotoCamera(
-            other, measured.body, *levels, known, found.wavelength, curves, origin, noise, fit.lights[0], gains
+            other, measured.body, *levels, known, found.wavelength, curves, origin, noise, fit.lights[0], gains, overrides
         )
     curves, origin = _without_chart(path, known, measured)
-    return PhotoCamera(path, measured.body, *levels, known, curves.wavelength, curves.relative, origin, noise, gains=gains)
+    return PhotoCamera(
+        path, measured.body, *levels, known, curves.wavelength, curves.relative, origin, noise, gains=gains,
+        overrides=overrides,
+    )  # fmt: skip
 
 
-def _measurements(path: Path, light: str | None) -> Measurements:
+def _measurements(path: Path, options: InitOptions) -> Measurements:
+    """Return a raw file as a photo, its array and black level as the options have them. InputFileError if its pixels show
+    another array than it states and the options leave that open; what its black level leaves to doubt is warned of."""
     try:
-        return photo_measurements([path], light)
+        measured = photo_measurements([path], options.light)
     except InputFileError as error:
         reason, other_cure, _ = str(error).partition("; write a measurement file")
         cure = '; start from a recipe instead, such as "l3 init bayer DIR"' if other_cure else ""
         raise InputFileError(reason + cure) from error
+    frame, body = measured.photos[0].frames[0], measured.body
+    if options.phase is None and (doubt := phase_doubt(frame, body.cfa, frame.neutral)):
+        raise InputFileError(f"{path}: {_misplaced(body, doubt)}")
+    if options.black_level is not None:
+        frame = replace(frame, black_level=options.black_level)
+    elif (black := black_doubt(frame, body.cfa)) is not None:
+        options.console.warn(
+            f"{path} states a black level of 0, and the darkest values of all its channels lie at {black:.0f} of "
+            f"{frame.white_level:.0f} DN; if that is its black, colours get pale: give ‹black_level› {black:.0f}"
+        )
+    body = replace(body, cfa=shifted_cfa(body.cfa, options.phase or (0, 0)))
+    return replace(measured, body=body, photos=(replace(measured.photos[0], frames=(frame,)),))
+
+
+def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
+    """Return the doubt about an array, and how to answer it."""
+    stated = _pattern(body, body.cfa)
+    shown = [(f"{row},{col}", _pattern(body, shifted_cfa(body.cfa, (row, col)))) for row, col in doubt.phases]
+    (best, pattern), others = shown[0], " or ".join(f"{phase} ({pattern})" for phase, pattern in shown[1:])
+    if doubt.by_grey:
+        why = f"with {pattern} they are about as grey as it says they are, or the white that it states is wrong"
+    else:
+        why = f"its pixels show {pattern}: sites of one channel differ by {doubt.stated:.1%}, so by {doubt.least:.1%}"
+    other = f", {others} where that gives true colours" if others else ""
+    return f"it states {stated}, {why}; give ‹phase› {best}{other}, or 0,0 if it is right"
+
+
+def _pattern(body: Body, cfa: NDArray[np.uint8]) -> str:
+    """Return an array as rg/gb."""
+    return "/".join("".join(body.channels[site] for site in row) for row in cfa)
 
 
 def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:

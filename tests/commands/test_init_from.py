@@ -138,7 +138,7 @@ def test_its_folder_leads_to_a_picture_of_the_photo(photo: Path, tmp_path: Path,
     assert [line.split()[3] for line in steps.splitlines() if " -m l3cli " in line] == [
         *("simulate", "train", "render", "train", "render")
     ]
-    assert "render table.h5 picture.dng  -o picture.png" in steps
+    assert "render table.h5 picture.dng -o picture.png" in re.sub(" +", " ", steps)
     assert (folder / "picture.dng").samefile(photo)
     assert l3("check", folder / "camera.toml")[0] == 0
     simulate = ("simulate", folder / "scenes.toml", "--camera", folder / "camera.toml", "-o", folder / "t.h5", "--quiet")
@@ -148,6 +148,51 @@ def test_its_folder_leads_to_a_picture_of_the_photo(photo: Path, tmp_path: Path,
     code, _, err = l3("render", folder / "table.h5", photo, "-o", tmp_path / "picture.png")
     assert code == 0, err
     assert read_image(tmp_path / "picture.png")[0].shape == (128, 160, 3)
+
+
+def test_an_array_that_the_pixels_belie_is_refused_until_answered(
+    bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused
+) -> None:
+    camera = replace(bayer, rows=600, cols=800, black_level=256.0, white_level=4095.0)
+    chart = np.clip(photos.photograph(photos.UPRIGHT, np.random.default_rng(0), light_name="A") + 256, 0, 4095)
+    chart = chart.astype(np.uint16)
+    grey = photos.drawn(1) @ spectra.illuminant("A", WAVELENGTH)
+    write_dng(
+        tmp_path / "a.dng", np.roll(chart, -1, 0), camera, IDENTITY, grey / grey.max(), 0.01
+    )  # its first row is missing
+    call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
+    line = refused(3, *call)
+    assert "a.dng: it states rg/gb, its pixels show gb/rg: sites of one channel differ by " in line
+    assert line.endswith("give --phase 1,0, 0,1 (gr/bg) where that gives true colours, or 0,0 if it is right\n")
+    assert not (tmp_path / "mine").exists()
+    code, _, err = l3(*call, "--phase", "1,0")
+    assert code == 0, err
+    assert "gb/rg" in err
+    assert "--phase 0,0 -o PICTURE.png" in err
+    assert "RENDER ?= --phase 0,0\n" in (tmp_path / "mine/Makefile").read_text()
+    made = load_camera(tmp_path / "mine/camera.toml")
+    assert [[made.channels[site] for site in row] for row in made.cfa] == [["g", "b"], ["r", "g"]]
+    assert "curves of the classic ColorChecker" in err  # it is found in this phase
+    assert l3(*call, "--phase", "0,0", "--force", "--quiet")[0] == 0
+    assert load_camera(tmp_path / "mine/camera.toml").cfa.tolist() == [[0, 1], [1, 2]]
+    assert "RENDER ?=\n" in (tmp_path / "mine/Makefile").read_text()
+
+
+def test_a_black_level_of_0_is_questioned(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+    camera = replace(bayer, rows=600, cols=800, black_level=0.0, white_level=4095.0)
+    chart = np.clip(photos.photograph(photos.UPRIGHT, np.random.default_rng(0)) + 256, 0, 4095).astype(np.uint16)
+    write_dng(tmp_path / "a.dng", chart, camera, IDENTITY, None, 0.01)
+    call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
+    code, _, err = l3(*call)
+    assert code == 0
+    (line,) = [each for each in err.splitlines() if "states a black level of 0" in each]
+    seen = int(line.rpartition(" ")[2])
+    assert 256 < seen < 330  # patches of black paint are not quite black
+    assert f"lie at {seen} of 4095 DN; if that is its black, colours get pale: give --black-level {seen}" in line
+    code, _, err = l3(*call, "--black-level", "256", "--force")
+    assert (code, "states a black level" in err) == (0, False)
+    assert load_camera(tmp_path / "mine/camera.toml").black_level == 256
+    assert "RENDER ?= --black-level 256" in (tmp_path / "mine/Makefile").read_text()
 
 
 def test_a_camera_by_the_chart_in_its_photo(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
@@ -216,6 +261,10 @@ def test_a_mixed_folder_is_sorted_by_camera(bayer: CameraModel, photo: Path, tmp
 def test_wrong_calls(photo: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
     assert "name the folder to make" in refused(2, "init", "--from", photo)
     assert "give them with --from" in refused(2, "init", "bayer", tmp_path / "new", "--light", "A")
+    assert "--phase is that of photos" in refused(2, "init", "bayer", tmp_path / "new", "--phase", "0,1")
+    dng_files.write_dng(tmp_path / "other.dng", scene(bayer), np.array([[0, 1], [1, 2]]), tags={272: (ASCII, list(b"X\0"))})
+    both = ("init", "--from", photo, tmp_path / "other.dng", tmp_path / "new", "--phase", "0,1")
+    assert "are those of one camera" in refused(2, *both)
     assert "give raw files with --from" in refused(2, "init", "bayer", tmp_path / "new", "more")
     assert "is a file; name a folder" in refused(1, "init", "--from", photo, photo)
     (tmp_path / "full").mkdir()

@@ -1,8 +1,8 @@
 """Text of a camera recipe and its file of curves from the facts that raw files state about their camera, or that are known
 of a camera by its name; the rest is assumed, in comments."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,7 @@ class PhotoCamera:
     noise: SensorNoise
     light: str | None = None  # of the photo, where its chart tells
     gains: tuple[tuple[float, float], ...] = ()  # over that of the photo, and read noise (e-) at each, as other files state
+    overrides: Mapping[str, str] = field(default_factory=dict)  # what l3 render has to know better than its raw files
 
     def gain_recipe(self) -> str:
         """Return [gain] of the recipe; nothing if the photo does not state its ISO speed."""

@@ -1,0 +1,135 @@
+"""Where the array of a raw frame begins and where its black lies, told by its pixels, on simulated and on real frames."""
+
+import itertools
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.raw_sanity import black_doubt, phase_doubt
+from l3cli.io.frames import raw_content
+from tests.helpers.cameras import BAYER, X_TRANS
+
+RGBW = [[3, 2, 3, 1], [2, 3, 1, 3], [3, 1, 3, 0], [1, 3, 0, 3]]
+QUAD = np.repeat(np.repeat(BAYER, 2, 0), 2, 1)
+TUNGSTEN = np.array([0.9, 1.0, 0.35, 1.6])  # channels r, g, b, w of a grey
+REAL = ("colorchart.dng", "kodak_dc50.kdc", "openisp_test_1920x1080_10bit_u16le_RGGB.raw", "DeviceA_ISO_ISET_Sensor.mat")
+MISSTATED = "isetcam_MCC-centered_dng_crop258.mat"  # a crop from an odd column on, with the array of the whole
+
+
+def frame(cfa: np.ndarray, grey: np.ndarray, black: float = 0.0, seed: int = 0) -> RawFrame:
+    """Blotches of all colours with texture and noise."""
+    rng = np.random.default_rng(seed)
+    shape = (15 * 24, 20 * 24)
+    light = np.kron(rng.uniform(0.0, 1.0, (15, 20, 3)), np.ones((24, 24, 1)))
+    light *= 1 + 0.3 * np.sin(np.arange(shape[1]) / 2.5)[:, None]
+    planes = np.concatenate([light, light.mean(axis=2, keepdims=True)], axis=2) * grey
+    sites = np.tile(cfa, (shape[0] // len(cfa), shape[1] // len(cfa[0])))
+    signal = 2000.0 * np.take_along_axis(planes, sites[..., None], axis=2)[..., 0]
+    values = black + signal + np.sqrt(signal + 9) * rng.standard_normal(shape)
+    return RawFrame("frame", np.clip(np.rint(values), 0, 4095).astype(np.uint16), black, 4095.0)
+
+
+@pytest.mark.parametrize(
+    "array", [BAYER, X_TRANS, QUAD, RGBW, [[0, 1], [2, 3]]], ids=["Bayer", "X-Trans", "quad", "RGBW", "2×2"]
+)
+@pytest.mark.parametrize("grey", [TUNGSTEN, np.array([0.6, 1.0, 0.6, 1.6])], ids=["tungsten", "daylight"])
+def test_the_right_phase_of_every_array(array: list[list[int]], grey: np.ndarray) -> None:
+    """Every shift is refused, and the true phase named first; but for one that exchanges red and blue where a grey gives
+    both alike, which nothing tells, and leaves the true one among those that are named."""
+    cfa = np.array(array, np.uint8)
+    neutral = grey[: cfa.max() + 1]
+    taken = frame(cfa, grey, 64.0)
+    exchanged = np.array([2, 1, 0, 3], np.uint8)[cfa] if grey[0] == grey[2] else cfa
+    for phase in itertools.product(*map(range, cfa.shape)):
+        said = shifted_cfa(cfa, phase)
+        doubt = phase_doubt(taken, said, neutral)
+        if (said == cfa).all() or (said == exchanged).all():
+            assert doubt is None, phase
+            continue
+        assert doubt is not None, phase
+        fitting = [shifted_cfa(said, each) for each in doubt.phases]
+        assert (fitting[0] == cfa).all() or (grey[0] == grey[2] and any((each == cfa).all() for each in fitting)), phase
+
+
+def test_what_tells_nothing_is_not_doubted() -> None:
+    cfa = np.array(BAYER, np.uint8)
+    plain = np.full((96, 96), 900, np.uint16)
+    for values in (plain, np.full((96, 96), 64, np.uint16), plain[:1, :1], plain[:3, :5]):
+        assert phase_doubt(RawFrame("plain", values, 64.0, 4095.0, (0, 1)), cfa, [0.9, 1.0, 0.35]) is None
+    noise = np.random.default_rng(0).normal(70, 12, (96, 96)).clip(0).astype(np.uint16)
+    assert phase_doubt(RawFrame("dark", noise, 64.0, 4095.0, (0, 1)), cfa) is None
+    split = np.full((96, 96), 900, np.uint16)
+    split[::2, 1::2] = 950  # the greens of one row, as some sensors give them
+    assert phase_doubt(RawFrame("split", split, 64.0, 4095.0), cfa) is None
+
+
+def test_a_black_level_of_0_is_doubted_where_all_channels_end_at_one_level() -> None:
+    cfa = np.array(BAYER, np.uint8)
+    taken = frame(cfa, TUNGSTEN, 256.0)
+    black = black_doubt(RawFrame("raised", taken.values, 0.0, 4095.0), cfa)
+    assert black is not None
+    assert 230 < black < 290
+    assert black_doubt(taken, cfa) is None
+    assert black_doubt(RawFrame("dark", (taken.values - 256).clip(0), 0.0, 4095.0), cfa) is None
+    fog = np.kron(np.ones((48, 48)), np.array([[300, 420], [420, 180]])).astype(np.uint16)  # what light alone leaves
+    assert black_doubt(RawFrame("fog", fog, 0.0, 4095.0), cfa) is None
+
+
+def real(name: str) -> tuple[np.ndarray, float, float, np.ndarray, np.ndarray | None]:
+    """Values, black and white level, array as stated, signals of a grey of a real capture."""
+    data = Path(os.environ.get("L3_DATA", ""))
+    if not os.environ.get("L3_DATA") or not data.is_dir():
+        pytest.skip("L3_DATA does not name the folder of real data")
+    path = data / "raw" / name
+    if path.suffix == ".raw":
+        return np.fromfile(path, "<u2").reshape(1080, 1920), 0.0, 1023.0, np.array(BAYER), None
+    if path.suffix == ".mat":
+        held = scipy.io.loadmat(path, struct_as_record=False, squeeze_me=True)
+        if sensor := held.get("isa"):
+            return np.rint(sensor.data.volts * 1e4).astype(np.uint16), 0.0, 1e4, sensor.cfa.pattern - 1, None
+        return (
+            held["digital_values"].astype(np.uint16),
+            held["black_level"],
+            2**14 - 1.0,
+            held["pattern"].astype(int) - 1,
+            None,
+        )
+    content = raw_content(path)
+    neutral = content.get("neutral")
+    levels = content["black_level"], content["white_level"]
+    return content["values"], *levels, content["pattern"], None if neutral is None else neutral[:, 1]
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_frames_as_they_are_and_with_their_tag_shifted(name: str) -> None:
+    values, black, white, pattern, neutral = real(name)
+    cfa, taken = pattern.astype(np.uint8), RawFrame(name, values, black, white)
+    assert phase_doubt(taken, cfa, neutral) is None
+    assert black_doubt(taken, cfa) is None
+    for phase in ((0, 1), (1, 0)):
+        doubt = phase_doubt(taken, shifted_cfa(cfa, phase), neutral)
+        assert doubt is not None
+        assert set(doubt.phases) == {(0, 1), (1, 0)}
+        assert doubt.phases[0] == phase or neutral is None
+    both = phase_doubt(taken, shifted_cfa(cfa, (1, 1)), neutral)
+    assert (both is not None and both.phases == ((1, 1),)) == (neutral is not None)  # red and blue: a grey alone tells
+
+
+def test_a_real_frame_whose_array_is_misstated() -> None:
+    values, black, white, pattern, _ = real(MISSTATED)
+    doubt = phase_doubt(RawFrame(MISSTATED, values, black, white), pattern.astype(np.uint8))
+    assert doubt is not None
+    assert doubt.phases == ((0, 1), (1, 0))
+    assert (doubt.stated > 0.06, doubt.least < 0.004) == (True, True)
+
+
+def test_black_levels_that_real_frames_state_wrongly() -> None:
+    for name, black in ((REAL[2], 70), ("kodak_dc50.kdc", 1024), ("colorchart.dng", 0)):
+        values, stated, white, pattern, _ = real(name)
+        doubt = black_doubt(RawFrame(name, values + np.uint16(black), 0.0, white + black), pattern.astype(np.uint8))
+        assert doubt is not None
+        assert doubt == pytest.approx(black + stated, abs=0.02 * white)
