@@ -126,6 +126,10 @@ class Truth:
     expected: NDArray[np.float64] = data("float64", "trained", "level", doc="their predicted errors")
     figures: tuple[str, ...] = data("str", "figure", doc="mean_delta_e (CIEDE2000), scielab, output_psnr (dB)")
     measured: NDArray[np.float64] = data("float64", "trained", "level", "figure", doc="means over the scenes")
+    crops: NDArray[np.uint8] = data(
+        "uint8", "trained", "level", "crop_row", "crop_col", "rgb", doc="the middle of the first scene, sRGB codes"
+    )
+    ideals: NDArray[np.uint8] = data("uint8", "level", "crop_row", "crop_col", "rgb", doc="the same without any error")
     digest: str = data("str", doc="SHA-256 of what the scenes show, the same for all arrays")
 
     def correlation(self, level: int, figure: int = 0) -> float:

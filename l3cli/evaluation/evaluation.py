@@ -158,7 +158,8 @@ class Evaluation:
                        pixels without an angle are left out
         standards      edge (by direction: frequency in cycles/pixel, mtf and mtf50 of lens and pixel and of each pipeline),
                        grey (null without absolute curves: SNR of a grey at each lux in closed form, of raw and of
-                       pipelines, and where it is 10), figures (per pipeline mtf50_rows, mtf50_columns, snr10)
+                       pipelines, and where it is 10), chart (null without a band of the curves: per pipeline the mean
+                       ΔE00 by drawn cameras), figures (per pipeline mtf50_rows, mtf50_columns, snr10, camera_delta_e)
         worst_classes  level, from, to, contrast, chroma (null if saturated), case, pixels, per pipeline the mean error
         """
         first = self._frames[0]

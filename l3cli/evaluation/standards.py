@@ -1,6 +1,7 @@
 """Figures of standards: sharpness by slanted edges, and signal over noise of a grey over lux (docs/measurement.md). What
 pictures give stands beside what lens, pixel and the camera's noise give in closed form."""
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.evaluation.basic import electrons_of, lit_library
 from l3cli.evaluation.edge import FREQUENCIES, EdgeError, Sharpness, edge_sharpness
+from l3cli.physics.display import delta_e_2000, lab
 from l3cli.physics.lens import diffraction_transfer
 
 Array = NDArray[np.floating]
@@ -24,6 +26,8 @@ SNR = 10.0
 OCTAVES = np.arange(-6.0, 3.0)  # of lux about the camera's SNR10, at which greys are taken
 RAW_SIDE, GREY_SIDE = 400, 160  # pixels of their raw frames, and of the part that is rendered
 KNOWN = "lens and pixel"  # the name of what optics and pixels leave
+DRAWN, CORRELATED, SIGMAS_95 = 8, 30.0, 1.96  # cameras; nm, standard deviation; standard deviations in a 95 % band
+PATCHES = 4, 6  # rows and columns of the chart that drawn cameras see
 MARGIN = 24  # pixels left out at each edge of a frame
 
 
@@ -133,15 +137,41 @@ def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array,
     }  # fmt: skip
 
 
+def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraModel]:
+    """Return DRAWN cameras whose curves lie about those of `camera` as their 95 % band says: errors of channels are
+    independent, those of wavelengths CORRELATED nm apart correlated by exp(-1/2)."""
+    apart = np.subtract.outer(camera.wavelength, camera.wavelength) / CORRELATED
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * apart**2))
+    smooth = vectors * np.sqrt(np.maximum(values, 0.0))
+    errors = rng.standard_normal((DRAWN, len(camera.channels), camera.wavelength.size)) @ smooth.T
+    curves = np.maximum(camera.responsivity + camera.responsivity_band / SIGMAS_95 * errors, 0.0)
+    return [dataclasses.replace(camera, responsivity=np.minimum(each, 1.0) if camera.absolute else each) for each in curves]
+
+
+def patch_means(planes: Array) -> Array:
+    """Return the means (output, patch) of the middles of a chart of PATCHES that fills a frame (output, row, col)."""
+    rows, cols = PATCHES
+    tall, wide = planes.shape[1] // rows, planes.shape[2] // cols
+    cells = planes.reshape(len(planes), rows, tall, cols, wide)[:, :, tall // 4 : -(tall // 4), :, wide // 4 : -(wide // 4)]
+    return np.asarray(cells.mean(axis=(2, 4)).reshape(len(planes), -1))
+
+
+def colour_differences(xyz: Array, of_camera: Array, white: Array) -> Array:
+    """Return ΔE00 (patch) between XYZ (3, patch) by two cameras, exposed to the same mean luminance."""
+    same = xyz * (of_camera[1].sum() / xyz[1].sum())
+    return delta_e_2000(*(lab(each.T / white[1], white / white[1]) for each in (same, of_camera)))
+
+
 def figures_of(document: dict[str, Any]) -> dict[str, dict[str, float | None]]:
-    """Return the figures of each pipeline: MTF50 along rows and along columns, and SNR10 where the camera's curves are
-    absolute."""
-    edge, grey = document["edge"], document["grey"]
+    """Return the figures of each pipeline: MTF50 along rows and along columns, SNR10 where the camera's curves are absolute,
+    and the ΔE00 that their uncertainty makes where it is known."""
+    edge, grey, chart = document["edge"], document["grey"], document["chart"]
     return {
         name: {
             "mtf50_rows": edge["rows"]["mtf50"][name],
             "mtf50_columns": edge["columns"]["mtf50"][name],
             "snr10": grey["snr10"][name] if grey else None,
+            "camera_delta_e": chart["delta_e"][name] if chart else None,
         }
         for name in edge["rows"]["mtf50"]
         if name != KNOWN

@@ -35,6 +35,7 @@ FIGURES = {  # those of frames, in the order in which they are shown, then those
         "MTF50 along columns (cycles/pixel)", "MTF50\ncolumns", " cycles/pixel", more_is_better=True, digits=3
     ),
     "snr10": Figure("SNR10 (lux)", "SNR10\nlux", " lux", digits=1),
+    "camera_delta_e": Figure("ΔE00 by the camera's uncertainty", "camera\nΔE00", " ΔE00"),
 }
 
 

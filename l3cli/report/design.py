@@ -1,16 +1,18 @@
 """A design as a section: a verdict, arrays with their curves, error over light and by group, what training measured."""
 
+import base64
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.design import Design
+from l3cli.artifacts.design import Design, Truth
 from l3cli.report.camera import array_figure, responsivity_figures
 from l3cli.report.drawing import SERIES, Plot, spanning
-from l3cli.report.parts import Figure, Figures, Key, Section, Subsection, Table
+from l3cli.report.parts import Figure, Figures, Gallery, Jpeg, Key, Picture, Section, Subsection, Table
 
 ROWS, DRAWN = 20, 5  # arrays in the table, and drawn
+ENLARGED = 4  # times, crops of what training gives
 
 MARKS = ("line", "dashed", "dotted", "line")
 
@@ -27,7 +29,7 @@ class _Drawn:
     absolute: bool = True
 
 
-def design_section(design: Design, name: str) -> Section:
+def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
     """Return the section of a design from the file `name`."""
     parts = [
         Subsection("Arrays", (_arrays(design), Figures(tuple(_figure(design, place) for place in _drawn(design))))),
@@ -36,7 +38,8 @@ def design_section(design: Design, name: str) -> Section:
         Subsection("Error by group", (_groups(design),)),
     ]
     if design.truth is not None:
-        parts.append(Subsection("Trained and judged on the same unseen scenes", (_truth(design),)))
+        shown = [_pictures(design, design.truth, level, jpeg) for level in _two_levels(design.truth)]
+        parts.append(Subsection("Trained and judged on the same unseen scenes", (_truth(design), *shown)))
     return Section(f"Design: {design.name}", f"{' '.join(design.verdict)} From {name}.", tuple(parts))
 
 
@@ -122,3 +125,27 @@ def _truth(design: Design) -> Table:
     ranks = "; ".join(f"{level} {truth.correlation(place):.2f}" for place, level in enumerate(design.levels))
     headings = ("array", *(f"{level}, {what}" for level in design.levels for what in ("predicted", "ΔE00")))
     return Table(f"Predicted and measured error; rank correlation {ranks}", headings, tuple(rows))
+
+
+def _two_levels(truth: Truth) -> list[int]:
+    """Return the levels with the least and the largest measured error."""
+    errors = truth.measured[..., 0].mean(axis=0)
+    return list(dict.fromkeys([int(errors.argmin()), int(errors.argmax())]))
+
+
+def _pictures(design: Design, truth: Truth, level: int, jpeg: Jpeg) -> Gallery:
+    """Return the crops of a level, enlarged: the ideal, the best arrays by what was measured, and Bayer's."""
+    order = truth.measured[:, level, 0].argsort(kind="stable").tolist()
+    bayer = [truth.trained.index(design.patterns[design.bayer])] if design.bayer >= 0 else []
+    best = list(dict.fromkeys([*order[:DRAWN], *bayer]))
+    crops = {"ideal": truth.ideals[level]}
+    crops |= {
+        f"{truth.trained[place]}, ΔE00 {truth.measured[place, level, 0]:.2f}": truth.crops[place, level] for place in best
+    }
+    pictures = []
+    for name, crop in crops.items():
+        large = crop.repeat(ENLARGED, axis=0).repeat(ENLARGED, axis=1)
+        coded = base64.b64encode(jpeg(np.ascontiguousarray(large), 90)).decode()
+        caption = f"{design.levels[level]}: {name}"
+        pictures.append(Picture("data:image/jpeg;base64," + coded, *large.shape[:2], caption, f"{caption}, at {ENLARGED}×"))
+    return Gallery(tuple(pictures))

@@ -31,14 +31,17 @@ def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]
             value = values[name]
             row += [("–" if value is None else f"{2 * height * value:.0f}")] if name.startswith("mtf50") else []
         rows.append(tuple(row))
-    return (Figures(tuple(figures)), Table("By standards", tuple(heads), tuple(rows)), Text(_meaning(grey, height)))
+    return (Figures(tuple(figures)), Table("By standards", tuple(heads), tuple(rows)), Text(_meaning(standards, height)))
 
 
-def _meaning(grey: dict[str, Any] | None, height: int) -> str:
+def _meaning(standards: dict[str, Any], height: int) -> str:
+    grey, chart = standards["grey"], standards["chart"]
     text = (
         "MTF50: frequency at which the contrast of a slanted edge of 4:1, without noise, is halved (ISO 12233); a picture "
         f"height is {height} rows."
     )
+    if chart:
+        text += f" ΔE00 by the camera's uncertainty: mean of a chart by {chart['cameras']} cameras that its bands allow."
     if grey is None:
         return f"{text} Curves of the camera are relative: nothing is known over lux."
     raw = "; ".join(

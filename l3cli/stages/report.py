@@ -138,7 +138,7 @@ def _compose(given: Given, backend: str, console: Console) -> tuple[str, str, li
         sections.append(sequence_section(given.sequences))
         files += [(name, "evaluation of a sequence", digest, ()) for name, digest in given.sequence_sums.items()]
     designs = given.of(Design)
-    sections += [design_section(design, entry.name) for entry, design in designs]
+    sections += [design_section(design, entry.name, jpeg) for entry, design in designs]
     sections.append(history_section(files))
     if designs and not judged:
         return f"{', '.join(design.name for _, design in designs)}: report", " ".join(designs[0][1].verdict), sections

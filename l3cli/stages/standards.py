@@ -12,9 +12,10 @@ from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.evaluation import standards
 from l3cli.frames.scene import NO_ILLUMINANT, SHOWN, Scene
 from l3cli.physics import spectra
+from l3cli.physics.display import XYZ
 from l3cli.simulation.frame import simulate
 from l3cli.simulation.light import Light, automatic_exposure, make_light
-from l3cli.simulation.procedural import slanted_edge
+from l3cli.simulation.procedural import slanted_edge, surface_patches
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sensor import expose
 
@@ -29,7 +30,7 @@ def standard_figures(camera: CameraModel, outputs: tuple[str, ...], planes: Plan
     of which the pipelines of an evaluation make `planes` (output, row, col)."""
     camera = dataclasses.replace(camera, rows=standards.SIDE, cols=standards.SIDE, flat_field=None, defects=None)
     light = make_light(standards.LIGHT, {}, camera.wavelength).at(BRIGHT)
-    document: dict[str, Any] = {"edge": {}, "grey": None}
+    document: dict[str, Any] = {"edge": {}, "grey": None, "chart": None}
     eye = spectra.xyz_weights(light.wavelength)[1] * light.radiance
     for across in ("rows", "columns"):
         made = {
@@ -38,6 +39,8 @@ def standard_figures(camera: CameraModel, outputs: tuple[str, ...], planes: Plan
         document["edge"][across] = standards.edge_document(made, (camera, light.wavelength, eye), across)
     if camera.absolute:
         document["grey"] = _greys(camera, light, outputs, planes)
+    if outputs == XYZ and camera.responsivity_band.any():
+        document["chart"] = _chart(camera, light, planes)
     document["figures"] = standards.figures_of(document)
     return document
 
@@ -49,6 +52,24 @@ def edge_frame(camera: CameraModel, light: Light, across: str) -> TrainingFrame:
     cube = slanted_edge(size, BANDS, standards.ANGLE, standards.DARK_SIDE, standards.BRIGHT_SIDE)
     scene = Scene("edge", BANDS, cube if across == "rows" else cube.swapaxes(0, 1), NO_ILLUMINANT)
     return simulate(camera, scene, light, automatic_exposure(camera, light, standards.EXPOSED), Lens(), (0,), noises="none")
+
+
+def _chart(camera: CameraModel, light: Light, planes: Planes) -> dict[str, Any]:
+    """Return the mean ΔE00 between pictures of a chart, without noise, by cameras that the band of the curves allows and by
+    `camera`, all through the pipelines of `camera`."""
+    size = standards.SIDE, standards.SIDE
+    cube = surface_patches(np.random.default_rng(0), standards.PATCHES, size, BANDS)
+    scene, seconds = Scene("chart", BANDS, cube, NO_ILLUMINANT), automatic_exposure(camera, light, standards.EXPOSED)
+    seen: dict[str, list[NDArray[np.floating]]] = {}
+    for each in (camera, *standards.drawn_cameras(camera, np.random.default_rng(0))):
+        frame = simulate(each, scene, light, seconds, Lens(), (0,), noises="none")
+        for name, made in planes(frame).items():
+            seen.setdefault(name, []).append(standards.patch_means(made))
+    different = {
+        name: [standards.colour_differences(one, first, frame.white) for one in rest]
+        for name, (first, *rest) in seen.items()
+    }
+    return {"cameras": standards.DRAWN, "delta_e": {name: float(np.mean(each)) for name, each in different.items()}}
 
 
 def _greys(camera: CameraModel, light: Light, outputs: tuple[str, ...], planes: Planes) -> dict[str, Any] | None:

@@ -143,7 +143,7 @@ def test_a_design_ranks_arrays_beside_bayer_of_their_filters(folder: Path, l3: L
 def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     folder: Path, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(truth, "UNSEEN", truth.UNSEEN.replace("[180, 320]", "[72, 128]").replace("[160, 160]", "[48, 48]"))
+    monkeypatch.setattr(truth, "UNSEEN", truth.UNSEEN.replace("[180, 320]", "[80, 128]").replace("[160, 160]", "[48, 48]"))
     monkeypatch.setattr(truth, "LEARNED", truth.LEARNED.replace("[160, 160]", "[64, 64]"))
     monkeypatch.setattr(truth, "find_recipe", lambda name, kind: folder / "classes.toml")
     (folder / "classes.toml").write_text(FEW_CLASSES)
@@ -163,6 +163,8 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     assert trained.trained[-1].endswith("(tuned)")
     assert trained.measured.shape == (len(trained.trained), 2, 3)
     assert np.isfinite(trained.measured).all()
+    assert trained.crops.shape == (len(trained.trained), 2, 72, 72, 3)
+    assert 0 < np.abs(trained.crops - trained.ideals.astype(float)).mean() < 60
     assert -1 <= trained.correlation(0) <= 1
     assert "rank correlation" in out
     page = tmp_path / "page.html"
@@ -171,6 +173,7 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     for words in ("Design: four", "Error over light", "Error by group", "5 nm off", "Predicted and measured error"):
         assert words in text
     assert "nothing beats g r / b g (Bayer)" in text
+    assert text.count("at 4×") == 2 * (1 + len(trained.trained))
     assert "trained and judged on the same unseen scenes" in out
 
 

@@ -10,6 +10,7 @@ from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.evaluation import standards
 from l3cli.evaluation.edge import EdgeError, edge_sharpness
 from l3cli.evaluation.mottle import PlainPatches
+from l3cli.physics.display import XYZ
 from l3cli.simulation.light import electron_weights, make_light
 from l3cli.stages.standards import BANDS, edge_frame, standard_figures
 
@@ -59,7 +60,30 @@ def test_least_light_is_that_of_the_closed_form(fiveband: CameraModel) -> None:
         "mtf50_rows": pytest.approx(document["edge"]["rows"]["mtf50"]["lens and pixel"], rel=0.1),  # of light as eyes see it
         "mtf50_columns": pytest.approx(document["edge"]["columns"]["mtf50"]["lens and pixel"], rel=0.1),
         "snr10": pytest.approx(20.0, rel=0.03),
+        "camera_delta_e": None,
     }
+
+
+def test_colours_are_as_uncertain_as_the_curves(bayer: CameraModel) -> None:
+    """ΔE00 of a pipeline that takes XYZ from each channel's mean grows as the bands, from nothing; and drawn curves lie
+    outside their 95 % band as often as they should."""
+
+    def pipelines(frame: TrainingFrame) -> dict[str, np.ndarray]:
+        return {"ours": frame.electrons * (frame.white / frame.electrons.mean(axis=(1, 2)).max())[:, None, None]}
+
+    def uncertain(share: float) -> float | None:
+        camera = dataclasses.replace(bayer, responsivity_band=share * bayer.responsivity)
+        return standard_figures(camera, XYZ, pipelines)["figures"]["ours"]["camera_delta_e"]
+
+    assert uncertain(0.0) is None
+    small, large = uncertain(0.01), uncertain(0.02)
+    assert small is not None
+    assert 0.02 < small < 1.0
+    assert large == pytest.approx(2 * small, rel=0.1)
+    known = dataclasses.replace(bayer, responsivity_band=0.1 * bayer.responsivity)
+    errors = [each.responsivity - known.responsivity for each in standards.drawn_cameras(known, np.random.default_rng(1))]
+    outside = np.mean(np.abs(errors) > known.responsivity_band + 1e-12)
+    assert 0.02 < outside < 0.09
 
 
 def test_visual_noise_is_weighted_and_less_of_fine_grain() -> None:

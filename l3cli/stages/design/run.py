@@ -180,4 +180,5 @@ def _truth(task: Task, made: Design, parts: Parts, pool: WorkerPool, options: De
     digests = {end["digest"].tobytes().hex() for end in ends}
     if len(digests) > 1:
         raise L3Error("the arrays were not judged on the same scenes; report this as a fault of l3")
-    return Truth(tuple(wanted), np.array(expected), FIGURES, np.array([end["figures"] for end in ends]), digests.pop())
+    figures, crops = (np.array([end[name] for end in ends]) for name in ("figures", "crops"))
+    return Truth(tuple(wanted), np.array(expected), FIGURES, figures, crops, ends[0]["ideals"], digests.pop())

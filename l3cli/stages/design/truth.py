@@ -17,12 +17,14 @@ from l3cli.design.error import Level
 from l3cli.design.recipe import TruthRecipe
 from l3cli.evaluation.quality import Target
 from l3cli.options.commands import SimulateOptions, TrainOptions
+from l3cli.physics.display import displayed, srgb_codes, white_luminance
 from l3cli.recipes.builtin import find_recipe
 from l3cli.stages.evaluation import FrameRenderers, raw_of
 from l3cli.stages.simulation.simulate import simulate
 from l3cli.stages.training.whole import train
 from l3cli.system.console import Silent
 
+CROP = 72  # pixels of the first scene that are shown
 FIGURES = ("mean_delta_e", "scielab", "output_psnr")
 LEARNED = """illuminants = {lights}
 exposure_share = [0.9]
@@ -63,8 +65,8 @@ class Trial:
 
 
 def trained(trial: Trial) -> dict[str, NDArray]:
-    """Return FIGURES (level, figure) of an array that is trained and judged on unseen scenes, the mean over these, and the
-    SHA-256 of what the scenes show."""
+    """Return FIGURES (level, figure) of an array that is trained and judged on unseen scenes, the mean over these, crops of
+    the first as sRGB codes (level, row, col, 3), ours and ideal, and the SHA-256 of what the scenes show."""
     levels = [(light, level) for light, level in trial.levels]
     with tempfile.TemporaryDirectory(prefix="l3-") as name:
         folder = Path(name)
@@ -76,14 +78,15 @@ def trained(trial: Trial) -> dict[str, NDArray]:
         _simulated(learned, folder, "training", trial.seed)
         classes = find_recipe(asked.classes, "classes")
         train((folder / "training.h5",), folder / "table.h5", TrainOptions(classes=classes, seed=trial.seed))
-        table, figures, shown = load(TransformTable, folder / "table.h5"), [], hashlib.sha256()
+        table, ends, shown = load(TransformTable, folder / "table.h5"), [], hashlib.sha256()
         for number, (light, level) in enumerate(levels):
             exposure = f"exposure_share = [{level.share}]" if level.share is not None else f"exposure_s = [{level.seconds}]"
             text = UNSEEN.format(light=light, luminance=level.luminance, exposure=exposure)
             _simulated(text, folder, f"unseen{number}", trial.seed + 1)
-            figures.append(_judged(table, folder / f"unseen{number}.h5", shown))
+            ends.append(_judged(table, folder / f"unseen{number}.h5", shown))
+        figures, crops, ideals = map(np.array, zip(*ends, strict=True))
         digest = np.frombuffer(shown.digest(), np.uint8)
-        return {"figures": np.array(figures), "digest": digest}
+        return {"figures": figures, "crops": crops, "ideals": ideals, "digest": digest}
 
 
 def _simulated(text: str, folder: Path, name: str, seed: int) -> None:
@@ -91,9 +94,10 @@ def _simulated(text: str, folder: Path, name: str, seed: int) -> None:
     simulate(folder / f"{name}.toml", folder / "camera.h5", folder / f"{name}.h5", SimulateOptions(seed=seed))
 
 
-def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> NDArray[np.float64]:
-    """Return the mean FIGURES over the frames of a training set; `shown` takes in what they show."""
-    rows = []
+def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> tuple[NDArray, NDArray, NDArray]:
+    """Return the mean FIGURES over the frames of a training set, and the crops of the first, ours and ideal; `shown` takes
+    in what they show."""
+    rows, crops = [], []
     renderers = FrameRenderers("reference", table, Silent())
     with open_training_set(frames) as reader:
         for index in range(len(reader)):
@@ -102,7 +106,12 @@ def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> NDAr
             assert frame.shown is not None
             shown.update(f"{np.round(frame.shown.scene, 3).tolist()} {frame.luminance} {frame.illuminant}".encode())
             outputs = renderers.of(frame).outputs(raw_of(frame, index, reader.head.camera))
-            target = Target(frame.target, frame.white, table.first.rule.radius)
-            quality = target.judge(outputs * (table.output_unit / frame.exposure))[0]
+            outputs = outputs * (table.output_unit / frame.exposure)
+            quality = Target(frame.target, frame.white, table.first.rule.radius).judge(outputs)[0]
             rows.append([getattr(quality, name) for name in FIGURES])
-    return np.array(rows).mean(axis=0)
+            if index == 0:
+                scale = white_luminance(frame.target[1])
+                inside = tuple(slice((size - CROP) // 2, (size + CROP) // 2) for size in frame.target.shape[1:])
+                cut = [planes[:, *inside] for planes in (outputs, frame.target)]
+                crops = [srgb_codes(displayed(planes, frame.white, scale)) for planes in cut]
+    return np.array(rows).mean(axis=0), *crops
