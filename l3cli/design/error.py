@@ -1,13 +1,6 @@
-"""The error of an array in closed form, from moments of scenes (design/moments.py), without training it.
+"""The error of an array in closed form, from moments of scenes, without training it (docs/method.md#designs).
 
-The filter r of tap p gives s_p = t (r V) z_p electrons after t seconds, V the basis. With S its matrix, without t:
-
-    Λ = diag(v σ² / t² + S m / t + prnu² diag(S C_zz Sᵀ))     σ² = read² + dsnu² + column² + rounding² + dark current t
-    e²(site, group) = tr(C_yy − C_yz Sᵀ (S C_zz Sᵀ + Λ)⁻¹ S C_zy)
-
-is the error of the best linear estimate of the targets y, and its root, averaged over sites and over groups by their share,
-about one ΔE00 (M. Parmar and B. Wandell, Interleaved imaging, SPIE 7250, 2009, find arrays by such errors). A group that
-clips a filter on average gets no information from it; clipping pixel by pixel is not modelled.
+It is about one ΔE00. A group that clips a filter on average gets no information from it.
 """
 
 from dataclasses import dataclass

@@ -1,9 +1,7 @@
-"""Moments of spectral patches, from which the error of every array follows: gathered once, for one lens, pixel and light.
+"""Moments of spectral patches, from which the error of every array follows: gathered once, for one lens, pixel and light
+(docs/method.md#designs).
 
-A pixel of a patch holds photons in a few principal spectra: coefficients z (tap·term). The target y of its centre is XYZ
-over that of white. Over the patches of each group (mean luminance × contrast) C = Σ w² (z, y)(z, y)ᵀ and m = Σ w² z are
-summed, with w = (Y + 0.02)^(-2/3), the slope of CIELAB about a grey, and with w = 1. Sums of scenes add up. S. Lansel and
-B. Wandell, Local linear learned image processing pipeline, OSA Imaging Systems, 2011, design arrays by such statistics.
+Weights w are (Y + 0.02)^(-2/3), the slope of CIELAB about a grey, or 1. Sums of scenes add up.
 """
 
 from dataclasses import dataclass

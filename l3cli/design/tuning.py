@@ -1,6 +1,5 @@
-"""Filters of one array tuned: centres, widths and heights of Gaussians, by the gradient of the error in closed form.
-
-With A = S C_zz Sᵀ + Λ and W = C_yz Sᵀ A⁻¹ (design/error.py), de² = −2 tr(W dS C_zy) + tr(W dA Wᵀ).
+"""Filters of one array tuned: centres, widths and heights of Gaussians, by the gradient of the error in closed form
+(docs/method.md#designs).
 """
 
 from collections.abc import Sequence
