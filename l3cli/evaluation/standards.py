@@ -140,8 +140,8 @@ def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array,
 def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraModel]:
     """Return DRAWN cameras whose curves lie about those of `camera` as their 95 % band says: errors of channels are
     independent, those of wavelengths CORRELATED nm apart correlated by exp(-1/2)."""
-    apart = np.subtract.outer(camera.wavelength, camera.wavelength) / CORRELATED
-    values, vectors = np.linalg.eigh(np.exp(-0.5 * apart**2))
+    distance = np.subtract.outer(camera.wavelength, camera.wavelength) / CORRELATED
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * distance**2))
     smooth = vectors * np.sqrt(np.maximum(values, 0.0))
     errors = rng.standard_normal((DRAWN, len(camera.channels), camera.wavelength.size)) @ smooth.T
     curves = np.maximum(camera.responsivity + camera.responsivity_band / SIGMAS_95 * errors, 0.0)
