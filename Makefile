@@ -11,6 +11,7 @@ DEMO := build/demo
 CURVE := build/curve
 DOCS := build/docs
 NOTEBOOKS := build/notebooks
+WEB := build/web
 RELEASE := build/release
 KERNELS := $(CURDIR)/build/kernels
 OCLGRIND ?= /usr/lib/oclgrind/liboclgrind-rt-icd.so
@@ -24,7 +25,7 @@ L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install demo demo-steps snakemake docs docs-build gallery peers notebooks wheels test vapoursynth study soak video fuzz kernels curve lint format bench clean
+.PHONY: help install demo demo-steps snakemake docs docs-build gallery peers notebooks web wheels test vapoursynth study soak video fuzz kernels curve lint format bench clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SECONDARY:
@@ -88,7 +89,7 @@ snakemake: ## the tests of the Snakefile that l3 init lays beside recipes (one m
 docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until Ctrl-C (PORT=…)
 	$(BIN)/python -m http.server --directory "$(DOCS)/html" --bind 127.0.0.1 $(PORT)
 
-docs-build: notebooks ## the same without serving (DOCS=folder); fails on any warning and any link that leads nowhere
+docs-build: notebooks $(if $(shell command -v wasm-ld),web) ## the same without serving (DOCS=folder); fails on any warning and any link that leads nowhere
 	$(BIN)/python docs/site/build.py "$(DOCS)"
 
 gallery: ## docs/gallery.md and its pictures, two arrays at a time (eight minutes of two quiet cores); ARRAYS="bayer xtrans" for some
@@ -104,6 +105,21 @@ notebooks: ## the notebooks of docs/ are run, and written as pages of code and o
 	rm -rf $(NOTEBOOKS)
 	$(BIN)/python -m pytest tests/unit/test_notebooks.py
 	$(BIN)/python docs/site/execute_notebooks.py $(NOTEBOOKS)
+
+# The demo of the site: a table for a Bayer camera, as a page, and a frame of that camera.
+web: ## build/web/demo.html renders raw files in the browser (a minute; needs clang and wasm-ld, Debian's clang and lld)
+	$(call needs,)
+	$(MAKE) --no-print-directory $(WEB)/demo.html
+
+$(WEB)/demo.html: configs/cameras/bayer.toml configs/scenes/default.toml configs/classes/fast.toml $(CODE) $(wildcard l3cli/export/c/*)
+	mkdir -p $(WEB)
+	$(L3) simulate default --camera bayer -o $(WEB)/training.h5 --force --jobs $(JOBS)
+	$(L3) train $(WEB)/training.h5 --classes fast -o $(WEB)/table.h5 --force --jobs $(JOBS)
+	$(L3) simulate demo_unseen --camera bayer -o $(WEB)/unseen.h5 --dng $(WEB)/dng --force
+	cp $(WEB)/dng/00000*.dng $(WEB)/demo.dng
+	$(L3) export $(WEB)/table.h5 -o $(WEB)/source --force
+	$(MAKE) -C $(WEB)/source page
+	cp $(WEB)/source/l3_page.html $@
 
 wheels: ## dist/: source distribution, the wheel built from it, both checked, and the wheel tried alone
 	$(PYTHON) -m venv --clear $(RELEASE)

@@ -12,13 +12,14 @@ from recipe_pages import recipe_pages
 
 ROOT = Path(__file__).parents[2]
 EXECUTED = ROOT / "build/notebooks"  # by make notebooks
+DEMO = ROOT / "build/web"  # by make web
 BUILT = "doctrees"  # what Sphinx leaves beside a site
 NOTEBOOKS = "python.md"  # whose table lists them
 FRONT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "SECURITY.md": "security.md"}
 AS_THEY_ARE = ("LICENSE", "CITATION.cff")
 CONTENTS = {
     "Start": ["tutorial", "own-lab", "arrays"],
-    "Use": ["raw-files", "video", "jobs", "python"],
+    "Use": ["raw-files", "video", "jobs", "python", "browser"],
     "Reference": ["commands", "reference/commands", "reference/recipes", "artifacts", "reference/artifacts"],
     "What to expect": ["gallery", "benchmarks", "measurement", "peers", "limits", "robustness", "method", "notebook"],
     "Project": ["architecture", "contributing", "changelog", "security", "reference/licences"],
@@ -45,7 +46,7 @@ def gather(folder: Path) -> None:
     (folder / NOTEBOOKS).write_text(f"{listed}\n{tree(names)}\n", encoding="utf-8")
     pages = {path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.md")}
     readme = relinked((ROOT / "README.md").read_text(encoding="utf-8"))
-    (folder / "index.md").write_text(f"{readme}\n{contents(pages)}", encoding="utf-8")
+    (folder / "index.md").write_text(f"{with_demo(readme)}\n{contents(pages)}", encoding="utf-8")
 
 
 def _left_out(folder: str, names: list[str]) -> set[str]:
@@ -60,6 +61,15 @@ def relinked(text: str) -> str:
         text = re.sub(rf"\]\((\.\./)?{re.escape(name)}", f"]({page}", text)
     text = re.sub(r"\]\((notebooks/[\w-]+)\.ipynb\)", r"](\1.md)", text)
     return text.replace("](docs/", "](")
+
+
+def with_demo(readme: str) -> str:
+    """The first page, with the demo that conf.py copies into the site below its picture, if make web has made it."""
+    if not (DEMO / "demo.html").is_file():
+        return readme
+    words = '<a href="demo.html">Render a raw file in this browser</a>: a Bayer DNG, <a href="demo.dng">this one</a>'
+    head, after, rest = readme.partition("\n\nOne frame of")
+    return f"{head}\n\n{words} or yours; it is sent nowhere ([how](browser.md)).{after}{rest}"
 
 
 def contents(pages: set[str]) -> str:

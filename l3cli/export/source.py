@@ -1,5 +1,6 @@
 """A table as C99 source: fixed code, joined of the pieces in c/, and the table's numbers as macros and constant arrays."""
 
+import json
 import math
 import re
 import string
@@ -30,11 +31,12 @@ from l3cli.export.wordlengths import (
     short_words,
     split_of,
 )
+from l3cli.io.raw.cfa_codes import channel_codes, code_of
 from l3cli.physics.display import XYZ
 from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers
 from l3cli.rendering.reference import SPECTRA_DARKEST
-from l3cli.rendering.white.scene_white import WhiteBalance
+from l3cli.rendering.white.scene_white import WhiteBalance, Whites
 from l3cli.rendering.white.source import usual_balance
 from l3cli.system.text import printable
 
@@ -83,19 +85,22 @@ def c_files(
         "sources": " ".join(sources),
         "objects": " ".join(name.replace(".c", ".o") for name in sources),
         "headers": " ".join(headers),
+        "page": "l3_page.html l3_page.txt l3_page.wasm" if shows else "",
     }
+    makefile = _piece("Makefile") + (_piece("Makefile_page") if shows else "")
     texts = {
         "l3.c": "".join(_piece(name) for name in _pieces(table, words)),
         "l3.h": _piece("l3.h"),
         "l3_table.h": _header(table, vector, arrays, words),
         "l3_table.c": "\n".join([*DATA, *(line for array in arrays for line in (*array.lines(), "")), *layers]),
         "test.c": _piece("test.c"),
-        "Makefile": string.Template(_piece("Makefile")).substitute(built),
+        "Makefile": string.Template(makefile).substitute(built),
         "CMakeLists.txt": string.Template(_piece("CMakeLists.txt")).substitute(built),
         "README.md": _readme(table, vector, arrays, short),
     }
     if shows:
         texts |= {"l3_picture.h": _piece("picture.h"), "l3_picture.c": _picture_source(table, balance, _piece("picture.c"))}
+        texts |= {"page.html": _piece("page.html").replace("@TABLE@", _page_facts(table, balance))}
     return {_named(name, prefix): _named(text, prefix).encode() for name, text in texts.items()} | vector.files()
 
 
@@ -317,6 +322,24 @@ def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: s
         matrix=", ".join(f"{{{_floats(row)}}}" for row in matrix),
         top=float(math.ceil(table.white_level)),
     )
+
+
+def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
+    """Return what a page of the browser knows of a table, as JSON; `neutral`, the signals of a grey under the light of
+    training, only where no white was given: to it channels are brought that a file states another white of."""
+    codes, trained = channel_codes(table.channels), Whites(table).trained
+    facts = {
+        "camera": printable(table.camera_name),
+        "cfa": table.cfa.tolist(),
+        "codes": codes.tolist(),  # TIFF/EP's, or free ones
+        "names": [code_of(name) for name in table.channels],  # null where TIFF/EP has none
+        "black": table.black_level,
+        "white": table.white_level,
+        "layers": len(table.layers),
+        "gains": (balance or usual_balance(table)).gains.tolist(),
+        "neutral": None if balance or trained is None else trained.tolist(),
+    }
+    return json.dumps(facts).replace("<", "\\u003c")
 
 
 def _thresholds(curve: Curve) -> NDArray[np.float64]:

@@ -22,7 +22,7 @@ from tests.helpers.calls import L3, Refused
 from tests.helpers.tables import random_table, with_low_noise, with_refinement
 
 C_FILES = ["CMakeLists.txt", "Makefile", "README.md", "l3.c", "l3.h", "l3_picture.c", "l3_picture.h", "l3_table.c",
-           "l3_table.h", "test.c", "test_labels.bin", "test_outputs.bin", "test_raw.bin"]  # fmt: skip
+           "l3_table.h", "page.html", "test.c", "test_labels.bin", "test_outputs.bin", "test_raw.bin"]  # fmt: skip
 CC = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
 needs_compiler = pytest.mark.skipif(CC is None, reason="there is no C compiler (cc, gcc or CC)")
 

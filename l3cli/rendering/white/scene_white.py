@@ -147,7 +147,7 @@ class Whites:
         return GreyRenderer(self.table)
 
     @functools.cached_property
-    def _trained(self) -> NDArray[np.float64] | None:
+    def trained(self) -> NDArray[np.float64] | None:
         """Return the signals (channel) of a grey under the light of training; None of a table that does not say."""
         camera, light = self.table.camera, self.table.light
         if camera is None or light is None:
@@ -216,10 +216,10 @@ class Whites:
 
     def _gains(self, neutral: Array) -> NDArray[np.float64]:
         """Return factors (channel), none below 1, that bring a neutral to that of training as far as they may."""
-        if self._trained is None:
+        if self.trained is None:
             return np.ones(len(neutral))
-        seen = (neutral > 0) & (self._trained > 0)  # a channel of infrared may see nothing of a lamp
-        ratio = np.where(seen, self._trained / np.where(seen, neutral, 1.0), 0.0)
+        seen = (neutral > 0) & (self.trained > 0)  # a channel of infrared may see nothing of a lamp
+        ratio = np.where(seen, self.trained / np.where(seen, neutral, 1.0), 0.0)
         return np.clip(ratio / ratio.min(where=seen, initial=np.inf), 1.0, LARGEST_GAIN)
 
     def _shown(self, neutral: Array) -> NDArray[np.float64]:
