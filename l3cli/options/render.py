@@ -121,6 +121,10 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         ExposureReader(),
         metavar="auto|camera|VALUE|±NEV",
     )
+    tone: Literal["aces"] | None = option(
+        None,
+        "Tone curve: aces, Narkowicz's fit (2016) of the ACES film curve, to 2.9 EV above white [default: linear to white].",
+    )
     white: str | None = option(
         None,
         "Scene white shown neutral: light, chromaticity, the table's, the file's, estimated, a ColorChecker's, a grey's "

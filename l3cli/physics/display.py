@@ -5,6 +5,7 @@ XYZ are CIE 1931. A picture is linear sRGB (row, col, 3), 1 being display white,
 """
 
 import functools
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ LUMA = np.array([0.2126, 0.7152, 0.0722])  # of sRGB's primaries (Rec. 709)
 FLOAT_BITS = 32  # of linear values, in floating point
 CODES = {8: np.uint8, 16: np.uint16}  # bits of a picture's codes → their type
 AT_ONCE = 1 << 13  # colours whose differences stay in the caches
+TONE_LIMIT = 1e6  # of linear values: more is as white
 PRECISION = 1e-3  # of the gradient of mean squares: more changes no figure
 
 
@@ -107,6 +109,27 @@ def codes(encoded: Array, bits: int = 8) -> NDArray[Any]:
 def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
     """Return linear sRGB as the `codes` of a picture file."""
     return codes(srgb_curve(linear), bits)
+
+
+@dataclass(frozen=True)
+class Tone:
+    """A tone curve of linear values x: x (a x + b) / (x (c x + d) + e), at most 1; 0 below 0."""
+
+    a: float
+    b: float
+    c: float
+    d: float
+    e: float
+
+    def toned(self, linear: Array) -> Array:
+        """Return what linear values are shown as, linear, too."""
+        x = np.clip(linear, 0.0, TONE_LIMIT)
+        return np.minimum(x * (self.a * x + self.b) / (x * (self.c * x + self.d) + self.e), 1.0)
+
+
+TONES = {
+    "aces": Tone(2.51, 0.03, 2.43, 0.59, 0.14)
+}  # K. Narkowicz, ACES Filmic Tone Mapping Curve, 2016, of the ACES output
 
 
 # ------------------------------------------------------------------------------------------------ as it is seen

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
-from l3cli.physics.display import CODES, codes, display_white
+from l3cli.physics.display import CODES, Tone, codes, display_white
 from l3cli.physics.spaces import SRGB, SRGB_CURVE, Curve, Space, adaptation_matrix
 
 MOST_LAYERS = 4
@@ -15,12 +15,13 @@ MOST_LAYERS = 4
 
 @dataclass(frozen=True)
 class Display:
-    """Everything between XYZ and the picture, the last stage of rendering: code = top · curve(clip(matrix @ XYZ, 0, 1)),
-    rounded."""
+    """Everything between XYZ and the picture, the last stage of rendering: code = top · curve(clip(tone(matrix @ XYZ), 0,
+    1)), rounded."""
 
     matrix: NDArray[np.float64]  # (3, 3) linear values from XYZ, adaptation and exposure scale folded in
     bits: int  # of a code, a key of CODES
     curve: Curve = SRGB_CURVE
+    tone: Tone | None = None  # None: linear values as they are
 
     def __post_init__(self) -> None:
         if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or self.bits not in CODES:
@@ -44,12 +45,14 @@ def make_display(white: NDArray[np.floating], scale: float, bits: int, space: Sp
     return adapted_display(adaptation_matrix(white, display_white()), scale, bits, space)
 
 
-def adapted_display(adaptation: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB) -> Display:
+def adapted_display(
+    adaptation: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB, tone: Tone | None = None
+) -> Display:
     """Return a display that shows `scale` · `adaptation` (3, 3) @ XYZ of a scene, adapted to D65, in a space that has a
-    curve; RecipeError if the scale is not positive."""
+    curve, through a tone curve; RecipeError if the scale is not positive."""
     if space.curve is None:
         raise ValueError(f"{space.title} is linear and has no codes")
-    return Display(linear_matrix(adaptation, scale, space), bits, space.curve)
+    return Display(linear_matrix(adaptation, scale, space), bits, space.curve, tone)
 
 
 def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) -> NDArray[np.float64]:
@@ -79,4 +82,5 @@ def require_known_layers(table: TransformTable) -> None:
 def encode(planes: NDArray, display: Display) -> NDArray:
     """Return XYZ planes (output, row, col) as the display's codes (row, col, 3), computed in float64."""
     linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
-    return codes(display.curve.encoded(linear), display.bits)
+    shown = linear if display.tone is None else display.tone.toned(linear)
+    return codes(display.curve.encoded(shown), display.bits)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
 from l3cli.frames.frame import RawFrame, upright
-from l3cli.physics.display import FLOAT_BITS, exposure_scale
+from l3cli.physics.display import FLOAT_BITS, Tone, exposure_scale
 from l3cli.physics.spaces import SPACES, SRGB, XYZ, Space, chromaticity_of
 from l3cli.rendering.display import Display, adapted_display, linear_matrix, require_xyz
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
@@ -39,6 +39,7 @@ class Rendition:
     mosaic: str | None = None  # with `raw` a mosaic of the pixels, as their format names it
     stops: float = 0.0  # EV by which pictures are brighter than their exposure says
     stated_exposure: bool = False  # the exposure is times that which the file of each frame states
+    tone: Tone | None = None  # curve of what is shown
 
     @property
     def is_linear(self) -> bool:
@@ -122,7 +123,7 @@ def shown(
     frame = balanced(frame, renderer.table, balance.gains)
     # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
     scale = (scale * balance.luminance or exposure_scale(renderer.outputs(frame)[1])) * 2**rendition.stops
-    return frame, adapted_display(balance.adaptation, scale, rendition.bits, rendition.space or SRGB)
+    return frame, adapted_display(balance.adaptation, scale, rendition.bits, rendition.space or SRGB, rendition.tone)
 
 
 class FrameMeter:

@@ -20,6 +20,17 @@ INLINE ints coarse(ints plane) {
 #endif
 #ifdef TOP
 
+// Linear values as a tone curve shows them.
+INLINE floats toned(floats linear) {
+#ifdef TONE_A
+    linear = linear > 0.0f ? linear : (floats)0.0f;
+    linear = linear < TONE_LIMIT ? linear : (floats)TONE_LIMIT;
+    return linear * (TONE_A * linear + TONE_B) / (linear * (TONE_C * linear + TONE_D) + TONE_E);
+#else
+    return linear;
+#endif
+}
+
 #if defined(CURVE_PIECES) && LANES == 16 && defined(__AVX512F__)
 
 // Codes of 8 bits, where the processor looks up 16 lanes in a table of 32 at once: the curve times TOP in 32 parabolas, four an octave
@@ -36,7 +47,7 @@ INLINE floats term_of(int power, ints piece) {
 // One channel's values as the codes that are written.
 INLINE uints encode(floats linear) {
     const floats start = 0x1p-8f, end = 0x1.fffffep-1f;
-    floats u = linear * CURVE_SHARE + start;
+    floats u = toned(linear) * CURVE_SHARE + start;
     u = u > start ? u : start;
     u = u < end ? u : end;
     const ints piece = SAME_BITS(u, ints) >> PIECE_BITS;
@@ -71,7 +82,7 @@ INLINE floats clip(floats linear) {
 
 // One channel's values as the codes that are written.
 INLINE uints encode(floats linear) {
-    return SAME_BITS(CONVERT(curve(clip(linear)) * (float)TOP + 0.5f, ints), uints);
+    return SAME_BITS(CONVERT(curve(clip(toned(linear))) * (float)TOP + 0.5f, ints), uints);
 }
 
 #endif

@@ -1,9 +1,11 @@
 """Pictures say what they are: colour spaces, checked against colour-science; profiles, read by Little CMS."""
 
+import dataclasses
 import io
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
+import av
 import numpy as np
 import OpenImageIO as oiio
 import pytest
@@ -16,7 +18,8 @@ from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.io.pictures.icc import icc_profile
 from l3cli.io.pictures.registry import Picture, picture_file
-from l3cli.physics.display import scene_white
+from l3cli.options.render import RenderOptions
+from l3cli.physics.display import TONES, scene_white
 from l3cli.physics.spaces import D65, SPACES, SRGB, adaptation_matrix, chromaticity_of, xyz_of
 from l3cli.physics.spectra import colour_science
 from l3cli.rendering.display import encode, make_display
@@ -118,6 +121,42 @@ def test_codes_are_those_of_the_reference(l3: L3, desk: Path, name: str, bits: i
     assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "a.tif", "--space", name, *options)[0] == 0
     truth = encode(outputs(desk), make_display(scene_white("A"), 0.7, bits, SPACES[name]))
     assert np.abs(read_image(desk / "a.tif")[0].astype(int) - truth).max() <= (1 if bits == 8 else 2)
+
+
+def test_the_tone_curve_is_the_published_one() -> None:
+    """Its points, and what it makes of all values: rising, from 0 to 1, 2.9 EV above white."""
+    tone = TONES["aces"]
+    x = np.array([0.0, 0.18, 1.0, 2.0, 7.2416])
+    expected = [0.0, 0.0867 / 0.3249, 2.54 / 3.16, 10.1 / 11.04, 1.0]
+    np.testing.assert_allclose(tone.toned(x), expected, atol=2e-4)
+    ramp = tone.toned(np.linspace(-1, 10, 1001))
+    assert (np.diff(ramp) >= 0).all()
+    assert (ramp[0], ramp[-1], tone.toned(np.array(1e300))) == (0, 1, 1)
+    assert get_args(get_args(get_type_hints(RenderOptions)["tone"])[0]) == tuple(TONES)
+
+
+@pytest.mark.parametrize("backend", ["opencl", "reference"])
+def test_a_tone_curve_of_stills_and_of_video(l3: L3, desk: Path, tmp_path: Path, backend: str) -> None:
+    options = ("--exposure", 3, "--white", "A", "--backend", backend, "--quiet", "--tone", "aces")
+    np.save(tmp_path / "clip.npy", np.load(desk / "frame.npy")[None].repeat(2, axis=0))
+    made = [tmp_path / "a.png", tmp_path / "b.mkv"]
+    for frames, output, more in ((desk / "frame.npy", made[0], ()), (tmp_path / "clip.npy", made[1], ("--codec", "ffv1"))):
+        assert l3("render", desk / "table.h5", frames, "-o", output, *options, *more)[0] == 0
+    display = make_display(scene_white("A"), 3.0, 8)
+    plain, truth = encode(outputs(desk), display), encode(outputs(desk), dataclasses.replace(display, tone=TONES["aces"]))
+    still = read_image(made[0])[0]
+    assert np.abs(still.astype(int) - truth).max() <= 1
+    assert (plain == 255).mean() > 2 * (truth == 255).mean()  # highlights that were white
+    with av.open(str(made[1])) as video:
+        for frame in video.decode(video=0):
+            np.testing.assert_array_equal(frame.to_ndarray(format="rgb24"), still)
+
+
+@pytest.mark.parametrize("file", ["a.exr", "a.exr --space srgb", "a.tif --bits 32", "a.dng"])
+def test_a_tone_curve_is_refused_for_linear_values(desk: Path, tmp_path: Path, file: str, refused: Refused) -> None:
+    name, *options = file.split()
+    call = ("render", desk / "table.h5", desk / "frame.npy", "--tone", "aces", "-o", tmp_path / name, *options)
+    assert "--tone is for pictures of codes, and values are linear here" in refused(2, *call)
 
 
 @pytest.mark.parametrize("file", ["a.exr", "a.tif"])

@@ -14,6 +14,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import NoiseLeft, RawFrame
+from l3cli.physics.display import TONES, Tone
 from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
@@ -233,8 +234,9 @@ def test_a_value_on_an_edge_falls_on_the_same_side() -> None:
 ENCODINGS = [(8, 0.01), (16, 0.05)]
 
 
+@pytest.mark.parametrize("tone", [None, TONES["aces"]], ids=["plain", "aces"])
 @pytest.mark.parametrize("kind", ["processor", "16 lanes", "graphics"])
-def test_encodings_on_the_device(kind: str) -> None:
+def test_encodings_on_the_device(kind: str, tone: Tone | None) -> None:
     """The whole range, below black and beyond white, in both depths."""
     table = random_table([[0]], bits=16, patch=3)
     centre = np.zeros_like(table.first.weights)
@@ -243,7 +245,7 @@ def test_encodings_on_the_device(kind: str) -> None:
     frame = RawFrame("ramp", np.arange(65536, dtype=np.uint16).reshape(256, 256), table.black_level, table.white_level)
     device, reference = OpenCLRenderer(table, **KINDS[kind]), ReferenceRenderer(table)
     for bits, share in ENCODINGS:
-        display = Display(np.diag([1.0, 1.7, 0.01]), bits)
+        display = Display(np.diag([1.0, 1.7, 0.01]) * (5 if tone else 1), bits, tone=tone)
         shown, truth = device.picture(frame, display), reference.picture(frame, display)
         assert shown.dtype == truth.dtype == display.dtype
         error = np.abs(shown.astype(int) - truth)

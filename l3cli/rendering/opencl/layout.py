@@ -26,6 +26,7 @@ from l3cli.classes.plane_kernel import (
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, opponent_basis, raw_middle, refined_fixed_point
 from l3cli.classes.refinement import RATIO_DARKEST, first_label_words
 from l3cli.classes.windows import Integers, neighbourhoods
+from l3cli.physics.display import TONE_LIMIT
 from l3cli.physics.spaces import Curve
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display
@@ -201,6 +202,9 @@ NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: one num
 def display_macros(display: Display) -> Macros:
     """Return the macros of the codes that the last stage writes."""
     macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top}
+    if display.tone is not None:
+        terms = {**vars(display.tone), "limit": TONE_LIMIT}
+        macros = macros | {f"TONE_{name.upper()}": _literal(value) for name, value in terms.items()}
     # Within 8e-5, which moves one value of 8 bits in 200 by one; within 1.2e-6, which is what float32 gives.
     if display.bits == 8:
         return macros | curve_macros(display.curve, 2, 5) | curve_pieces(display.curve, display.top)

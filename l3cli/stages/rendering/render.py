@@ -24,6 +24,7 @@ from l3cli.io.raw.files import are_photos
 from l3cli.io.sequences import STDIN_NAME, FrameSequence, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, Pacing
 from l3cli.options.render import RenderOptions
+from l3cli.physics.display import TONES
 from l3cli.physics.spaces import REC2020
 from l3cli.rendering.conditions import Mix, described, gains_of, mixed, nearest_for
 from l3cli.rendering.display import require_xyz
@@ -169,6 +170,8 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
         raise RecipeError(
             "files of floating point hold the outputs as they are; ‹exposure› and ‹white› are for those of a ‹space›"
         )
+    if options.tone is not None and (destination.linear or destination.raw):
+        raise RecipeError("‹tone› is for pictures of codes, and values are linear here; leave it out, or name a .png")
     if space not in (None, "srgb") and not destination.one_by_one:
         raise RecipeError("videos are sRGB; leave ‹space› out, or name pictures")
     if space is not None and destination.raw:
@@ -206,8 +209,9 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
         options.console.warn(doubt)
     exposure = options.exposure
     rendition = Rendition(
-        balance, exposure.factor, options.bits, space_of, stops=exposure.stops, stated_exposure=exposure.stated
-    )
+        balance, exposure.factor, options.bits, space_of, stops=exposure.stops, stated_exposure=exposure.stated,
+        tone=TONES[options.tone] if options.tone else None,
+    )  # fmt: skip
     if not destination.raw:
         return rendition
     if options.remosaic not in (None, *MOSAICS):
