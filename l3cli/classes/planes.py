@@ -125,18 +125,31 @@ def _fixed_point(
     for classes, channel in layouts:
         order = np.argsort(channel, kind="stable")
         ends = [0, *np.cumsum(np.bincount(channel)).tolist()]
-        for start in range(classes.start, classes.stop, BLOCK):
-            block = slice(start, min(start + BLOCK, classes.stop))
+        distinct, like = _distinct(weights[classes], intercept[classes])
+        for start in range(0, len(distinct), BLOCK):
+            block = distinct[start : start + BLOCK] + classes.start
             # Sums over the first axis are sums of long rows, which numpy does several times as fast.
             exact = np.moveaxis(_to_planes(weights[block].transpose(1, 2, 0)[:, order], basis), 0, 1) / read.step
             fraction = _fraction(_room(exact, offset[:, block], read))
             scale = 2.0**fraction
             exact *= scale
             whole = _rounded(exact, ends)
-            made.weights[block, :, order] = whole.transpose(2, 1, 0)
+            made.weights[block] = whole[np.argsort(order)].transpose(2, 1, 0)
             made.intercept[block] = np.rint(offset[:, block] * scale - read.zero * whole.sum(axis=0)).T
             made.fraction[block] = fraction
+        for each in vars(made).values():
+            each[classes] = each[distinct[like] + classes.start]
     return made
+
+
+def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first of each class of equal transforms (distinct), and for every class the place of its like among these:
+    classes without patches of their own, half of those of many channels, have a neighbour's."""
+    rows = np.concatenate([weights.reshape(len(weights), -1), intercept], axis=1)
+    _, first, like = np.unique(
+        rows.view(np.dtype((np.void, rows[0].nbytes))).ravel(), return_index=True, return_inverse=True
+    )
+    return first, like
 
 
 def _room(weights: NDArray[np.float64], offset: NDArray[np.float64], read: _Read) -> NDArray[np.float64]:
@@ -167,12 +180,13 @@ def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float6
             continue
         least, lost = whole[start:end], loss[start:end]
         count = np.rint(weights[start:end].sum(axis=0)) - least.sum(axis=0)
-        in_order = np.sort(np.moveaxis(lost, 0, -1), axis=-1)
-        last = np.maximum(count - 1, 0).astype(np.int64)[..., None]
-        limit = np.where(count > 0, np.take_along_axis(in_order, last, axis=-1)[..., 0], -np.inf)
-        up = lost < limit
-        equal, left = lost == limit, (count - np.count_nonzero(up, axis=0)).astype(np.int16)
-        up |= equal & (np.cumsum(equal, axis=0, dtype=np.int16) <= left)
+        last = np.maximum(count - 1, 0).astype(np.int64)[None]
+        limit = np.where(count > 0, np.take_along_axis(np.sort(lost, axis=0), last, axis=0)[0], -np.inf)
+        up = lost <= limit
+        if (tied := up.sum(axis=0, dtype=np.int16) > count).any():
+            equal = lost[:, tied] == limit[tied]
+            left = count[tied] - (lost[:, tied] < limit[tied]).sum(axis=0)
+            up[:, tied] &= ~equal | (np.cumsum(equal, axis=0) <= left)
         least += up
     return whole
 

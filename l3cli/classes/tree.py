@@ -107,18 +107,24 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
 
 def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
     """Return leaf (…) of pixels of CFA `site` (…)."""
-    test, sign = (np.array(each) for each in zip(*(turned_tests(turn) for turn in range(8)), strict=True))
-    numerators = seen.numerators.reshape(TESTS, -1)
-    denominators = seen.denominators.reshape(4, -1)
+    turned, sign = (np.array(each) for each in zip(*(turned_tests(turn) for turn in range(8)), strict=True))
     turn = rule.turns.astype(np.int64)[np.broadcast_to(site, seen.numerators.shape[1:]).ravel()]
-    of_test = np.array([each.denominator for each in EVERY])
+    numerators, denominators = seen.numerators.reshape(-1), seen.denominators.reshape(-1)
+    test, nodes = rule.test.astype(np.int64), len(rule.test)
+    # of a node in an orientation, and of a node: where the planes begin that are compared
+    numerator, signs = turned[:, test].reshape(-1) * turn.size, sign[:, test].reshape(-1)
+    denominator = np.array([each.denominator for each in EVERY])[test] * turn.size
     node, pixel = np.zeros(turn.size, np.int64), np.arange(turn.size)
-    for _ in range(rule.depth):
-        asked = rule.test.astype(np.int64)[node]
-        value = numerators[test[turn, asked], pixel] * sign[turn, asked]
-        above = value > rule.threshold[node] * denominators[of_test[asked], pixel]
-        node = np.where(rule.branch[node] > 0, rule.branch[node] + above, node)
-    return rule.leaf[node].reshape(seen.numerators.shape[1:])
+    while True:
+        at = node.take(pixel)
+        inner = np.flatnonzero(rule.branch.take(at))  # the others have reached a leaf
+        if not inner.size:
+            return rule.leaf[node].reshape(seen.numerators.shape[1:])
+        pixel, at = pixel.take(inner), at.take(inner)
+        asked = turn.take(pixel) * nodes + at
+        value = numerators.take(numerator.take(asked) + pixel) * signs.take(asked)
+        above = value > rule.threshold.take(at) * denominators.take(denominator.take(at) + pixel)
+        node[pixel] = rule.branch.take(at) + above
 
 
 def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:

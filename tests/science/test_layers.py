@@ -147,6 +147,25 @@ def test_mosaics_are_seen_together_as_each_by_itself(bayer: CameraModel) -> None
             assert (np.abs(ours - theirs) <= 1e-5 * np.abs(theirs).max(axis=1, keepdims=True) + 1e-6).all()
 
 
+def test_noise_that_does_not_count_is_not_summed_up(bayer: CameraModel) -> None:
+    """The other sums are the same; where there is none, the layer learns from what rendering makes of the values."""
+    frames, sums = [a_frame(bayer, seed, smooth=False) for seed in range(2)], []
+    for weight in (1.0, 0.0):
+        layer = a_pass(bayer, luminance_noise=weight, chroma_noise=weight)
+        sums.append(sum_layer(layer, a_rule(layer), [(0, frames)]))
+    for site, one in sums[0].items():
+        np.testing.assert_array_equal(one.moments, sums[1][site].moments)
+        np.testing.assert_array_equal(one.count, sums[1][site].count)
+        assert one.noise.any() > sums[1][site].noise.any()
+    exposed = dataclasses.replace(layer.exposed, noisy=False)
+    for mosaic in sheets_of(mosaics_of(frames[0], 2, exposed, np.random.default_rng(0)), 2):
+        seen = layer.seer()(mosaic)
+        exact = layer.seer()(dataclasses.replace(mosaic, clean=mosaic.values.astype(np.float32)))
+        assert seen.clean is None
+        np.testing.assert_array_equal(seen.light, exact.noisy)
+        np.testing.assert_allclose(seen.light, exact.light, rtol=0, atol=1)
+
+
 def test_structures_turn_with_the_picture(bayer: CameraModel) -> None:
     rule = dataclasses.replace(a_rule(a_pass(bayer)), turns=np.ones((1, 2), np.int8))
     planes = np.random.default_rng(0).normal(0, 20, (3, 60, 60)).cumsum(axis=1).cumsum(axis=2).astype(np.int32)

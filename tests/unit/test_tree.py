@@ -244,7 +244,7 @@ def a_sample(test: int, threshold: float, seed: int, noise: float = 0.0, rows: i
     seen = rng.normal(size=(rows, taps)).astype(np.float32)
     filters = rng.normal(size=(2, taps, 3))
     target = np.where(above[:, None], seen @ filters[1], seen @ filters[0]) + noise * rng.normal(size=(rows, 3))
-    return TreeSample(seen, target.astype(np.float32), numerators, denominators)
+    return TreeSample(np.concatenate([seen, target], axis=1).astype(np.float32), numerators, denominators)
 
 
 @pytest.mark.parametrize("test", [0, 4, 9, 14, 18, 20])
@@ -254,7 +254,7 @@ def test_growth_finds_the_test_and_the_threshold_that_made_the_targets(test: int
     samples = [a_sample(test, threshold, seed, noise=0.3) for seed in (1, 2)]
     root = grow(samples, 2)
     assert root.test[0] == test
-    quotient = np.concatenate([one.quotient(test, np.arange(4000)) for one in samples])
+    quotient = np.concatenate([np.divide(*one.compared(test, np.arange(4000))) for one in samples])
     assert abs(np.mean(quotient <= root.threshold[0]) - np.mean(quotient <= threshold)) <= 1 / 12 + 0.01
     grown = grow(samples, 8)
     close = np.abs(grown.threshold[grown.test == test] - threshold).min()
@@ -276,7 +276,7 @@ def test_a_leaf_keeps_rows_for_its_filters_at_every_site() -> None:
     assert rule.structures > 1
     for one in samples:
         seen = tree.Evidence(one.numerators, one.denominators)
-        fallen = tree.leaves(seen, np.zeros(len(one.taps), np.int64), rule)
+        fallen = tree.leaves(seen, np.zeros(len(one.columns), np.int64), rule)
         assert np.bincount(fallen, minlength=rule.structures).min() >= ROWS_PER_TAP * 5
     assert grow([a_sample(2, 0.1, 1, rows=39)], 64).branch.tolist() == [0]
 
@@ -292,8 +292,11 @@ def test_rows_on_a_threshold_fall_where_they_do_when_rendering() -> None:
     numerators[1] = np.where(tied, numerator, np.where(low, -1, numerator + 5))
     one = dataclasses.replace(one, numerators=numerators, denominators=np.full_like(one.denominators, denominator))
     rng = np.random.default_rng(0)
-    target = np.where(tied[:, None], one.taps @ rng.normal(size=(5, 3)), one.taps @ rng.normal(size=(5, 3)))
-    rule = a_rule(**grow([dataclasses.replace(one, target=target.astype(np.float32))], 64)._asdict())
+    columns = one.columns.copy()
+    columns[:, 5:] = np.where(
+        tied[:, None], columns[:, :5] @ rng.normal(size=(5, 3)), columns[:, :5] @ rng.normal(size=(5, 3))
+    )
+    rule = a_rule(**grow([dataclasses.replace(one, columns=columns)], 64)._asdict())
     fallen = tree.leaves(tree.Evidence(one.numerators, one.denominators), rows * 0, rule)
     assert np.bincount(fallen, minlength=rule.structures).min() >= ROWS_PER_TAP * 5
 
@@ -301,13 +304,12 @@ def test_rows_on_a_threshold_fall_where_they_do_when_rendering() -> None:
 def test_growth_adds_up_exactly_and_so_the_same_tree_from_rows_in_any_order() -> None:
     one = a_sample(5, 0.3, 1, noise=0.5, rows=3001, taps=19)
     order = np.random.default_rng(0).permutation(3001)
-    other = TreeSample(one.taps[order], one.target[order], one.numerators[:, order], one.denominators[:, order])
-    for name in ("taps", "target"):
-        exact, again = (getattr(each.on_grid(), name).astype(np.float64) for each in (one, other))
-        np.testing.assert_array_equal(exact.T @ exact, again.T @ again)
-        plain, permuted = (getattr(each, name).astype(np.float64) for each in (one, other))
-        assert not np.array_equal(plain.T @ plain, permuted.T @ permuted)
-        assert np.abs(exact - plain).max() <= np.abs(plain).max() * 2.0**-16
+    other = TreeSample(one.columns[order], one.numerators[:, order], one.denominators[:, order])
+    exact, again = (each.on_grid().columns.astype(np.float64) for each in (one, other))
+    np.testing.assert_array_equal(exact.T @ exact, again.T @ again)
+    plain, permuted = (each.columns.astype(np.float64) for each in (one, other))
+    assert not np.array_equal(plain.T @ plain, permuted.T @ permuted)
+    assert (np.abs(exact - plain).max(axis=0) <= np.abs(plain).max(axis=0) * 2.0**-16).all()
     trees = [a_rule(**grow([each], 12)._asdict()) for each in (one, other)]
     assert trees[0].structures > 2
     assert equal(*trees)

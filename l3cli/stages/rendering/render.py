@@ -33,7 +33,6 @@ from l3cli.rendering.raw_checks import odd_exposure_time
 from l3cli.rendering.renderer import make_renderer
 from l3cli.rendering.rendition import Rendition, chosen_space, outputs_as_they_are
 from l3cli.rendering.temporal.chunks import Chunks, filters
-from l3cli.rendering.uncertainty import require_closed_form, uncertainty
 from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance, white_source
 from l3cli.stages.rendering.destination import (
@@ -101,6 +100,8 @@ def render(
         if options.uncertainty is not None and sequence.count != 1:
             raise RecipeError("‹uncertainty› is of one frame; name one, or leave it out")
         if options.uncertainty is not None:
+            from l3cli.rendering.uncertainty import require_closed_form  # which few frames need
+
             require_closed_form(transforms)
         destination = paged(destination, sequence)
         _protected(sequence, guard)
@@ -190,6 +191,8 @@ def write_uncertainty(
     (frame,) = (sequence.frames.series.read(number) for number in sequence.frames.wanted)
     if frame is None:
         raise InputFileError("the frame is missing, and so is its uncertainty")
+    from l3cli.rendering.uncertainty import uncertainty
+
     found = uncertainty(table, frame, lambda each: make_renderer(options.backend, each, False, **engine))
     pixels = np.concatenate([found.sigma, found.mask[..., None].astype(np.float32)], axis=2)
     names = (*(f"sigma.{name}" for name in table.outputs), "mask")

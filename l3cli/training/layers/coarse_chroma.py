@@ -41,7 +41,7 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
         signal = (layer.grey * luminance).astype(np.float32)[channel]
         values = expose_patches(signal, camera, rng, None, layer.exposed.dark, channel).astype(np.uint16)
         target = np.zeros((3, rows, cols), np.float32)
-        greys.append(see(Mosaics(1, values, values.astype(np.float32), target)).noisy)
+        greys.append(see(Mosaics(1, values, None, target)).noisy)
     return greys
 
 

@@ -118,7 +118,8 @@ def sum_layer(
 ) -> dict[int, LayerSums]:
     """Return the sums of every canonical site over blocks (index of the first frame, frames)."""
     see, reading, sums = layer.seer(), layer.reading(layer.recipe.side), no_sums(layer, rule)
-    gathered = GatheredRows(sums, rule, reading, layer.basis, layer.grid_steps(rule))
+    noise = bool(layer.recipe.luminance_noise or layer.recipe.chroma_noise)
+    gathered = GatheredRows(sums, rule, reading, layer.basis, layer.grid_steps(rule), noise)
     for first, frames in blocks:
         rng = layer.rng(first, 3)
         for mosaics in sheets_of(drawn_mosaics(layer, frames, first, purpose=1), layer.camera.cfa.shape[0]):

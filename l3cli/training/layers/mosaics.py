@@ -33,14 +33,15 @@ class Mosaics:
 
     count: int
     values: NDArray[np.uint16]  # (row, col) DN, noisy
-    clean: Floats  # (row, col) DN without noise, clipped at the white level
+    clean: Floats | None  # (row, col) DN without noise, clipped at the white level; None: as `values`
     target: Floats  # (output, row, col) in the table's output unit
 
     @classmethod
     def joined(cls, parts: list["Mosaics"]) -> "Mosaics":
         """Return the mosaics of all parts, of one width."""
-        arrays = [np.concatenate([getattr(part, name) for part in parts], axis=-2) for name in ("values", "clean", "target")]
-        return cls(sum(part.count for part in parts), *arrays)
+        values, target = (np.concatenate([getattr(part, name) for part in parts], axis=-2) for name in ("values", "target"))
+        clean = [part.clean for part in parts if part.clean is not None]
+        return cls(sum(part.count for part in parts), values, np.concatenate(clean) if clean else None, target)
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def _shown(
         )
         values = expose_patches(mosaic, camera, rng, None, exposed.dark, channel) if exposed.noisy else np.rint(clean)
         target = _turned(frame.target, piece) * np.float32(scale * frame.exposure / camera.output_unit)
-        yield Mosaics(1, values.astype(np.uint16), clean, target)
+        yield Mosaics(1, values.astype(np.uint16), clean if exposed.noisy else None, target)
 
 
 def sheets_of(mosaics: Iterable[Mosaics], period: int) -> Iterator[Mosaics]:
@@ -168,7 +169,12 @@ class Seen:
     label: Integers  # (row, col) class of the first layer
     brightness: Floats  # (row, col) mean over the channels of their means, share of full scale, were none clipped
     noisy: NDArray[np.int32]  # (plane, row, col) what the next layer reads, in steps
-    clean: Floats  # (plane, row, col) the same without noise, by the classes of the noisy one
+    clean: Floats | None  # (plane, row, col) the same without noise, by the classes of the noisy one; None: there is none
+
+    @property
+    def light(self) -> Floats:
+        """Return the planes without noise."""
+        return self.noisy.astype(np.float32) if self.clean is None else self.clean
 
     def inner_pixels(self, margin: int) -> Integers:
         """Return indices (pixel) of the pixels that are at least `margin` away from the edge of their mosaic."""
@@ -203,7 +209,8 @@ class FirstLayer:
         share = (mean + truncation(rule.shift) - camera.black_level) / (camera.white_level - camera.black_level)
         brightness = np.maximum(unclipped_level(share, camera.sensitivity), DARKEST_LEVEL).astype(np.float32)
         label = within(rule.on_site(classes_of(rule, statistics), statistics.site), count, margin)
-        noisy, clean = self._apply(mosaics.values[None], mosaics.clean[None], rule.patch, count, label)
+        clean = None if mosaics.clean is None else mosaics.clean[None]
+        noisy, clean = self._apply(mosaics.values[None], clean, rule.patch, count, label)
         target = np.moveaxis(within(mosaics.target, count, margin), 0, -1)
         return Seen(count, target, label, within(brightness, count, margin), noisy, clean)
 
@@ -220,8 +227,8 @@ class PlaneStage:
         count, margin = seen.count, margin_of(self.layer.side)
         label = within(label_planes(seen.noisy, seen.label, self.layer.rule, self.first), count, margin)
         edge = margin - self.layer.radius
-        read = within(coarse(seen.noisy), count, edge), within(seen.clean / np.float32(2**COARSE), count, edge)
-        noisy, clean = self._apply(*read, self.layer.side, count, label)
+        clean = None if seen.clean is None else within(seen.clean / np.float32(2**COARSE), count, edge)
+        noisy, clean = self._apply(within(coarse(seen.noisy), count, edge), clean, self.layer.side, count, label)
         return replace(
             seen,
             target=np.moveaxis(within(np.moveaxis(seen.target, -1, 0), count, margin), 0, -1),
@@ -241,20 +248,20 @@ class _Transforms:
         self._weights = list(np.ascontiguousarray(np.swapaxes(fixed.weights, 1, 2), np.float64))
 
     def __call__(
-        self, noisy: NDArray, clean: NDArray, side: int, count: int, label: Integers
-    ) -> tuple[NDArray[np.int32], Floats]:
+        self, noisy: NDArray, clean: NDArray | None, side: int, count: int, label: Integers
+    ) -> tuple[NDArray[np.int32], Floats | None]:
         """Return planes (plane, row, col) of the windows of `side` in sources (source, row, col) of `count` mosaics, of the
         classes `label` (row, col): of noisy ones, which are whole numbers, that float64 adds exactly; and without rounding,
-        of those without noise."""
+        of those without noise, if there are any."""
         _, rows, cols = noisy.shape
         reach = np.arange(side) - side // 2
         offset = ((np.arange(len(noisy))[:, None, None] * rows + reach[:, None]) * cols + reach).reshape(-1)
-        sources = [each.astype(np.float64).reshape(-1) for each in (noisy, clean)]
+        sources = [each.astype(np.float64).reshape(-1) for each in (noisy, clean) if each is not None]
         flat = label.reshape(-1)
         order = np.argsort(flat.astype(np.min_scalar_type(len(self._weights))), kind="stable")
         place = within(np.arange(rows * cols).reshape(rows, cols), count, side // 2).reshape(-1)[order]
         flat = flat[order]
-        sums = np.empty((2, flat.size, 3))
+        sums = np.empty((len(sources), flat.size, 3))
         taps, windows = np.empty((AT_ONCE, offset.size), np.intp), np.empty((AT_ONCE, offset.size))
         for first in range(0, flat.size, AT_ONCE):
             part = slice(first, first + AT_ONCE)
@@ -265,8 +272,11 @@ class _Transforms:
                 for weights, run in runs:
                     np.dot(windows[run], weights, out=made[run])
         sums += self.fixed.intercept[flat]
-        planes, light = np.empty((3, flat.size), np.int32), np.empty((3, flat.size), np.float32)
+        planes = np.empty((3, flat.size), np.int32)
         planes[:, order] = self.fixed.planes(sums[0].T.astype(np.int64), flat)
+        if clean is None:
+            return planes.reshape(3, *label.shape), None
+        light = np.empty((3, flat.size), np.float32)
         scaled = sums[1].T.astype(np.float32) * (2.0**-self.fixed.fraction).astype(np.float32)[flat]
         light[:, order] = np.clip(scaled, -PLANE_TOP, PLANE_TOP)
         return planes.reshape(3, *label.shape), light.reshape(3, *label.shape)

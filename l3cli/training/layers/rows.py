@@ -104,7 +104,7 @@ def row_weights(
         of_mosaic = np.repeat(_of_mosaics(seen, basis) ** -recipe.error_power, len(weight) // seen.count)
         return np.asarray(weight * of_mosaic[:, None], np.float32)
     back = (np.linalg.inv(basis) * PLANE_STEP).astype(np.float32)
-    clean, noisy = (np.moveaxis(planes, 0, -1).astype(np.float32) @ back for planes in (seen.clean, seen.noisy))
+    clean, noisy = (np.moveaxis(planes, 0, -1).astype(np.float32) @ back for planes in (seen.light, seen.noisy))
     context = (seen.target, seen.brightness, white.astype(np.float32))
     error = lab_error(clean - seen.target, *context) + window_means(mirrored(lab_error(noisy - clean, *context), 2), 5)
     return np.asarray(weight * (error + np.float32(ERROR_FLOOR)) ** np.float32(-recipe.error_power), np.float32)
@@ -137,11 +137,12 @@ class GatheredRows:
 
     def __init__(
         self, sums: Mapping[int, LayerSums], rule: PlaneRule, reading: Reading, basis: NDArray[np.float64],
-        steps: NDArray[np.float64],
+        steps: NDArray[np.float64], noise: bool = True,
     ) -> None:  # fmt: skip
         """Begin with no rows. `sums` of canonical sites, outputs in planes of the `basis`; `steps` (level, pair) of the
-        grid."""
+        grid; `noise`: whether what noise adds is summed up, too."""
         self.sums, self.rule, self.reading, self.basis, self.steps = sums, rule, reading, basis.astype(np.float32), steps
+        self._noise = noise
         self._sheets: list[_Rows] = []
         self._cols = 0  # of the sheets
 
@@ -150,16 +151,15 @@ class GatheredRows:
         if seen.label.shape[1] != self._cols:  # frames of another size
             self.add_up()
             self._cols = seen.label.shape[1]
-        clean, noise = np.zeros((2, seen.label.size, 4), np.float32)
-        np.multiply(seen.clean.reshape(3, -1).T, np.float32(PLANE_STEP), out=clean[:, :3])
-        np.multiply(seen.noisy.reshape(3, -1).T, np.float32(PLANE_STEP), out=noise[:, :3])
-        noise -= clean
-        light, both = (self._ratios(planes, pixels) for planes in (seen.clean, seen.noisy))
+        clean, light = _in_fours(seen.light), self._ratios(seen.light, pixels)
+        noise, spread = np.empty((0, 4), np.float32), np.empty((pixels.size, 0), np.float32)
+        if self._noise:
+            noise, spread = _in_fours(seen.noisy) - clean, self._ratios(seen.noisy, pixels) - light
         target = seen.target.reshape(-1, seen.target.shape[-1])[pixels] @ self.basis
         behind = np.concatenate([light, np.ones((pixels.size, 1), np.float32), target], axis=1)
         site, within_site = self.rule.within_site(label.reshape(-1)[pixels])
         about = pixels, site, within_site, weight.reshape(-1)[pixels]
-        self._sheets.append(_Rows(clean, noise, *about, behind, both - light))
+        self._sheets.append(_Rows(clean, noise, *about, behind, spread))
 
     def _ratios(self, planes: NDArray, pixels: Integers) -> Floats:
         """Return ratio taps (pixel, tap) of planes (plane, row, col)."""
@@ -189,15 +189,21 @@ class GatheredRows:
         large, noise_large = list(rounding_number(self.steps)), rounding_number(STEP)
         for piece in pieces_of(rows.label):
             places = (rows.pixel[piece, None] + offsets[rows.site[piece]]).reshape(-1)
-            values, spread = (
-                _weighted(planes.take(places, axis=0), behind[piece], rows.weight[piece])
-                for planes, behind in ((rows.clean, rows.behind), (rows.noise, rows.noise_behind))
-            )
-            runs = runs_of(rows.label[piece])
+            runs, weight = runs_of(rows.label[piece]), rows.weight[piece]
+            values = _weighted(rows.clean.take(places, axis=0), rows.behind[piece], weight)
             add_products(sums.moments, values, runs, [large[levels[piece][first]] for _, first, _ in runs], columns)
-            add_products(sums.noise, spread, runs, [noise_large] * len(runs), columns[: self.reading.taps])
+            if self._noise:
+                values = _weighted(rows.noise.take(places, axis=0), rows.noise_behind[piece], weight)
+                add_products(sums.noise, values, runs, [noise_large] * len(runs), columns[: self.reading.taps])
             for index, first, last in runs:
                 sums.count[index] += last - first
+
+
+def _in_fours(planes: NDArray) -> Floats:
+    """Return planes (plane, row, col) in output units as (pixel, plane and nothing)."""
+    fours = np.zeros((planes[0].size, 4), np.float32)
+    np.multiply(planes.reshape(3, -1).T, np.float32(PLANE_STEP), out=fours[:, :3])
+    return fours
 
 
 def _weighted(windows: Floats, behind: Floats, weight: Floats) -> Floats:

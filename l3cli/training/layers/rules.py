@@ -22,14 +22,16 @@ from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import plane_evidence
 from l3cli.classes.tree import EVERY, Evidence, turned_tests
 from l3cli.training.layers.learn import LayerPass
-from l3cli.training.layers.mosaics import LARGEST_SIDE, Floats, mosaics_of
+from l3cli.training.layers.mosaics import LARGEST_SIDE, Floats, mosaics_of, sheets_of
 from l3cli.training.layers.rows import row_weights
 from l3cli.training.symmetry import orientations
 
 CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
+TREE_SIDE = 64  # pixels, of the squares that a tree's rows are of: less than is learned from, as there are few of each
 ROWS_PER_TAP = 4  # of a site that a leaf has at least
 FINE = 2.0**16  # steps of a column's largest value: products of a million rows add up to less than 2^53, exactly
-RIDGE = 1e-6  # relative to the mean power of a tap
+RIDGE, FAINT = 1e-6, 1e-10  # relative to the mean power of a tap, and of an output, which splits do not change
+OUTPUTS = 3
 SURE = 3.0  # standard deviations of what a split gains by chance that it has to gain: the best of many is seldom farther off
 
 Array = NDArray[np.float64]
@@ -40,35 +42,31 @@ Indices = NDArray[np.intp]
 class TreeSample:
     """Rows of one canonical site, as it sees them."""
 
-    taps: Floats  # (row, tap) as the layer before makes them of noisy mosaics, weighted
-    target: Floats  # (row, output) weighted, in units of what errors look like
+    # (row, tap, then output) windows of noisy mosaics' planes, and targets in units of what errors look like, both weighted
+    columns: Floats
     numerators: Floats  # (test, row)
     denominators: Floats  # (denominator, row)
 
     @classmethod
     def concatenated(cls, parts: Sequence["TreeSample"]) -> "TreeSample":
-        axes = {"taps": 0, "target": 0, "numerators": 1, "denominators": 1}
+        axes = {"columns": 0, "numerators": 1, "denominators": 1}
         return cls(*(np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in axes.items()))
 
     def on_grid(self) -> "TreeSample":
-        """Return taps and targets rounded, so that sums of their products are exact in whatever order they are added."""
-        return replace(self, taps=_rounded(self.taps), target=_rounded(self.target))
+        """Return columns rounded to multiples of a power of two each, so that sums of their products are exact in whatever
+        order they are added."""
+        _, power = np.frexp(np.abs(self.columns).max(axis=0, initial=SMALLEST))
+        step = np.ldexp(1 / FINE, power).astype(np.float32)
+        return replace(self, columns=np.asarray(np.rint(self.columns / step) * step, np.float32))
 
-    def above(self, test: int, threshold: np.float32, rows: Indices) -> NDArray[np.bool_]:
-        """Return which of the rows (row) take a test's second branch."""
-        denominator = self.denominators[EVERY[test].denominator, rows]
-        return np.asarray(self.numerators[test, rows] > threshold * denominator)
+    def compared(self, test: int, rows: Indices) -> tuple[Floats, Floats]:
+        """Return the numerators and denominators (row) of a test."""
+        return self.numerators[test].take(rows), self.denominators[EVERY[test].denominator].take(rows)
 
-    def quotient(self, test: int, rows: Indices) -> Floats:
-        """Return the quotients that are compared with thresholds."""
-        return np.asarray(self.numerators[test, rows] / self.denominators[EVERY[test].denominator, rows])
-
-
-def _rounded(values: Floats) -> Floats:
-    """Return values (row, column) as multiples of a power of two for each column."""
-    _, power = np.frexp(np.abs(values).max(axis=0, initial=SMALLEST))
-    step = np.ldexp(1 / FINE, power).astype(np.float32)
-    return np.asarray(np.rint(values / step) * step, np.float32)
+    def passed(self, test: int, cuts: Floats, rows: Indices) -> NDArray[np.int8]:
+        """Return how many of the cuts, thresholds of a test, the rows (row) are above."""
+        numerator, denominator = self.compared(test, rows)
+        return np.asarray(np.add.reduce([(numerator > cut * denominator).view(np.int8) for cut in cuts]))
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
@@ -92,14 +90,6 @@ class _Split(NamedTuple):
     threshold: np.float32
 
 
-class _Sums(NamedTuple):
-    """Sums over rows, exact; of several parts, each with a further first axis."""
-
-    moments: Array  # (tap, tap) Σ x xᵀ
-    cross: Array  # (tap, output) Σ x yᵀ
-    power: Array  # () Σ y²
-
-
 Mapped = Callable[[Callable[[int], tuple[Floats, Array]], Iterable[int]], Iterable[tuple[Floats, Array]]]
 
 
@@ -116,13 +106,14 @@ def grow(samples: Sequence[TreeSample], leaves: int, mapped: Mapped = map) -> Tr
             heapq.heappush(waiting, (-split.gain, node, split, rows))
 
     if samples:
-        look(0, [np.arange(len(one.taps)) for one in samples])
+        look(0, [np.arange(len(one.columns)) for one in samples])
     for _ in range(leaves - 1):
         if not waiting:
             break
         _, node, split, rows = heapq.heappop(waiting)
         test[node], threshold[node], branch[node] = split.test, split.threshold, len(test)
-        above = [one.above(split.test, split.threshold, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)]
+        cuts = np.array([split.threshold])
+        above = [one.passed(split.test, cuts, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)]
         for side in (False, True):
             test.append(0)
             threshold.append(np.float32(0))
@@ -134,17 +125,19 @@ def grow(samples: Sequence[TreeSample], leaves: int, mapped: Mapped = map) -> Tr
 
 def _best_split(samples: Sequence[TreeSample], rows: list[Indices], mapped: Mapped) -> _Split | None:
     """Return the split of a leaf's rows of every site that gains most; None if none gains and leaves enough."""
-    taps = samples[0].taps.shape[1]
+    taps = samples[0].columns.shape[1] - OUTPUTS
     if min(map(len, rows)) < 2 * ROWS_PER_TAP * taps:
         return None
     best = None
     whole = [_sums(one, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)]
-    before = [float(_error(*(np.asarray(each)[None] for each in sums))[0]) for sums in whole]
+    before = [float(_error(sums)) for sums in whole]
     noise = np.array([error / of_leaf.size for error, of_leaf in zip(before, rows, strict=True)])
     chance = SURE * np.sqrt(2 * taps * np.square(noise).sum())
 
     def tried(test: int) -> tuple[Floats, Array]:
-        quotients = np.concatenate([one.quotient(test, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)])
+        quotients = np.concatenate(
+            [np.divide(*one.compared(test, of_leaf)) for one, of_leaf in zip(samples, rows, strict=True)]
+        )
         cuts = np.quantile(quotients, np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
         cuts = np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
         gain = np.zeros(len(cuts))
@@ -158,47 +151,53 @@ def _best_split(samples: Sequence[TreeSample], rows: list[Indices], mapped: Mapp
     return best
 
 
-def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, whole: _Sums, before: float) -> Array:
+def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, whole: Array, before: float) -> Array:
     """Return by how much (cut) the error of one site falls; −∞ where too few rows are left on a side."""
-    taps = sample.taps.shape[1]
-    passed = np.add.reduce([sample.above(test, cut, rows).astype(np.int8) for cut in cuts])  # of increasing cuts
+    taps = sample.columns.shape[1] - OUTPUTS
+    passed = sample.passed(test, cuts, rows)  # of increasing cuts
     order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
     many = np.array([below, rows.size - below])
     good = many.min(axis=0) >= ROWS_PER_TAP * taps
     gain = np.full(len(cuts), -np.inf)
     if good.any():
         sums = _sums_below(sample, rows[order], below[good].tolist(), whole)
-        left = _error(*sums)
-        right = _error(*(total - each for total, each in zip(whole, sums, strict=True)))
+        left, right = _error(sums), _error(whole - sums)
         low, high = many[:, good]
         gain[good] = before - left - right - taps * (left / low + right / high - before / rows.size)
     return gain
 
 
-def _sums_below(sample: TreeSample, rows: Indices, ends: list[int], whole: _Sums) -> _Sums:
-    """Return the sums of the rows before each of `ends`; those of the largest part are what the others leave of `whole`."""
+def _sums_below(sample: TreeSample, rows: Indices, ends: list[int], whole: Array) -> Array:
+    """Return the sums (end, column, column) of the rows before each of `ends`; those of the largest part are what the others
+    leave of `whole`."""
     parts = list(itertools.pairwise([0, *ends, rows.size]))
     largest = max(range(len(parts)), key=lambda part: parts[part][1] - parts[part][0])
-    known = [_sums(sample, rows[slice(*part)]) for number, part in enumerate(parts) if number != largest]
-    below = []
-    for total, of_parts in zip(whole, zip(*known, strict=True), strict=True):
-        left = total - np.add.reduce(of_parts)
-        below.append(np.cumsum([*of_parts[:largest], left, *of_parts[largest:]], axis=0)[:-1])
-    return _Sums(*below)
+    sums = np.zeros((len(parts), *whole.shape))
+    for number, part in enumerate(parts):
+        if number != largest:
+            sums[number] = _sums(sample, rows[slice(*part)])
+    sums[largest] = whole - sums.sum(axis=0)
+    for before, each in itertools.pairwise(sums):
+        each += before
+    return sums[:-1]
 
 
-def _sums(sample: TreeSample, rows: Indices) -> _Sums:
-    """Return the sums of rows."""
-    x, y = (values[rows].astype(np.float64) for values in (sample.taps, sample.target))
-    return _Sums(x.T @ x, x.T @ y, (y * y).sum())
+def _sums(sample: TreeSample, rows: Indices) -> Array:
+    """Return the sums of products of columns (column, column) over rows, exact."""
+    columns = sample.columns.take(rows, axis=0).astype(np.float64)
+    return np.asarray(columns.T @ columns)
 
 
-def _error(moments: Array, cross: Array, power: Array) -> Array:
-    """Return squared error (…) that the best filters of these sums leave."""
-    taps = moments.shape[-1]
-    ridge = RIDGE * np.trace(moments, axis1=1, axis2=2) / taps + 1e-9
-    solved = np.linalg.solve(moments + ridge[:, None, None] * np.eye(taps), cross)
-    return np.asarray(power - (cross * solved).sum(axis=(1, 2)))
+def _error(sums: Array) -> Array:
+    """Return squared error (…) that the best filters of sums (…, column, column) leave: in Cholesky's factor, what is
+    left of the outputs."""
+    taps = sums.shape[-1] - OUTPUTS
+    systems = sums.copy()
+    diagonal = np.einsum("...ii->...i", systems)  # a view
+    for columns, ridge in (diagonal[..., :taps], RIDGE), (diagonal[..., taps:], FAINT):
+        columns += ridge * columns.mean(axis=-1, keepdims=True) + 1e-9
+    left = np.linalg.cholesky(systems)[..., taps:, taps:]
+    return np.asarray((left * left).sum(axis=(-2, -1)))
 
 
 PILOT_MOSAICS = 48  # over all frames, that tell how noisy the first layer's luminance is
@@ -219,7 +218,7 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
         rng = layer.rng(index, 0)
         for mosaic in mosaics_of(frame, 1, noisy, rng):
             seen = see(mosaic)
-            noise = seen.noisy[LUMINANCE] - seen.clean[LUMINANCE]
+            noise = seen.noisy[LUMINANCE] - seen.light[LUMINANCE]
             across, down = noise[1:-1, 2:] - noise[1:-1, :-2], noise[2:, 1:-1] - noise[:-2, 1:-1]
             place = layer.rule.split(seen.label)
             measurable = ((layer.rule.lost(place.kind) == 0) & (seen.brightness < brightest))[1:-1, 1:-1]
@@ -261,11 +260,13 @@ def sample_tree(
     see, reading, sampled = layer.seer(), layer.reading(layer.recipe.side), []
     judged, turns = _judged(layer), layer.turns
     rows = -(-layer.recipe.tree_rows // sum(layer.mosaics))
+    exposed = replace(layer.exposed, inner=min(layer.exposed.inner, TREE_SIDE))
     for index, frame in enumerate(frames, first):
         rng = layer.rng(index, 2)
         parts: dict[int, list[TreeSample]] = {}
-        for mosaic in mosaics_of(frame, layer.mosaics[index], layer.exposed, rng):
-            seen = see(mosaic)
+        mosaics = mosaics_of(frame, layer.mosaics[index], exposed, rng)
+        for sheet in sheets_of(mosaics, layer.camera.cfa.shape[0]):
+            seen = see(sheet)
             place = layer.rule.split(seen.label)
             site = np.broadcast_to(place.site, seen.label.shape).ravel()
             weight = row_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures).ravel()
@@ -275,14 +276,15 @@ def sample_tree(
             free = inner[(layer.rule.lost(place.kind) == 0).ravel()[inner]]
             for canonical in np.unique(reading.canonical).tolist():
                 of_site = free[reading.canonical[site[free]] == canonical]
-                chosen = rng.choice(of_site, min(rows, of_site.size), replace=False)
+                chosen = rng.choice(of_site, min(rows * sheet.count, of_site.size), replace=False)
                 for one in np.unique(site[chosen]).tolist():
                     pixels = chosen[site[chosen] == one]
                     places = pixels[:, None] + reading.offsets(seen.label.shape[1])[one]
                     taps = np.concatenate([plane.take(places) for plane in seen.noisy], axis=1) * np.float32(PLANE_STEP)
                     weights = weight[pixels, None]
+                    columns = np.concatenate([taps, target[pixels]], axis=1) * weights
                     parts.setdefault(canonical, []).append(
-                        TreeSample(taps * weights, target[pixels] * weights, *turned_evidence(evidence, turns[one], pixels))
+                        TreeSample(columns, *turned_evidence(evidence, turns[one], pixels))
                     )
         sampled.append({site: TreeSample.concatenated(several) for site, several in parts.items()})
     return sampled
