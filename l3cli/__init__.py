@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         load_table,
         load_training_set,
         psnr,
+        raw_frame,
         read_raw,
         region,
         render,
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "L3Error", "Renderer", "calibrate", "delta_e_2000", "evaluate", "load", "load_camera", "load_table",
-    "load_training_set", "psnr", "read_raw", "region", "render", "save", "scielab", "simulate", "ssim", "train",
+    "load_training_set", "psnr", "raw_frame", "read_raw", "region", "render", "save", "scielab", "simulate", "ssim", "train",
 ]  # fmt: skip
 
 

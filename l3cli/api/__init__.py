@@ -13,7 +13,7 @@ nothing unless they are given a `console` (`l3cli.system.console.Console`).
 """
 
 from l3cli.api.figures import delta_e_2000, psnr, scielab, ssim
-from l3cli.api.frames import Renderer, read_raw
+from l3cli.api.frames import Renderer, raw_frame, read_raw
 from l3cli.api.stages import (
     calibrate,
     evaluate,
@@ -31,5 +31,5 @@ from l3cli.rendering.uncertainty import region
 
 __all__ = [
     "L3Error", "Renderer", "calibrate", "delta_e_2000", "evaluate", "load", "load_camera", "load_table",
-    "load_training_set", "psnr", "read_raw", "region", "render", "save", "scielab", "simulate", "ssim", "train",
+    "load_training_set", "psnr", "raw_frame", "read_raw", "region", "render", "save", "scielab", "simulate", "ssim", "train",
 ]  # fmt: skip

@@ -1,8 +1,9 @@
 """Raw frames in memory, and what renders them: one by one, or the mosaics of one size that a video program hands on."""
 
 import functools
+import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -15,10 +16,10 @@ from l3cli.api.stages import Name
 from l3cli.artifacts import store
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, RecipeError, shortened
 from l3cli.frames.correction import CameraFile, correction_in, correction_of
 from l3cli.frames.frame import RawFrame
-from l3cli.io.raw.cfa_codes import codes_of
+from l3cli.io.raw.cfa_codes import LETTERS, codes_of
 from l3cli.io.raw.files import RawOverrides, frame_of
 from l3cli.io.raw.files import read_raw as read_raw_file
 from l3cli.rendering.conditions import Mix, mixed, nearest_for
@@ -50,6 +51,56 @@ def read_raw(
     correction = None if camera is None else correction_of(camera)
     known = RawOverrides(black_level, white_level, phase, size, packing, stride, exposure, gain, correction=correction)
     return read_raw_file(Path(path), sensor, known)
+
+
+def raw_frame(
+    values: NDArray[np.integer], sensor: TransformTable | CameraModel, *, pattern: str | NDArray[np.str_] | None = None,
+    black_level: float | None = None, white_level: float | None = None, phase: tuple[int, int] | None = None,
+    neutral: Mapping[str, float] | None = None, exposure: float | None = None, gain: float | None = None,
+    camera: CameraModel | None = None,
+) -> RawFrame:  # fmt: skip
+    """Return the raw frame of an array `values` (row, col) in DN, uint8 or uint16, that another program has read.
+
+    `pattern`: letters of R G B C M Y W, (row, col) from the first pixel on or, of a square, in one word, "rggb"; None: the
+    sensor's from its first site on, or from `phase`. `neutral`: signal of a grey by letter, as the camera took it. Others as
+    in `read_raw`. InputFileError if this is no frame, or has another CFA than the `sensor`.
+    """
+    known = RawOverrides(
+        black_level, white_level, phase, exposure=exposure, gain=gain,
+        correction=None if camera is None else correction_of(camera),
+    )  # fmt: skip
+    content = {} if pattern is None else {"pattern": _codes(pattern)}
+    if neutral is not None:
+        content["neutral"] = np.array([[*codes_of(letter), signal] for letter, signal in neutral.items()])
+    return _of_array(values, sensor, known, content)
+
+
+def _codes(pattern: str | NDArray[np.str_]) -> NDArray[np.int64]:
+    """Return the codes (row, col) of letters; RecipeError if they are none, or no square."""
+    letters = np.array(list(pattern) if isinstance(pattern, str) else pattern)
+    side = math.isqrt(letters.size)
+    if letters.ndim == 1 and side * side == letters.size:
+        letters = letters.reshape(side, side)
+    if letters.ndim != 2 or not set(text := "".join(letters.ravel()).upper()) <= set(LETTERS) or len(text) != letters.size:
+        given = shortened(" ".join(str(pattern).split()))
+        raise RecipeError(f"pattern {given} is none; give letters of {LETTERS} (row, col), or as rggb")
+    return codes_of(text).reshape(letters.shape)
+
+
+def _of_array(
+    values: NDArray[Any], sensor: TransformTable | CameraModel, known: RawOverrides, content: dict[str, NDArray],
+    name: str = "the array", level: int = 3,
+) -> RawFrame:  # fmt: skip
+    """Return the frame of an array, which is checked; values beyond a table's converter bring a warning `level` calls up."""
+    array = np.asarray(values)
+    if array.dtype not in (np.uint8, np.uint16) or array.ndim != 2 or not array.size:
+        raise InputFileError(
+            f"an array of shape {array.shape} and dtype {array.dtype} is not a raw frame; give DN (row, col) as uint16"
+        )
+    frame = frame_of(name, {"values": array, **content}, sensor, known)  # type: ignore[typeddict-item]
+    if isinstance(sensor, TransformTable) and (text := beyond_converter(frame, sensor)):
+        warnings.warn(f"{frame.name}: {text}", stacklevel=level)
+    return frame
 
 
 class Renderer:
@@ -167,15 +218,7 @@ class Renderer:
     def _frame(self, given: RawFrame | NDArray[np.uint16]) -> RawFrame:
         if isinstance(given, RawFrame):
             return given
-        array = np.asarray(given)
-        if array.dtype not in (np.uint8, np.uint16) or array.ndim != 2 or not array.size:
-            raise InputFileError(
-                f"an array of shape {array.shape} and dtype {array.dtype} is not a raw frame; give DN (row, col) as uint16"
-            )
-        frame = frame_of("the array", {"values": array}, self.table, RawOverrides())
-        if text := beyond_converter(frame, self.table):
-            warnings.warn(f"{frame.name}: {text}", stacklevel=3)
-        return frame
+        return _of_array(given, self.table, RawOverrides(), {}, level=4)
 
 
 PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
@@ -223,12 +266,8 @@ class Mosaics:
     def frame(self, values: NDArray[Any], order: str | None = None) -> RawFrame:
         """Return the raw frame of values (row, col) in DN. `order`: colours of a Bayer array from its first pixel on,
         "rggb", as the host states them, None: the table's. InputFileError if they do not fit."""
-        pattern = {} if order is None else {"pattern": codes_of(order).reshape(2, 2)}
-        table = self.renderer.table
-        frame = frame_of("the frame", {"values": values, **pattern}, table, self._known)  # type: ignore[typeddict-item]
-        if text := beyond_converter(frame, table):
-            warnings.warn(f"{frame.name}: {text}", stacklevel=2)
-        return frame
+        pattern = {} if order is None else {"pattern": _codes(order)}
+        return _of_array(values, self.renderer.table, self._known, pattern, "the frame")
 
 
 def pair(text: str, separator: str, name: str) -> tuple[int, int] | None:
