@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import __version__
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import CameraModel, FlatField
 from l3cli.calibration.figures import camera_figures
+from l3cli.frames.shading import interpolation
 from l3cli.io.curves import curve_text
 from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ, delta_e_2000, fit_through, lab, refinement, xyz_from_srgb_matrix
@@ -41,12 +42,25 @@ DECLARED_AS = {  # figure: what calibration calls it where it did not measure it
 NOISE = ("dark current", "DSNU", "PRNU")
 Row = tuple[str, str, float | str, str, str]
 CURVES, RAWTOACES_JSON, DATASHEET = ALWAYS = ("responsivity.csv", "rawtoaces.json", "datasheet.csv")  # of every camera
-DCP, RASPBERRY_PI, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_simple.yaml"  # of some
+DCP, RASPBERRY_PI, PI_5, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_pisp.json", "libcamera_simple.yaml"  # of some
 
 ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # of the two matrices of a DCP, in its order: the colder light second
 SIMPLE_DARKEST = 2**15 - 1  # black level that fits the simple pipeline's type
 RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, the grid of its database
+ALSC_TEMPERATURE = 5000  # K, of the only tables, which then hold for all
+SMOOTHNESS = 0.003  # weight of second differences of a shading table beside its errors
 Array = NDArray[np.floating]
+
+
+class Target(NamedTuple):
+    """An image signal processor of Raspberry Pi, by libcamera's name."""
+
+    name: str
+    cells: tuple[int, int]  # rows, columns of its shading tables
+    vertices: tuple[int, int]  # of the grid that it interpolates in, from edge to edge; at most
+
+
+VC4, PISP = Target("bcm2835", (12, 16), (49, 64)), Target("pisp", (32, 32), (33, 33))
 
 
 @dataclass(frozen=True)
@@ -180,6 +194,38 @@ def black_level_16(camera: CameraModel) -> int:
     return round(camera.black_level * 2 ** (SIXTEEN - camera.bits))
 
 
+def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target) -> tuple[Array, Array, Array]:
+    """Return tables (row, col) that undo the shading of channels r, g, b in this `order`: the gain of g, and those of r and
+    b over it, each 1 at least.
+
+    A processor takes a table's values for those in the middle of its cells, goes on with the outermost ones to the edge, and
+    interpolates, which would leave 4 % in the corners of a lens that halves the light there. So the gain of each channel is
+    first the table of which it makes the least error, smooth beside.
+    """
+    ends = field.grid_row[-1] + 1, field.grid_col[-1] + 1
+    fine = [length * _middles(4 * vertices) - 0.5 for length, vertices in zip(ends, target.vertices, strict=True)]
+    down, across = interpolation(field.grid_row, fine[0]), interpolation(field.grid_col, fine[1])
+    fits = [_fit(*each) for each in zip(target.cells, target.vertices, strict=True)]
+    red, green, blue = (fits[0] @ down @ field.shading_gain[channel] @ across.T @ fits[1].T for channel in order)
+    first, last = red / green, blue / green
+    return green / green.min(), first / first.min(), last / last.min()
+
+
+def _fit(cells: int, vertices: int) -> Array:
+    """Return the matrix (cell, place) from gains at 4 places a vertex to the cells' values by regularised least squares."""
+    places, middles = _middles(4 * vertices), _middles(cells)
+    corners = np.linspace(0, 1, vertices)
+    made = interpolation(corners, places) @ interpolation(middles, np.clip(corners, middles[0], middles[-1]))
+    bends = np.diff(np.eye(cells), 2, axis=0)
+    made, rest = made / np.sqrt(len(places) / cells), SMOOTHNESS * bends.T @ bends
+    return np.asarray(np.linalg.solve(made.T @ made + rest, made.T) / np.sqrt(len(places) / cells))
+
+
+def _middles(count: int) -> Array:
+    """Return the middles of `count` equal parts of 0…1."""
+    return (np.arange(count) + 0.5) / count
+
+
 def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
     """Return the places of the channels r, g, b among three of these names; None for any others."""
     colours = [next((index for index, each in enumerate(RGB) if name.casefold() in each), None) for name in channels]
@@ -239,7 +285,7 @@ def _declared(name: str, camera: CameraModel) -> bool:
 def file_names(channels: Sequence[str], cfa: NDArray[np.integer]) -> list[str]:
     """Return the names of the files of cameras of an array."""
     dcp = (DCP,) if len(channels) >= LEAST_CHANNELS else ()
-    return [*ALWAYS, *dcp, *((RASPBERRY_PI, SIMPLE) if bayer_order(channels, cfa) else ())]
+    return [*ALWAYS, *dcp, *((RASPBERRY_PI, PI_5, SIMPLE) if bayer_order(channels, cfa) else ())]
 
 
 class Exported(NamedTuple):
@@ -267,7 +313,9 @@ def export(camera: CameraModel) -> Exported:
     else:
         corrections = {TEMPERATURES[name]: each.correction.values[:, order] for name, each in known.items()}
         curve = temperature_curve(camera, order)
-        files |= {RASPBERRY_PI: _raspberry_pi_json(camera, corrections, curve), SIMPLE: _simple_yaml(camera, corrections)}
+        for name, target in ((RASPBERRY_PI, VC4), (PI_5, PISP)):
+            files[name] = _raspberry_pi_json(camera, corrections, curve, order, target)
+        files[SIMPLE] = _simple_yaml(camera, corrections)
     kinds = {name: ("CCM", "ForwardMatrix", "ColorMatrix") if name in ILLUMINANTS else ("CCM",) for name in known}
     judged = {name: errors(each) for name, each in known.items()}
     return Exported(files, {name: {kind: judged[name][kind] for kind in kinds[name]} for name in known}, note)
@@ -312,10 +360,12 @@ def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
     return _json(content) + "\n"
 
 
-def _raspberry_pi_json(camera: CameraModel, corrections: Mapping[int, Array], curve: Array | None) -> str:
+def _raspberry_pi_json(
+    camera: CameraModel, corrections: Mapping[int, Array], curve: Array | None, order: tuple[int, int, int], target: Target
+) -> str:
     """Return a tuning file of libcamera's Raspberry Pi pipelines, version 2.0: JSON, as they name theirs SENSOR.json, and as
     picamera2 reads it; libcamera's YAML reader takes it, too. `corrections` (3, 3) by temperature in K, rising; `curve`: as
-    `temperature_curve` returns."""
+    `temperature_curve` returns; `order`: of channels r, g, b."""
     flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # without a lux meter no temperature is likelier
     awb: dict[str, Any] = {"bayes": 0}
     missing = ["missing: rpi.awb ct_curve: the channels of greys do not follow a temperature"]
@@ -331,14 +381,21 @@ def _raspberry_pi_json(camera: CameraModel, corrections: Mapping[int, Array], cu
         "rpi.awb": awb,
         "rpi.ccm": {"ccms": ccms},
     }
+    shading = ["missing: rpi.alsc, since no even white was measured through the lens"]
+    if camera.flat_field is not None:
+        luminance, *ratios = (np.round(each, 4) for each in shading_tables(camera.flat_field, order, target))
+        red, blue = ([{"ct": ALSC_TEMPERATURE, "table": each.ravel().tolist()}] for each in ratios)
+        tables = {"calibrations_Cr": red, "calibrations_Cb": blue, "luminance_lut": luminance.ravel().tolist()}
+        algorithms["rpi.alsc"] = {"luminance_strength": 1.0, **tables}
+        shading = ["rpi.alsc: of the light of the white frames, at every temperature"]
     content = {
         "version": 2.0,
-        "target": "bcm2835",
+        "target": target.name,
         "comment": [  # for whoever installs the file: libcamera reads version, target and algorithms alone
             f"{camera.name}, l3cli {__version__}: black level, noise, white balance and colours of the camera model",
             "noise: at the analogue gain of the calibration, which counts as 1",
-            'a Raspberry Pi 5: "target": "pisp"',
-            "missing, take them from the tuning file of a similar sensor: rpi.agc, rpi.contrast, rpi.alsc, rpi.sharpen",
+            *shading,
+            "missing, take them from the tuning file of a similar sensor: rpi.agc, rpi.contrast, rpi.sharpen",
             "missing: rpi.lux, since no scene of known illuminance was measured through the lens; priors are flat without "
             "it",
             *missing,

@@ -52,10 +52,10 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
     """Return the shading that a flat field takes off frames of `shape` (rows, cols), of phase (0, 0)."""
     rows, cols = shape
     mean = field.shading_gain.mean(axis=0)
-    down = _between(field.grid_row, np.arange(rows))
-    nodes = down @ mean @ _between(field.grid_col, np.arange(0, cols + STEP, STEP)).T
+    down = interpolation(field.grid_row, np.arange(rows))
+    nodes = down @ mean @ interpolation(field.grid_col, np.arange(0, cols + STEP, STEP)).T
     colour = np.zeros(shape, np.int16)
-    across = _between(field.grid_col, np.arange(cols))
+    across = interpolation(field.grid_col, np.arange(cols))
     for row, col in np.ndindex(cfa.shape):
         own = field.shading_gain[cfa[row, col]] / mean - 1.0
         colour[row :: cfa.shape[0], col :: cfa.shape[1]] = np.rint(
@@ -78,7 +78,7 @@ def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shad
     return Shading(nodes, whole if np.abs(whole).max() >= LEAST_COLOUR_SHADING else None)
 
 
-def _between(lines: NDArray[np.float64], places: NDArray[np.integer]) -> NDArray[np.float64]:
+def interpolation(lines: NDArray[np.float64], places: NDArray[np.integer]) -> NDArray[np.float64]:
     """Return the weights (place, line) of linear interpolation; beyond the last line it goes on as before it."""
     above = np.clip(np.searchsorted(lines, places, side="right"), 1, lines.size - 1)
     part = (places - lines[above - 1]) / (lines[above] - lines[above - 1])

@@ -19,11 +19,13 @@ from l3cli.physics.display import SRGB_FROM_XYZ, adaptation_matrix, delta_e_2000
 from l3cli.simulation.light import colour_matrix, make_light
 from l3cli.stages.export import write
 from l3cli.system.console import Silent
+from tests.helpers import lenses
 from tests.helpers.calls import L3, Refused
 
 GRID = np.arange(380.0, 781.0, 5.0)
 CHART = spectra.colorchecker(GRID)[1]
-FILES = ["datasheet.csv", "dcp.json", "libcamera_rpi.json", "libcamera_simple.yaml", "rawtoaces.json", "responsivity.csv"]
+RASPBERRY_PI = ["libcamera_pisp.json", "libcamera_rpi.json"]  # 5, and those before
+FILES = ["datasheet.csv", "dcp.json", *RASPBERRY_PI, "libcamera_simple.yaml", "rawtoaces.json", "responsivity.csv"]
 
 
 @pytest.fixture(scope="module")
@@ -116,11 +118,58 @@ def read_tuning(path: Path) -> dict[str, Any]:
         assert (np.diff(curve[:, 0]) > 0).all()
         assert awb["modes"]["auto"]["lo"] < awb["modes"]["auto"]["hi"]
         assert all(len(each["prior"]) % 2 == 0 for each in awb["priors"])
+    if alsc := algorithms.get("rpi.alsc"):
+        cells = {"bcm2835": 16 * 12, "pisp": 32 * 32}[content["target"]]
+        assert len(alsc["luminance_lut"]) == cells
+        assert all(len(each["table"]) == cells for name in ("Cr", "Cb") for each in alsc[f"calibrations_{name}"])
     return algorithms
+
+
+def between(table: np.ndarray, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+    """Values of a table at places, linear between its entries, beyond them as the last ones."""
+    parts = []
+    for places, count in ((rows, len(table)), (cols, table.shape[1])):
+        inside = np.clip(places, 0, count - 1)
+        below = np.minimum(inside.astype(int), count - 2)
+        weights = np.zeros((places.size, count))
+        weights[np.arange(places.size), below] = 1 - (inside - below)
+        weights[np.arange(places.size), below + 1] = inside - below
+        parts.append(weights)
+    return np.asarray(parts[0] @ table @ parts[1].T)
+
+
+@pytest.mark.parametrize(
+    ("name", "cells", "vertices", "most", "rms"),
+    [("libcamera_pisp.json", (32, 32), (33, 33), 0.01, 0.002), ("libcamera_rpi.json", (12, 16), (49, 64), 0.06, 0.008)],
+)
+def test_shading_is_undone_as_the_processors_interpolate(
+    bayer: CameraModel, name: str, cells: tuple[int, int], vertices: tuple[int, int], most: float, rms: float, tmp_path: Path
+) -> None:
+    """A lens that halves the light in the corners, by a model of both processors: tables hold for the middles of cells, from
+    which the corners of a grid are interpolated, and pixels from those. The coarse one goes on flat for half of a 12th."""
+    camera = replace(bayer, flat_field=lenses.flat_field(bayer))
+    write(camera, tmp_path, Silent())
+    alsc = read_tuning(tmp_path / name)["rpi.alsc"]
+    assert alsc["luminance_strength"] == 1.0
+    luminance = np.reshape(alsc["luminance_lut"], cells)
+    red, blue = (np.reshape(alsc[f"calibrations_{each}"][0]["table"], cells) for each in ("Cr", "Cb"))
+    assert {luminance.min(), red.min(), blue.min()} == {1.0}
+    truth = lenses.gain(camera, np.arange(camera.rows), np.arange(camera.cols))
+    for channel, table in enumerate((luminance * red, luminance, luminance * blue)):
+        corners = between(table, *(np.linspace(0, n, v) - 0.5 for n, v in zip(cells, vertices, strict=True)))
+        places = ((np.arange(n) + 0.5) / n * (v - 1) for n, v in zip((camera.rows, camera.cols), vertices, strict=True))
+        left = between(corners, *places) / truth[channel]
+        left /= np.median(left)
+        assert np.abs(left - 1).max() < most
+        assert left.std() < rms
+    smooth = np.abs(np.diff(red, 2, axis=1)).max()
+    assert smooth < 0.01  # neighbours are compared by the algorithm that refines these tables
 
 
 def test_libcamera_gets_levels_noise_white_and_colours(exported: Path, bayer: CameraModel) -> None:
     tuning = read_tuning(exported / "libcamera_rpi.json")
+    assert read_tuning(exported / "libcamera_pisp.json") == tuning  # but for its target
+    assert "missing: rpi.alsc" in (exported / "libcamera_pisp.json").read_text()
     assert tuning["rpi.black_level"]["black_level"] == 64 * 16
     curve = np.reshape(tuning["rpi.awb"]["ct_curve"], (-1, 3))
     white = seen(bayer, "D6500K")[1]
@@ -172,9 +221,9 @@ def test_other_arrays_get_no_tuning_and_greys_no_matrices(bayer: CameraModel, tm
     red_dark[0] = 0.0
     blind = replace(bayer, name="blind", responsivity=red_dark)
     for camera, left_out, line in (
-        (quad, FILES[2:4], "quad: no tuning files for libcamera, which knows 2×2 arrays of r, g and b alone"),
-        (grey, FILES[1:4], "grey, one: no colour matrices and no tuning files: it has fewer than three channels"),
-        (blind, FILES[1:4], "a channel sees next to nothing of A"),
+        (quad, FILES[2:5], "quad: no tuning files for libcamera, which knows 2×2 arrays of r, g and b alone"),
+        (grey, FILES[1:5], "grey, one: no colour matrices and no tuning files: it has fewer than three channels"),
+        (blind, FILES[1:5], "a channel sees next to nothing of A"),
     ):
         save(camera, tmp_path / "camera.h5")
         code, out, err = l3("export", tmp_path / "camera.h5", "-o", tmp_path / camera.name, "--quiet")

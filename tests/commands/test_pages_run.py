@@ -39,7 +39,9 @@ from tests.helpers.sequences import write_raw_video
 CLASSES = "[classes]\npatch = 5\nlevels = 4\nchromas = 1\n[learning]\npatches = 300\n"  # in two passes, as default
 
 NOT_RUN = {
-    "--photo chart.dng": "a photo of a chart: tests/commands/test_calibrate_photo.py",
+    "--photo chart.dng": "a photo of a chart: tests/commands/test_calibrate_photo.py, test_webcam.py",
+    "shading.toml": "tests/commands/test_webcam.py",
+    "camera.h5 -o tuning": "tests/commands/test_webcam.py",
     "--draft captures": "tests/commands/test_draft.py",
     "l3 report": "tests/commands/test_report.py",
     "clip/*.dng": "five hundred frames: tests/commands/test_sequences.py",
