@@ -4,7 +4,6 @@ import functools
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -224,31 +223,21 @@ class Renderer:
 PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
 
 
-@dataclass(frozen=True)
-class HostOptions:
-    """Options of a host that concern its frames, each as the option of `l3 render`; None: the default there."""
-
-    black_level: float | None = None  # DN
-    white_level: float | None = None  # DN
-    phase: tuple[int, int] | None = None  # CFA row and column of pixel (0, 0)
-    size: tuple[int, int] | None = None  # rows, columns of the frames; None: those of the table
-    camera: str | None = None  # file of a model whose defects and flat field are corrected
-    backend: str = "opencl"
-    device: str | None = None
-
-
 class Mosaics:
-    """A table that is open for frames of one size. RecipeError, InputFileError or DeviceError if it cannot be."""
+    """A table that is open for a host's frames of one size (rows, columns; None: the table's)."""
 
-    def __init__(self, table: str, asked: HostOptions) -> None:
-        self.renderer = Renderer(table, backend=asked.backend, device=asked.device)
-        device = {} if asked.device is None else {"device": asked.device}
-        self._filters = functools.partial(filters, asked.backend, self.renderer.table, **device)
+    def __init__(
+        self, table: Name, *, black_level: float | None, white_level: float | None, phase: tuple[int, int] | None,
+        size: tuple[int, int] | None, camera: Name | None, backend: str, device: str | None,
+    ) -> None:  # fmt: skip
+        """Take the options of `l3 render`. RecipeError, InputFileError or DeviceError if they or the table cannot be."""
+        self.renderer = Renderer(table, backend=backend, device=device)
+        self._filters = functools.partial(filters, backend, self.renderer.table, **({"device": device} if device else {}))
         sensor = self.renderer.table
-        self._size = asked.size or (sensor.rows, sensor.cols)
-        model = None if asked.camera is None else CameraFile(Path(asked.camera).absolute(), sha256(Path(asked.camera)))
+        self._size = size or (sensor.rows, sensor.cols)
+        model = None if camera is None else CameraFile(Path(camera).absolute(), sha256(Path(camera)))
         correction = None if model is None else correction_in(model, sensor)
-        self._known = RawOverrides(asked.black_level, asked.white_level, asked.phase, correction=correction)
+        self._known = RawOverrides(black_level, white_level, phase, correction=correction)
 
     def require_size(self, rows: int, cols: int) -> None:
         """Raise RecipeError unless frames have the size that is expected: others may begin at another site of the array."""

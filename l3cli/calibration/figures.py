@@ -6,10 +6,10 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import full_width
-from l3cli.artifacts.fit import ChartFit, NoiseFit, PhotoFit, SeriesFit
+from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, PhotoFit, SeriesFit
 from l3cli.calibration import gain
 from l3cli.calibration.captures import corner_falloff
-from l3cli.calibration.photo.estimate import NOTICED
+from l3cli.calibration.photo.estimate import NOTICED, terms
 from l3cli.calibration.responsivity import likely_mistake
 from l3cli.calibration.statistics import defect_counts
 from l3cli.errors import InputFileError
@@ -38,12 +38,12 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def figures(camera: CameraModel) -> dict[str, Any]:
-    """Return the figures of a calibrated camera and of each of its channels, of lights and bands, ready for JSON."""
-    fit = camera.fit
-    assert fit is not None
+    """Return the figures of a camera and, as far as they were measured, of its channels, of lights and bands, ready for
+    JSON."""
+    fit = camera.fit or Fit()
     columns: dict[str, Any] = {}
     if fit.chart is not None:
-        columns |= _efficiency_columns(camera)
+        columns |= _efficiency_columns(camera, fit.chart)
     if fit.noise is not None:
         columns |= _emva_columns(fit.noise)
     if fit.sweep is not None:
@@ -93,15 +93,13 @@ def _corners(camera: CameraModel) -> dict[str, float] | None:
     return {name: float(share) for name, share in zip(camera.channels, lost, strict=True)}
 
 
-def _efficiency_columns(camera: CameraModel) -> dict[str, Any]:
+def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
     """Return the absolute efficiency at each channel's peak, the half width of its 95 % band if it is known, and Eq. 2's
     offset."""
-    assert camera.fit is not None
-    assert camera.fit.chart is not None
     peak = camera.responsivity.argmax(axis=1)[:, None]
     height, band = (np.take_along_axis(of, peak, 1)[:, 0] for of in (camera.responsivity, camera.responsivity_band))
     known = {"± 95 % (%)": 100.0 * band} if camera.responsivity_band.any() else {}
-    return {"peak QE (%)": 100.0 * height, **known, "offset (DN)": camera.fit.chart.beta}
+    return {"peak QE (%)": 100.0 * height, **known, "offset (DN)": chart.beta}
 
 
 def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
@@ -172,9 +170,8 @@ def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
     """Return light, chart and what disturbed each photo."""
     rows = {}
     for index, name in enumerate(fit.names):
-        x, y = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 5))
-        basis = np.stack([np.ones_like(x), x, y, x * x - np.mean(x * x), x * y, y * y - np.mean(y * y)])
-        light = np.tensordot(fit.illumination[index], basis, axes=1)
+        place = np.stack(np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 5)), axis=-1)
+        light = terms(place.reshape(-1, 2)) @ fit.illumination[index]
         brightest = np.where(fit.used[index], fit.measured[index], 0.0).max(axis=0)
         rows[name] = {
             "light": fit.lights[index],

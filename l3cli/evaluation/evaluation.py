@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.classes.names import AXES
@@ -18,6 +19,8 @@ from l3cli.evaluation.classes import ClassErrors
 from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
 from l3cli.evaluation.mottle import KINDS, mottle
 from l3cli.evaluation.quality import VIEWING, Target, band_figures, cropped, judge_bands
+from l3cli.frames.frame import RawFrame
+from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
 from l3cli.physics.figures import known_mean, sign
 
@@ -238,3 +241,21 @@ def _octave(level: float) -> tuple[float, float]:
     """Return the bounds, a factor of two apart about a power of two, between which a level lies; below 2^-12 all are one."""
     power = np.rint(np.log2(max(level, 2.0**-12)))
     return float(2.0 ** (power - 0.5)), float(2.0 ** (power + 0.5))
+
+
+def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
+    """Return frame number `index` of a training set as its camera gave it; InputFileError if it is none that a camera
+    gives."""
+    try:
+        return RawFrame(
+            frame.scene, frame.raw, camera.black_level, camera.white_level, dark=camera.dark_signal(frame.dark_time)
+        )
+    except ValueError as error:
+        raise InputFileError(f"frame {index} of the training set, {error}; make the training set again") from error
+
+
+def white_of(frame: TrainingPair) -> NDArray[np.floating]:
+    """Return XYZ (3) of the light of a frame; of its target where the light is not known."""
+    if frame.light is None:
+        return frame.white[:3]
+    return spectra.xyz_weights(frame.light.wavelength) @ frame.light.radiance

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, Optics
-from l3cli.artifacts.training_set import Shown, TrainingFrame, TrainingPair
+from l3cli.artifacts.training_set import Shown, TrainingFrame, TrainingPair, TrainingSetReader
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame, as_taken
 from l3cli.frames.scene import ChannelPicture, Scene
@@ -87,11 +87,17 @@ def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> Tra
     return replace(frame, raw=raw, electrons=electrons, exposure=seconds)
 
 
-def exposure_time(
-    camera: CameraModel, scene: Scene | ChannelPicture, light: Light, exposure: Automatic, lens: Lens
-) -> float:
-    """Return the seconds of an automatic exposure, as `simulate` takes them of this scene; ValueError as there."""
-    return exposure(camera, sensor.mosaic(_collected(camera, scene, light, lens, XYZ)[1], camera.cfa))
+class AtGain:
+    """The simulated frames of a training set, exposed again at `gain` times their own analog gain."""
+
+    def __init__(self, reader: TrainingSetReader, gain: float) -> None:
+        self.head = replace(reader.head, camera=reader.head.camera.at_gain(gain))
+        self._reader, self._gain = reader, gain
+
+    def frame(self, index: int) -> TrainingFrame:
+        frame = self._reader.frame(index)
+        assert isinstance(frame, TrainingFrame)
+        return exposed_again(frame, self._reader.head.camera, self._gain)
 
 
 def _collected(
@@ -310,8 +316,9 @@ class SimulationRun:
         exposure = self._exposure(light, shot)
         if isinstance(exposure, float):
             return exposure
+        rates = _collected(self.camera, scene, light, self.recipe.lens, XYZ)[1]
         try:
-            return exposure_time(self.camera, scene, light, exposure, self.recipe.lens)
+            return exposure(self.camera, sensor.mosaic(rates, self.camera.cfa))
         except ValueError as error:
             raise InputFileError(f"scene {scene.name}: {error}") from error
 

@@ -301,15 +301,13 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
     """Return the frame number `trial` of a capture, (row, col) DN: the same for the same seed whoever takes it."""
     rng = np.random.default_rng([seed, 1 + capture.first + trial])
     defects, pattern = defects_of(camera, recipe), fixed_pattern(camera)
-    rows, cols = camera.cfa.shape
-    channel = camera.cfa[np.ix_(np.arange(camera.rows) % rows, np.arange(camera.cols) % cols)]
+    shape = (camera.rows, camera.cols)
     region = chart_regions(camera) if capture.kind == "chart" else 0
     y, x = np.linspace(-1.0, 1.0, camera.rows), np.linspace(-1.0, 1.0, camera.cols)
     light = falloff(y[:, None], x, capture.falloff) * defects.shade
-    shape = (camera.rows, camera.cols)
     light *= relative_illumination(camera.optics.image_distance, camera.pixel_pitch, shape).astype(np.float32)
     light[defects.dead[:, 0], defects.dead[:, 1]] = 0.0
-    electrons = capture.electrons[region, channel] * light
+    electrons = capture.electrons[region, camera.channel_map(shape)] * light
     electrons[defects.hot[:, 0], defects.hot[:, 1]] += recipe.hot_current_e_per_s * capture.exposure
     return read_out(camera, FixedPattern(pattern.prnu, pattern.dsnu + defects.columns), electrons, capture.exposure, rng)
 

@@ -12,7 +12,7 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel, Optics
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
-from l3cli.recipes.faults import Fault, fault, inside, refuse_first
+from l3cli.recipes.faults import Fault, fault, inside
 from l3cli.recipes.toml import Recipe
 from l3cli.simulation.light import CAMERA, MEASURED, OUTPUTS, SCENE_LIGHT, Curve, mixture
 from l3cli.simulation.sensor import noise_plugin, with_analog_gain
@@ -126,11 +126,6 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
         raise RecipeError("lens.transmittance must lie in 0…1 and let some light through")
     fitted = replace(camera, responsivity=camera.responsivity * passed, optics=Optics(focal, f_number, distance))
     return with_analog_gain(fitted, recipe.sensor.analog_gain)
-
-
-def check(recipe: SceneRecipe, camera: CameraModel) -> None:
-    """Raise RecipeError if the recipe asks for what cannot be."""
-    refuse_first(scene_faults(recipe, camera))
 
 
 def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fault]:

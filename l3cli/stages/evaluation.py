@@ -4,7 +4,6 @@ sequence, beside the ideal one or without it → figures over time."""
 import contextlib
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import (
-    TrainingFrame,
     TrainingPair,
     TrainingSet,
     TrainingSetReader,
@@ -23,22 +21,20 @@ from l3cli.artifacts.training_set import (
     open_training_set,
 )
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.evaluation.evaluation import Evaluation
+from l3cli.evaluation.evaluation import Evaluation, raw_of, white_of
 from l3cli.evaluation.likeness import unlike
 from l3cli.evaluation.pictures import frame_pictures, planes_of
 from l3cli.evaluation.quality import VIEWING
 from l3cli.evaluation.sequence import CELL, SequenceEvaluation, SequenceFigures
-from l3cli.frames.frame import RawFrame
 from l3cli.io.pictures.registry import write_picture
 from l3cli.io.scenes import rgb
 from l3cli.io.sequences import PictureSequence, find_pictures, picture_files, read_motion
 from l3cli.options.commands import EvaluateOptions, SequenceOptions
-from l3cli.physics import spectra
 from l3cli.rendering.conditions import FAR, Mix, at_gain, described, gain_of_frames, gains_of, mix_for, mixed
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
-from l3cli.simulation.frame import exposed_again
+from l3cli.simulation.frame import AtGain
 from l3cli.stages.standards import standard_figures
 from l3cli.system.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.system.console import Console, Silent
@@ -132,19 +128,6 @@ def for_frames(
     return made, text
 
 
-class AtGain:
-    """The simulated frames of a training set, exposed again at `gain` times their own analog gain."""
-
-    def __init__(self, reader: TrainingSetReader, gain: float) -> None:
-        self.head = replace(reader.head, camera=reader.head.camera.at_gain(gain))
-        self._reader, self._gain = reader, gain
-
-    def frame(self, index: int) -> TrainingFrame:
-        frame = self._reader.frame(index)
-        assert isinstance(frame, TrainingFrame)
-        return exposed_again(frame, self._reader.head.camera, self._gain)
-
-
 def figures_by_gain(
     table: TransformTable,
     reader: TrainingSetReader,
@@ -182,7 +165,7 @@ class FrameRenderers:
 
     def of(self, frame: TrainingPair) -> Renderer:
         """Return the renderer of a frame."""
-        mix = mix_for(self._table, _white_of(frame)) if self._table.lights else None
+        mix = mix_for(self._table, white_of(frame)) if self._table.lights else None
         if mix and frame.illuminant not in self._reported:
             self._reported.add(frame.illuminant)
             self._console.info(f"frames under {frame.illuminant}: transforms of {described(self._table, mix)}")
@@ -191,13 +174,6 @@ class FrameRenderers:
                 del self._made[next(iter(self._made))]
             self._made[mix] = make_renderer(self._backend, mixed(self._table, mix))
         return self._made[mix]
-
-
-def _white_of(frame: TrainingPair) -> NDArray[np.floating]:
-    """Return XYZ (3) of the light of a frame; of its target where the light is not known."""
-    if frame.light is None:
-        return frame.white[:3]
-    return spectra.xyz_weights(frame.light.wavelength) @ frame.light.radiance
 
 
 def evaluate_frame(
@@ -232,17 +208,6 @@ def _planes(path: Path, frame: TrainingPair) -> NDArray[np.floating]:
 def _name_of(rival: Path) -> str:
     """Return the name of a folder of pictures, or of that which a pattern or glob leads into."""
     return (rival if rival.is_dir() else rival.parent).absolute().name
-
-
-def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
-    """Return frame number `index` of a training set as its camera gave it; InputFileError if it is none that a camera
-    gives."""
-    try:
-        return RawFrame(
-            frame.scene, frame.raw, camera.black_level, camera.white_level, dark=camera.dark_signal(frame.dark_time)
-        )
-    except ValueError as error:
-        raise InputFileError(f"frame {index} of the training set, {error}; make the training set again") from error
 
 
 # ------------------------------------------------------------------------------------------------------ sequences

@@ -16,7 +16,7 @@ from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, TrainingSetReader, open_training_set
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.evaluation.evaluation import Evaluation
+from l3cli.evaluation.evaluation import Evaluation, raw_of
 from l3cli.evaluation.pictures import frame_pictures, holds_chart, patch_colours
 from l3cli.evaluation.sequence import read_sequence_figures
 from l3cli.io.pictures.openimageio import jpeg
@@ -37,7 +37,7 @@ from l3cli.report.transforms import transform_section
 from l3cli.report.validation import patches_figure, patches_table
 from l3cli.simulation.procedural import chart_places
 from l3cli.stages.check import CAMERA, Judgement
-from l3cli.stages.evaluation import FrameRenderers, document_of, evaluate_frame, figures_by_gain, for_frames, raw_of
+from l3cli.stages.evaluation import FrameRenderers, document_of, evaluate_frame, figures_by_gain, for_frames
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256, write_whole
 from l3cli.system.ledger import note_places
@@ -172,21 +172,10 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
 
 def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
     """Return what `l3 calibrate --json` says of a camera, as far as it was measured, and why not to trust it."""
-    from l3cli.calibration.figures import camera_figures, figures, shortfall
+    from l3cli.calibration.figures import figures, shortfall
 
-    if camera.fit is not None:
-        return figures(camera) | {"shortfall": (shortfall(camera) or "").partition(";")[0]}
-    plain = {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()}
-    nothing: dict[str, Any] = {
-        "channels": {},
-        "lights": {},
-        "bands": {},
-        "gains": {},
-        "photos": {},
-        "left out": [],
-        "defects": [],
-    }
-    return {"camera": plain, **nothing, "saturation reached": None, "shortfall": ""}
+    doubt = shortfall(camera) if camera.fit else None
+    return figures(camera) | {"shortfall": (doubt or "").partition(";")[0]}
 
 
 def _warn_of_arrays(given: Given, console: Console) -> None:

@@ -175,13 +175,9 @@ def sample_patches(
     return Patches(signal, np.ascontiguousarray(target))
 
 
-def draw_levels(recipe: LearningRecipe, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return `count` levels, share of full scale: log-uniform over the whole range, a share of them over the highlights."""
-    return levels_at(recipe, rng.random(count))
-
-
 def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the levels at `places`, from 0 to 1, of their distribution."""
+    """Return the levels, shares of full scale, at `places`, from 0 to 1, of their distribution: log-uniform over the whole
+    range, a share of them over the highlights."""
     share = recipe.highlight_share
     bright = places < share
     within = np.where(bright, places / max(share, 1e-9), (places - share) / max(1 - share, 1e-9))

@@ -13,7 +13,7 @@ from l3cli.artifacts.plane_rules import MOST_LEAVES
 from l3cli.artifacts.table import WINDOWS
 from l3cli.classes.rule import ClassRecipe
 from l3cli.errors import RecipeError
-from l3cli.recipes.faults import Fault, fault, refuse_first
+from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, CountOrNone, Positive, Recipe, Share
 
 MOST_PATCHES = 1_000_000_000
@@ -188,11 +188,6 @@ def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
     return msgspec.structs.replace(recipe, learning=learning, layer=())
 
 
-def check_learning(recipe: LearningRecipe) -> None:
-    """Raise RecipeError if a number of the learning recipe cannot be."""
-    refuse_first(learning_faults(recipe))
-
-
 def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
     """Yield all that cannot be of [learning]."""
     if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:
@@ -221,11 +216,6 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
     powers = {"brightness_power": 0 <= recipe.brightness_power <= 1, "error_power": 0 <= recipe.error_power <= 0.5}
     if wrong := [f"learning.{key}" for key, right in powers.items() if not right]:
         yield fault("learning.brightness_power must lie in 0…1, error_power in 0…0.5", *wrong)
-
-
-def check_layers(layers: tuple[LayerRecipe, ...]) -> None:
-    """Raise RecipeError if the layers after the first cannot be learned."""
-    refuse_first(layer_faults(layers))
 
 
 def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.partial_sums import ClassSums, LayerSums
 from l3cli.classes import level
 from l3cli.errors import L3Error
 
@@ -90,8 +90,8 @@ def add_products(
         add_rounded(total[index], (block.T @ block).reshape(-1).take(place), number)
 
 
-def add(sums: ClassSums, more: ClassSums) -> None:
-    """Add `more` to `sums` in place."""
+def add(sums: ClassSums | LayerSums, more: ClassSums | LayerSums) -> None:
+    """Add `more` to `sums` in place; exact, in whatever order."""
     for total, part in ((sums.moments, more.moments), (sums.noise, more.noise), (sums.count, more.count)):
         np.add(total, part, out=total)
 

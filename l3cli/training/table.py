@@ -3,31 +3,36 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.partial_sums import ClassSums, LayerSums
 from l3cli.artifacts.schema import Stage
-from l3cli.artifacts.table import MosaicLayer, SpectralSmoothing, TransformTable
+from l3cli.artifacts.table import Condition, MosaicLayer, PlaneLayer, PlaneRule, SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet
 from l3cli.classes.chroma import channel_shares, choose_chromas
 from l3cli.classes.decide import observe_patches
+from l3cli.classes.planes import fixed_point, opponent_basis
 from l3cli.classes.rule import make_rule
 from l3cli.classes.saturation import choose_cases, saturation_codes, spared_cases
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
+from l3cli.training.clipping import learned_clipping
 from l3cli.training.goal import one_light
-from l3cli.training.patches import draw_levels, expose_patches, patches_of, white_signal
+from l3cli.training.layers.coarse_chroma import measured_noise
+from l3cli.training.layers.learn import LayerPass, learn_layer
+from l3cli.training.patches import expose_patches, levels_at, patches_of, white_signal
 from l3cli.training.plain_surfaces import false_colours, stripe_shares
-from l3cli.training.recipe import LearningRecipe, TrainingRecipe
+from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_noise
 from l3cli.training.solve import Solution, equal_responses, solve
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.training.symmetry import site_maps, turned_classes, turns_of
-from l3cli.training.training_pass import TrainingPass, brightness_of
+from l3cli.training.training_pass import TrainingPass, at_noise, brightness_of
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
@@ -66,7 +71,7 @@ def take_pilot(
             rng = np.random.default_rng([seed, 0, index, site])
             pilot = patches_of(frame, head, neighbours, site, count, rng, recipe.learning.symmetry)
             patch_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
-            scale = pilot.possible(draw_levels(recipe.learning, len(patch_level), rng) / patch_level)[:, None]
+            scale = pilot.possible(levels_at(recipe.learning, rng.random(len(patch_level))) / patch_level)[:, None]
             carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
             signal = (pilot.signal * scale).astype(np.float32)
             values = expose_patches(signal, camera, rng, carried, dark, neighbours.channel[site])
@@ -223,3 +228,56 @@ def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.flo
     if frame.white.size != len(outputs) or size <= 0:
         raise InputFileError(f"white of scene {frame.scene} is not a positive white of the outputs {', '.join(outputs)}")
     return frame.white / size
+
+
+# ------------------------------------------------------------------------------------------- further layers and noises
+
+
+def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int, ...], seed: int) -> LayerPass:
+    """Return the pass that learns the next layer on a table."""
+    assert table.camera is not None  # tables have had one since there are layers
+    own = recipe.layer[len(table.later)]
+    powers = {"brightness_power": own.brightness_power, "error_power": own.error_power}
+    learning = for_noise(recipe, table.camera).learning
+    learning = msgspec.structs.replace(learning, **{name: each for name, each in powers.items() if each is not None})
+    return LayerPass(
+        camera=table.camera,
+        rule=table.first.rule,
+        fixed=fixed_point(table),
+        basis=opponent_basis(table.white_point),
+        white_point=table.white_point,
+        grey=np.asarray(table.camera.sensitivity) if table.light is None else white_signal(table.light, table.camera),
+        before=table.later,
+        recipe=own,
+        learning=learning,
+        mosaics=mosaics,
+        pictures=table.outputs == XYZ,
+        exposure=table.exposure,
+        seed=seed,
+    )
+
+
+def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums], table: TransformTable) -> PlaneLayer:
+    """Return the layer that follows those of `table`, from the sums of all canonical sites; beside coarse chroma with the
+    noise of what that compares, and with what plain clipped areas become."""
+    learned = learn_layer(layer, rule, sums)
+    if not layer.recipe.coarse_chroma:
+        return learned
+    clipping = learned_clipping(layer.camera, table.light, table.white_point) if layer.pictures else None
+    return replace(learned, coarse_chroma=measured_noise(layer), clipping=clipping)
+
+
+def passes_of(usual: TrainingPass, recipe: TrainingRecipe) -> list[TrainingPass]:
+    """Return the usual pass, and those beside it for each other noise that the recipe wants."""
+    return [usual, *(at_noise(usual, noise, recipe) for noise in recipe.learning.noises)]
+
+
+def with_noises(usual: TransformTable, tables: Sequence[TransformTable], noises: Sequence[NoiseScale]) -> TransformTable:
+    """Return the usual table with others as its transforms for these noises."""
+    conditions = (Condition.of(each.first, each.later, None, noise) for each, noise in zip(tables, noises, strict=True))
+    return replace(usual, conditions=tuple(conditions))
+
+
+def by_noise(table: TransformTable) -> list[TransformTable]:
+    """Return the transforms of a table of no single lights at each noise, those for the camera's first, as tables."""
+    return [replace(table, conditions=()), *map(table.under, table.conditions)]

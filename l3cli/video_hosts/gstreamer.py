@@ -96,7 +96,7 @@ class L3Render(GstBase.BaseTransform):
 
     def _opened(self) -> Any:
         try:
-            from l3cli.api.frames import HostOptions, Mosaics, pair
+            from l3cli.api.frames import Mosaics, pair
         except ImportError as error:
             version = f"{sys.version_info.major}.{sys.version_info.minor}"
             raise L3Error(
@@ -104,16 +104,16 @@ class L3Render(GstBase.BaseTransform):
             ) from error
         if not self.table:
             raise RecipeError("table names no file; give the one written by l3 train")
-        asked = HostOptions(
-            None if self.black_level < 0 else self.black_level,
-            None if self.white_level < 0 else self.white_level,
-            pair(self.phase, ",", "phase"),
-            pair(self.size, "x", "size"),
-            self.camera or None,
-            self.backend,
-            self.device or None,
+        return Mosaics(
+            self.table,
+            black_level=None if self.black_level < 0 else self.black_level,
+            white_level=None if self.white_level < 0 else self.white_level,
+            phase=pair(self.phase, ",", "phase"),
+            size=pair(self.size, "x", "size"),
+            camera=self.camera or None,
+            backend=self.backend,
+            device=self.device or None,
         )
-        return Mosaics(self.table, asked)
 
     # ------------------------------------------------------------------------------------------------- agreeing on caps
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.api.frames import HostOptions, Mosaics, pair
+from l3cli.api.frames import Mosaics, pair
 from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
 from l3cli.video_hosts import format_error
@@ -48,11 +48,10 @@ def render(
         _require_mosaics(clip)
         phase = pair(phase, ",", "phase") if isinstance(phase, str) else phase
         size = pair(size, "x", "size") if isinstance(size, str) else size
-        asked = HostOptions(
-            black_level, white_level, phase, size or (clip.height, clip.width),
-            None if camera is None else os.fspath(camera), backend, device,
+        mosaics = Mosaics(
+            table, black_level=black_level, white_level=white_level, phase=phase, size=size or (clip.height, clip.width),
+            camera=camera, backend=backend, device=device,
         )  # fmt: skip
-        mosaics = Mosaics(os.fspath(table), asked)
         mosaics.require_size(clip.height, clip.width)
         show = mosaics.renderer.sequence(None, exposure=exposure, white=white, bits=bits)
 

@@ -26,7 +26,7 @@ from l3cli.simulation.recipe import SceneRecipe
 from l3cli.stages.check import KINDS, judge, names
 from l3cli.stages.simulation.preparation import fitting, prepare
 from l3cli.system.console import Silent
-from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
+from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults
 from l3cli.training.summary import class_figures
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
@@ -450,8 +450,8 @@ def use(kind: str, path: Path, camera: CameraModel) -> None:
         filter_curves(designed, pixel, pixel.wavelength, path.parent)
     else:
         classes = load_recipe(path, TrainingRecipe)
-        check_learning(classes.learning)
-        check_layers(classes.layer)
+        refuse_first(learning_faults(classes.learning))
+        refuse_first(layer_faults(classes.layer))
         make_rule(classes.classes, camera, np.zeros(8, np.uint16))
 
 

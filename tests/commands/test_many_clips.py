@@ -19,12 +19,13 @@ import pytest
 
 from l3cli.cli import run
 from l3cli.errors import DeviceError, L3Error
+from l3cli.io.clips import name_of
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.options.render import RenderOptions
 from l3cli.rendering.renderer import make_renderer
 from l3cli.stages.check import OUTPUT, schema
 from l3cli.stages.rendering import clips
-from l3cli.stages.rendering.clips import STATE, ClipJob, name_of
+from l3cli.stages.rendering.clips import STATE, ClipJob
 from l3cli.stages.rendering.render import render
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RUN, frames, pictures, write_raw_video

@@ -14,8 +14,8 @@ import pytest
 import tifffile
 
 from l3cli.artifacts.store import save
+from l3cli.io import destination
 from l3cli.io.pictures.openimageio import write_mosaic
-from l3cli.stages.rendering import destination
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_stack
 from tests.helpers.tables import with_first

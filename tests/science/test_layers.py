@@ -20,7 +20,6 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import lab
 from l3cli.recipes.toml import load_recipe
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.stages.training.refinement_layers import layer_pass
 from l3cli.training.layers.coarse_chroma import measured_noise
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
 from l3cli.training.layers.mosaics import Seen, mosaics_of, sheets_of
@@ -32,6 +31,7 @@ from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
 from l3cli.training.row_weighting import TARGET_FLOOR
 from l3cli.training.sums import STEP
 from l3cli.training.symmetry import orientations, turned_structures
+from l3cli.training.table import layer_pass
 from tests.helpers.artifacts import a_table
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS

@@ -12,11 +12,12 @@ from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
+from l3cli.evaluation.evaluation import raw_of
 from l3cli.physics import spectra
 from l3cli.physics.correlated_lights import mired_of
 from l3cli.rendering.conditions import Mix, described, mix_for, mixed, nearest_for
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.stages.evaluation import FrameRenderers, raw_of
+from l3cli.stages.evaluation import FrameRenderers
 from l3cli.system.console import Silent
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER

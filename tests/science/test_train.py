@@ -31,8 +31,8 @@ from l3cli.training.accumulate import sum_sites
 from l3cli.training.patches import (
     Patches,
     colourless_frame,
-    draw_levels,
     expose_patches,
+    levels_at,
     patches_of,
     sample_patches,
     white_signal,
@@ -142,7 +142,7 @@ def test_exposed_patches_have_the_noise_of_the_camera(bayer: CameraModel) -> Non
 @given(st.integers(0, 1000))
 def test_levels_cover_the_declared_range(seed: int) -> None:
     recipe = LearningRecipe(darkest=0.003)
-    levels = draw_levels(recipe, 4000, np.random.default_rng(seed))
+    levels = levels_at(recipe, np.random.default_rng(seed).random(4000))
     assert levels.min() >= recipe.darkest
     assert levels.max() <= recipe.brightest
     uniform = np.log(recipe.brightest / recipe.highlight_from) / np.log(recipe.brightest / recipe.darkest)

@@ -17,10 +17,11 @@ from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import mirrored, window_means
 from l3cli.errors import RecipeError
 from l3cli.evaluation.mottle import BLUR
+from l3cli.recipes.faults import refuse_first
 from l3cli.rendering.conditions import with_edges_for
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.training.recipe import LayerRecipe, check_layers
+from l3cli.training.recipe import LayerRecipe, layer_faults
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import frame_of_all_levels, random_table, with_coarse_chroma, with_low_noise, with_refinement
 
@@ -147,4 +148,4 @@ def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="only the last one may"):
         dataclasses.replace(table, later=(table.later[0], bare.later[0]))
     with pytest.raises(RecipeError, match="is for the last layer alone"):
-        check_layers((LayerRecipe(coarse_chroma=True), LayerRecipe()))
+        refuse_first(layer_faults((LayerRecipe(coarse_chroma=True), LayerRecipe())))

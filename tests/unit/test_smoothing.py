@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.errors import RecipeError
+from l3cli.recipes.faults import refuse_first
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import SPECTRA_DARKEST, ReferenceRenderer, smoothed_spectra
-from l3cli.training.recipe import LearningRecipe, check_learning
+from l3cli.training.recipe import LearningRecipe, learning_faults
 from l3cli.training.summary import insight, learned
 from tests.helpers.tables import frame_of_all_levels, random_table, with_spectra
 
@@ -118,4 +119,4 @@ def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="cannot be smoothed"):
             with_spectra(random_table([[0, 1], [1, 2]], outputs=outputs), 3, 0.3)
     with pytest.raises(RecipeError, match="spectral_window is 4, not 0 or one of 3, 5, 7, 9"):
-        check_learning(LearningRecipe(darkest=0.001, spectral_window=4))
+        refuse_first(learning_faults(LearningRecipe(darkest=0.001, spectral_window=4)))

@@ -266,11 +266,10 @@ def _prior_and_lights(photographs: Sequence[Photograph], measurements: Measureme
 def _priors(measurements: Measurements) -> list[Prior]:
     """Return smooth curves and, of a camera with channels r, g and b, those of measured cameras."""
     channels, known = measurements.body.channels, measurements.cameras
-    smooth = priors.smooth(len(channels))
     if known is None or sorted(channels) != sorted(ROLES):
-        return [smooth]
+        return [smooth(len(channels))]
     table = known if isinstance(known, CurveStatistics) else priors.statistics(known)
-    return [priors.camera_prior(priors.turned(table, [ROLES.index(name) for name in channels])), smooth]
+    return [prior_of(channels, table), smooth(len(channels))]
 
 
 # ---------------------------------------------------------------------------------------------------------- outliers

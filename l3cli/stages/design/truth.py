@@ -15,11 +15,12 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.design.error import Level
 from l3cli.design.recipe import TruthRecipe
+from l3cli.evaluation.evaluation import raw_of
 from l3cli.evaluation.quality import Target
 from l3cli.options.commands import SimulateOptions, TrainOptions
 from l3cli.physics.display import displayed, srgb_codes, white_luminance
 from l3cli.recipes.builtin import find_recipe
-from l3cli.stages.evaluation import FrameRenderers, raw_of
+from l3cli.stages.evaluation import FrameRenderers
 from l3cli.stages.simulation.simulate import simulate
 from l3cli.stages.training.whole import train
 from l3cli.system.console import Silent

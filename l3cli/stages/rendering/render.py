@@ -18,6 +18,7 @@ from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError, sugg
 from l3cli.frames.correction import CameraFile, correction_in, hot_test
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.gain_estimate import estimate_gain
+from l3cli.io.destination import Destination, destination_of, guard_outputs, paged
 from l3cli.io.pictures.dng import MOSAICS
 from l3cli.io.pictures.registry import write_picture
 from l3cli.io.raw.files import are_photos
@@ -35,18 +36,7 @@ from l3cli.rendering.rendition import Rendition, chosen_space, outputs_as_they_a
 from l3cli.rendering.temporal.chunks import Chunks, filters
 from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance, white_source
-from l3cli.stages.rendering.destination import (
-    Destination,
-    FrameDigests,
-    checkpointed,
-    destination_of,
-    guard_outputs,
-    overrides,
-    paged,
-    part_of,
-    plan,
-    video_choice,
-)
+from l3cli.stages.rendering.checkpoint import FrameDigests, checkpointed, overrides, part_of, plan, video_choice
 from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of, while_reading
 from l3cli.stages.rendering.sequence import SequenceJob, Tally, render_frames
 from l3cli.system.console import Console
@@ -64,7 +54,8 @@ def render(
     runs. RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known."""
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
     console, dark, white, scheduler = options.console, options.dark, options.white, options.cluster()
-    destination, known = destination_of(output, options), overrides(options)
+    choice, known = video_choice(options), overrides(options)
+    destination = destination_of(output, options.format, choice, options.shard)
     engine = {name: value for name, value in {"device": options.device, "variant": options.variant}.items() if value}
     with OutputGuard(console) as guard:
         guard.protect(table, *inputs, *itertools.chain(*options.inputs().values()))
@@ -115,7 +106,7 @@ def render(
         stated = None if stated is None or stated.are_even else stated
         pacing = Pacing(sequence.unit, stated, sequence.unit or 1)
         rate = options.fps or sequence.rate or USUAL_RATE
-        choice = replace(video_choice(options), rate=rate, tick=pacing.tick if destination.has_times else None)
+        choice = replace(choice, rate=rate, tick=pacing.tick if destination.has_times else None)
         if source is not None and lit.lights:
             mix, sequence = mix_of_first(source, lit, sequence, console)
             transforms = mixed(lit, mix)

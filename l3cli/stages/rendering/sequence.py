@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.frames.frame import RawFrame, upright
+from l3cli.io.destination import Destination, sink_of
 from l3cli.io.pictures.registry import file_identity, values_identity
 from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.io.video import Pacing, VideoChoice
@@ -23,7 +24,7 @@ from l3cli.rendering.rendition import FrameMeter, Rendition
 from l3cli.rendering.temporal.chunks import Chunks, needed
 from l3cli.rendering.white.scene_white import SceneWhite, WhiteBalance, implausible, unlike_stated
 from l3cli.rendering.white.source import ChartSceneWhite, WhiteSource
-from l3cli.stages.rendering.destination import Destination, FrameDigests, PictureCheckpoint, sink_of
+from l3cli.stages.rendering.checkpoint import FrameDigests, PictureCheckpoint
 from l3cli.stages.rendering.executors import Exposed, Local, Remote, Unread
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
@@ -145,19 +146,20 @@ def render_frames(
     tally, warnings, white_report = Tally(), FrameWarnings(job.table), WhiteReport(job.source, sequence.stills, console)
     for numbers in sequence.missing:
         tally.leave_out(sequence.absent(numbers), options, len(numbers))
-    sink = sink_of(job.destination, sequence, job.choice, job.pacing, checkpoint)
+    made = checkpoint.made if checkpoint else None
+    sink = sink_of(job.destination, sequence, job.choice, job.pacing, made)
     with sink as (write, threads), WriteBehind(write, DEPTH, threads) as writing:
         reading = prefetched(_Reading(job, meter, checkpoint, digests, executor.by_path).frames(), DEPTH)
         if job.temporal:
             reading = prefetched(_filtered(reading, job.temporal), DEPTH)
         total = sequence.part.stop if sequence.part else sequence.count and sequence.count - sequence.lost
         exposed = _exposed(console.progress(reading, total, "frames"), job, tally, white_report)
-        for reference, made in executor.render(warnings.watched(exposed, sequence.stills)):
-            if isinstance(made, L3Error):
+        for reference, picture in executor.render(warnings.watched(exposed, sequence.stills)):
+            if isinstance(picture, L3Error):
                 tally.done -= 1
-                tally.leave_out(made, options)
+                tally.leave_out(picture, options)
             else:
-                writing.put((reference, made))
+                writing.put((reference, picture))
         if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
     if warnings.assumption:

@@ -13,6 +13,7 @@ from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes.registry import format_of, is_folder
+from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import read_text
 from l3cli.simulation import recipe as asked
 from l3cli.simulation import sources
@@ -149,7 +150,7 @@ def _file_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, in
 def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> tuple[SimulationRun, list[list[Path]]]:
     """Return everything checked and resolved before any work: the run, and the files of each source."""
     try:
-        asked.check(recipe, camera)
+        refuse_first(asked.scene_faults(recipe, camera))
         named = asked.curve_files(recipe)
         curves = {name: read_curve(path.parent / name, role) for name, role in named.items()}
         fitted = asked.set_up(camera, recipe, curves)

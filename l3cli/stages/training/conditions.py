@@ -2,7 +2,7 @@
 (docs/method.md#noise-sets, docs/method.md#several-lights)."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import msgspec
@@ -19,8 +19,8 @@ from l3cli.stages.training.passes import Execution, first_pass, learn_first, pas
 from l3cli.stages.training.refinement_layers import learn_refinement_layers
 from l3cli.stages.training.run import TrainingRun, TrainingSource
 from l3cli.system.console import Silent
-from l3cli.training.recipe import TrainingRecipe
-from l3cli.training.training_pass import TrainingPass, at_noise, few_of, spread_patches
+from l3cli.training.table import passes_of, with_noises
+from l3cli.training.training_pass import TrainingPass, few_of, spread_patches
 
 SAME_LIGHT = 1e-3  # relative difference of whites that are of one light, as spectra of one name give them
 
@@ -71,22 +71,6 @@ def run_for(run: TrainingRun, noise: NoiseScale) -> TrainingRun:
     layers = tuple(msgspec.structs.replace(each, mosaics=few_of(each.mosaics, noise)) for each in run.recipe.layer)
     given, recipe = (msgspec.structs.replace(each, layer=layers) for each in (run.given, run.recipe))
     return replace(run, given=given, recipe=recipe)
-
-
-def passes_of(usual: TrainingPass, recipe: TrainingRecipe) -> list[TrainingPass]:
-    """Return the usual pass, and those beside it for each other noise that the recipe wants."""
-    return [usual, *(at_noise(usual, noise, recipe) for noise in recipe.learning.noises)]
-
-
-def with_noises(usual: TransformTable, tables: Sequence[TransformTable], noises: Sequence[NoiseScale]) -> TransformTable:
-    """Return the usual table with others as its transforms for these noises."""
-    conditions = (Condition.of(each.first, each.later, None, noise) for each, noise in zip(tables, noises, strict=True))
-    return replace(usual, conditions=tuple(conditions))
-
-
-def by_noise(table: TransformTable) -> list[TransformTable]:
-    """Return the transforms of a table of no single lights at each noise, those for the camera's first, as tables."""
-    return [replace(table, conditions=()), *map(table.under, table.conditions)]
 
 
 def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:

@@ -10,10 +10,11 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.classes.rule import left_out
 from l3cli.parallel import WorkerPool
+from l3cli.recipes.faults import refuse_first
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.system.console import Console
 from l3cli.training.accumulate import sum_sites
-from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
+from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults
 from l3cli.training.row_weighting import RowWeighting, row_weighting
 from l3cli.training.solve import Solution
 from l3cli.training.sums import add
@@ -35,8 +36,8 @@ class Execution:
 def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     """Return the first pass, or the only one, with the class rule that a pilot over all frames finds."""
     learning = run.recipe.learning
-    check_learning(learning)
-    check_layers(run.recipe.layer)
+    refuse_first(learning_faults(learning))
+    refuse_first(layer_faults(run.recipe.layer))
     for name in left_out(run.recipe.classes, run.head.camera):
         sites = "×".join(map(str, run.head.camera.cfa.shape))
         patch = run.recipe.classes.patch
@@ -54,16 +55,17 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     further = "".join(f" × {axis.size} values of {axis.name}" for axis in rule.axes)
     classes = f"{rule.levels} levels × {rule.contrasts} contrasts{further} × {kinds}"
     execution.console.info(f"{len(run.patches)} frames, {classes} a site")
-    number = FIRST if has_two_passes(run.head, learning) else LAST
-    return TrainingPass(run.head, run.patches, rule, learning, white, run.seed, number, exposure, light)
+    return TrainingPass(run.head, run.patches, rule, learning, white, run.seed, _first_number(run), exposure, light)
 
 
 def pass_of(run: TrainingRun, table: TransformTable, number: int | None = None) -> TrainingPass:
     """Return the first pass, or the pass `number`, of a run whose class rule and white are those of a table."""
-    learning = run.recipe.learning
-    number = number or (FIRST if has_two_passes(run.head, learning) else LAST)
-    about = (run.head, run.patches, table.first.rule, learning, table.white_point, run.seed, number)
-    return TrainingPass(*about, table.exposure, table.light)
+    about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
+    return TrainingPass(*about, number or _first_number(run), table.exposure, table.light)
+
+
+def _first_number(run: TrainingRun) -> int:
+    return FIRST if has_two_passes(run.head, run.recipe.learning) else LAST
 
 
 @dataclass(frozen=True)

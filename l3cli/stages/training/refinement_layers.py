@@ -4,23 +4,18 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import GradientScale
-from l3cli.artifacts.table import PlaneLayer, PlaneRule, TransformTable
+from l3cli.artifacts.table import PlaneRule, TransformTable
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.classes.planes import fixed_point, opponent_basis
 from l3cli.parallel.threads import threaded
-from l3cli.physics.display import XYZ
 from l3cli.stages.training.passes import Execution
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.system.console import Console
-from l3cli.training.clipping import learned_clipping
-from l3cli.training.layers.coarse_chroma import measured_noise
-from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
+from l3cli.training.layers.learn import LayerPass, add_sums, no_sums, sum_layer
 from l3cli.training.layers.rules import (
     PILOT_MOSAICS,
     TreeSample,
@@ -30,8 +25,7 @@ from l3cli.training.layers.rules import (
     structure_rule,
     tree_rule,
 )
-from l3cli.training.patches import white_signal
-from l3cli.training.recipe import TrainingRecipe, for_noise
+from l3cli.training.table import finished_layer, layer_pass
 from l3cli.training.training_pass import spread_patches
 
 UNITS = 8  # a process: more tell progress better, but every one hands on its own sums
@@ -53,16 +47,6 @@ def learn_refinement_layers(
     return table
 
 
-def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums], table: TransformTable) -> PlaneLayer:
-    """Return the layer that follows those of `table`, from the sums of all canonical sites; beside coarse chroma with the
-    noise of what that compares, and with what plain clipped areas become."""
-    learned = learn_layer(layer, rule, sums)
-    if not layer.recipe.coarse_chroma:
-        return learned
-    clipping = learned_clipping(layer.camera, table.light, table.white_point) if layer.pictures else None
-    return replace(learned, coarse_chroma=measured_noise(layer), clipping=clipping)
-
-
 def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
     """Warn that layers the recipe asks for are not learned, if that is so."""
     if run.recipe.layer and not run.has_refinement_layers:
@@ -75,30 +59,6 @@ def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
 def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
     """Return training mosaics (frame) of refinement layer `number`, the first of them being 0."""
     return spread_patches(run.recipe.layer[number].mosaics, [source.frames for source in run.training], run.shares)
-
-
-def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int, ...], seed: int) -> LayerPass:
-    """Return the pass that learns the next layer on a table."""
-    assert table.camera is not None  # tables have had one since there are layers
-    own = recipe.layer[len(table.later)]
-    powers = {"brightness_power": own.brightness_power, "error_power": own.error_power}
-    learning = for_noise(recipe, table.camera).learning
-    learning = msgspec.structs.replace(learning, **{name: each for name, each in powers.items() if each is not None})
-    return LayerPass(
-        camera=table.camera,
-        rule=table.first.rule,
-        fixed=fixed_point(table),
-        basis=opponent_basis(table.white_point),
-        white_point=table.white_point,
-        grey=np.asarray(table.camera.sensitivity) if table.light is None else white_signal(table.light, table.camera),
-        before=table.later,
-        recipe=own,
-        learning=learning,
-        mosaics=mosaics,
-        pictures=table.outputs == XYZ,
-        exposure=table.exposure,
-        seed=seed,
-    )
 
 
 @dataclass(frozen=True)

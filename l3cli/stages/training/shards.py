@@ -22,13 +22,12 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import PlaneRule, TransformTable, rule_fields
 from l3cli.errors import InputFileError
 from l3cli.options.commands import ShardOptions
+from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import parse_recipe
-from l3cli.stages.training.conditions import by_noise, passes_of, require_one_go, run_for, with_noises
+from l3cli.stages.training.conditions import require_one_go, run_for
 from l3cli.stages.training.passes import Execution, first_pass, pass_of, sum_unit, summed
 from l3cli.stages.training.refinement_layers import (
-    finished_layer,
     layer_mosaics,
-    layer_pass,
     layer_rule,
     summed_layer,
     warn_of_left_out_layers,
@@ -38,9 +37,9 @@ from l3cli.stages.training.whole import execution_of, report_table
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
 from l3cli.training.layers.learn import LayerPass, add_sums, no_sums
-from l3cli.training.recipe import TrainingRecipe, check_layers, draft_of
+from l3cli.training.recipe import TrainingRecipe, draft_of, layer_faults
 from l3cli.training.sums import empty_sums
-from l3cli.training.table import add_up, assemble, learn_site
+from l3cli.training.table import add_up, assemble, by_noise, finished_layer, layer_pass, learn_site, passes_of, with_noises
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, frame_blocks
 
 NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))  # of tables that are not the end of a run
@@ -56,7 +55,7 @@ def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path
         table = load(TransformTable, first) if first else None
         warn_of_left_out_layers(run, options.console)
         if table and run.has_refinement_layers and _is_of(run, table, LAYERS[len(table.later)]):
-            check_layers(run.recipe.layer)
+            refuse_first(layer_faults(run.recipe.layer))
             write_layer_shard(run, shard, table, output, execution)
         else:
             pass_ = _last_pass(run, table, first) if table else first_pass(run, execution)

@@ -21,7 +21,7 @@ from l3cli.training.layers.mosaics import Exposed, FirstLayer, Mosaics, PlaneSta
 from l3cli.training.layers.rows import GatheredRows, Reading, empty_sums, grid_steps, require_exact, row_weights
 from l3cli.training.layers.solve import LayerGoal, solve_layer
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
-from l3cli.training.sums import turned_places, width_of
+from l3cli.training.sums import add, turned_places, width_of
 from l3cli.training.symmetry import orientations, site_maps, turned_structures
 from l3cli.training.training_pass import LAYER_ROWS, frame_blocks
 
@@ -142,9 +142,7 @@ def drawn_mosaics(layer: LayerPass, frames: Iterable[TrainingPair], first: int, 
 def add_sums(sums: dict[int, LayerSums], more: dict[int, LayerSums]) -> None:
     """Add `more` to `sums` in place; exact, in whatever order."""
     for site, part in more.items():
-        whole = sums[site]
-        for total, value in ((whole.moments, part.moments), (whole.noise, part.noise), (whole.count, part.count)):
-            np.add(total, value, out=total)
+        add(sums[site], part)
 
 
 def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -> PlaneLayer:

@@ -1,0 +1,207 @@
+"""Destination of pictures: a file, its pages, a folder, numbered files, a video or a stream; what is there already; and the
+writer of frames into it."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from l3cli.errors import RecipeError
+from l3cli.io.file_names import PATTERN, last_number, numbered_files, numbered_name
+from l3cli.io.pictures.pages import PAGED, new_pages
+from l3cli.io.pictures.registry import format_of, holds_linear, holds_raw, picture_file
+from l3cli.io.sequences import FrameReference, FrameSequence
+from l3cli.io.video import Y4M, Pacing, VideoChoice, check_video, is_video, new_video, new_y4m
+from l3cli.physics.display import FLOAT_BITS
+from l3cli.system.files import UNFINISHED, atomic_output, refuse_existing, refuse_protected
+from l3cli.system.locks import sole_writer_of_folder
+from l3cli.system.output_guard import OutputGuard, refuse_unwritable
+
+STDOUT = Path("-")
+PICTURE_WRITERS = 2  # threads that compress picture files
+
+
+@dataclass(frozen=True)
+class Destination:
+    """Destination of pictures: "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder", a single "file",
+    or "pages" of one."""
+
+    path: Path
+    kind: str
+    suffix: str  # of the files in a folder
+    bits: int = 8  # of a value
+    shard: tuple[int, int] | None = None  # that is written, number from 1 of how many
+
+    @property
+    def one_by_one(self) -> bool:
+        """Return whether every frame becomes a file."""
+        return self.kind in ("pattern", "folder", "file")
+
+    @property
+    def pictures(self) -> bool:
+        """Return whether every frame becomes a picture by itself, be it a file or a page."""
+        return self.one_by_one or self.kind == "pages"
+
+    @property
+    def linear(self) -> bool:
+        """Return whether linear values are written rather than codes."""
+        return self.one_by_one and holds_linear(self.file(0, "frame"), self.bits)
+
+    @property
+    def raw(self) -> bool:
+        """Return whether files for raw developers are written."""
+        return self.one_by_one and holds_raw(self.file(0, "frame"))
+
+    @property
+    def has_times(self) -> bool:
+        """Return whether every frame has a time of its own."""
+        return self.kind == "video" and self.path.suffix.lower() != Y4M
+
+    def file(self, number: int, stem: str) -> Path:
+        """Return the file of a frame."""
+        if self.kind == "pattern":
+            return numbered_name(self.path, number)
+        return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path
+
+    @property
+    def file_suffix(self) -> str | None:
+        """Return the suffix of every file, where every frame becomes one."""
+        return self.file(0, "frame").suffix if self.one_by_one else None
+
+    @property
+    def checkpoint(self) -> Path:
+        """Return the file of the checkpoint of pictures, beside them."""
+        name = f"{self._of_shard}{UNFINISHED}"
+        return self.path / name if self.kind == "folder" else self.path.with_name(f".{self.path.name}{name}")
+
+    @property
+    def lock(self) -> tuple[Path, str]:
+        """Return the folder, and what tells these pictures from others in it, of the lock that other runs respect: shards of
+        a sequence are written side by side."""
+        folder, name = (self.path, "") if self.kind == "folder" else (self.path.parent, self.path.name)
+        return folder, name + self._of_shard
+
+    @property
+    def _of_shard(self) -> str:
+        return "" if self.shard is None else ".{}-of-{}".format(*self.shard)
+
+
+def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[int, int] | None) -> Destination:
+    """Return the destination that a name asks for, `suffix` being that of files in a folder; RecipeError if nothing of that
+    name can be written."""
+    if choice.bits == FLOAT_BITS and (output == STDOUT or is_video(output)):
+        raise RecipeError("values of 32 bits are for pictures; name a .tif or .exr, or leave ‹bits› out")
+    if output == STDOUT:
+        destination = Destination(output, "stream", suffix, shard=shard)
+        check_video(Path("stdout.y4m"), choice)
+        if sys.stdout.isatty():
+            raise RecipeError("a y4m stream is not for a terminal; pipe it on, or name a file with -o")
+    elif is_video(output):
+        destination = Destination(output, "video", suffix, shard=shard)
+        check_video(output, choice)
+    else:
+        kind = "file" if output.suffix and not output.is_dir() else "folder"
+        destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix, choice.bits, shard)
+        format_of(destination.file(0, "frame"), choice.bits)
+        if choice.codec or choice.crf is not None:
+            raise RecipeError(f"{output}: ‹codec› and ‹crf› are for videos; name a .mp4, .mov or .mkv")
+    return destination
+
+
+def paged(destination: Destination, sequence: FrameSequence) -> Destination:
+    """Return the destination with pages, if it is a single file that can have them and there are several frames."""
+    if destination.kind == "file" and sequence.rendered != 1 and destination.path.suffix.lower() in PAGED:
+        return replace(destination, kind="pages")
+    return destination
+
+
+def guard_outputs(destination: Destination, force: bool, guard: OutputGuard) -> None:
+    """Raise L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single
+    picture is there already; RecipeError if that is read."""
+    if destination.kind in ("video", "file"):
+        guard.guard_file(destination.path, force)
+    elif destination.kind == "stream":
+        refuse_protected(1)
+    else:
+        refuse_unwritable(destination.file(0, "frame"))
+        guard.hold(sole_writer_of_folder(*destination.lock), destination.path)
+
+
+def refuse_outputs(
+    destination: Destination, sequence: FrameSequence, force: bool, is_ours: Callable[[Path], bool] = lambda file: False
+) -> None:
+    """Raise RecipeError if the frames do not fit into the destination or would replace what is read, L3Error if they would
+    replace what is there, unless it `is_ours`."""
+    if destination.kind == "file" and sequence.rendered != 1:
+        count = "a sequence" if sequence.rendered is None else f"{sequence.rendered} frames"
+        raise RecipeError(
+            f"{destination.path} holds one picture, the inputs are {count}; name a folder, a pattern "
+            f"({destination.path.stem}_%04d{destination.path.suffix}), a .tif or a video"
+        )
+    if destination.kind not in ("pattern", "folder"):
+        return
+    if sequence.is_stream:
+        files = _existing(destination, sequence)
+    else:
+        pictures = (reference for place, reference in enumerate(sequence.frames) if sequence.renders(place))
+        files = [destination.file(reference.number, reference.stem) for reference in pictures]
+    if len(set(files)) < len(files):
+        raise RecipeError("two inputs have the same name and would write the same file; render them one by one")
+    for file in files:
+        refuse_protected(file)
+        refuse_existing(file, force or is_ours(file))
+
+
+def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
+    """Return pictures that are there and that frames of a stream, which may be endless, would replace."""
+    if sequence.wanted is None:
+        return _pictures(destination)
+    wanted = sequence.wanted if sequence.part is None else sequence.wanted[sequence.part.start : sequence.part.stop]
+    if destination.kind == "pattern":
+        return [file for number, file in numbered_files(destination.path).items() if number in wanted]
+    numbers = {last_number(file) for file in _pictures(destination)}
+    frames = [sequence.frames.reference(number) for number in numbers if number is not None and number in wanted]
+    return [destination.file(reference.number, reference.stem) for reference in frames]
+
+
+def _pictures(destination: Destination) -> list[Path]:
+    """Return the files that are there in a folder or of a pattern."""
+    if destination.kind == "pattern":
+        return list(numbered_files(destination.path).values())
+    return sorted(destination.path.glob(f"*.{destination.suffix}"))
+
+
+@contextlib.contextmanager
+def sink_of(
+    destination: Destination, sequence: FrameSequence, choice: VideoChoice, pacing: Pacing,
+    made: Callable[[Path, Path, FrameReference], None] | None,
+) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
+    """Open the writer of frames; give it and the number of threads that may call it at a time. `made` is called
+    with each file, the temporary one that is about to get its name, and its frame."""
+
+    def timed(write: Callable[[Any, int], None]) -> Callable[[tuple[FrameReference, Any]], None]:
+        return lambda item: write(item[1], pacing.time(item[0].number))
+
+    if destination.one_by_one:
+
+        def write(item: tuple[FrameReference, Any]) -> None:
+            reference, picture = item
+            file = destination.file(reference.number, reference.stem)
+            content = picture if isinstance(picture, bytes) else picture_file(file, picture)
+            with atomic_output(file) as temporary:
+                temporary.write_bytes(content)
+                if made is not None:
+                    made(file, temporary, reference)
+
+        yield write, PICTURE_WRITERS
+    elif destination.kind == "pages":
+        with new_pages(destination.path, sequence.rendered) as pages:
+            yield timed(lambda picture, _: pages.write(picture)), 1
+    elif not destination.has_times:
+        with new_y4m(None if destination.kind == "stream" else destination.path, choice) as stream:
+            yield timed(lambda picture, _: stream.write(picture.pixels)), 1
+    else:
+        with new_video(destination.path, choice) as video:
+            yield timed(lambda picture, time: video.write(picture.pixels, time)), 1
