@@ -7,10 +7,12 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import full_width
+from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, columns_left_out, load_camera
+from l3cli.artifacts.recipe_source import Meaning, Source
 from l3cli.errors import InputFileError, listed
 from l3cli.simulation.lab import LabRecipe, plan
 from l3cli.simulation.light import make_light, white_rates
-from l3cli.system.text import columns, figure, size_text
+from l3cli.system.text import array_lines, columns, seconds_text, size_text
 
 LIGHTS = ("D65", "A")
 LUMINANCE = 100.0  # cd/m² of the white whose exposure is reported: a room
@@ -55,6 +57,11 @@ def camera_figures(camera: CameraModel) -> dict[str, Any]:
     }
 
 
+def camera_meaning(recipe: CameraRecipe | PhaseRecipe, source: Source) -> Meaning:
+    """Return the camera in figures, and a note on columns of its file of curves."""
+    return camera_figures(load_camera(source.path)) | {"note": columns_left_out(source.path)}, []
+
+
 def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:
     """Return the figures of a camera as lines, tables no wider than `width` characters."""
     lights = list(camera["exposure_s"])
@@ -84,27 +91,16 @@ def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:
     ]
 
 
-def array_lines(rows: list[list[str]]) -> list[str]:
-    """Return the rows of a colour filter array in columns."""
-    wide = max(len(name) for row in rows for name in row)
-    return [" ".join(name.ljust(wide) for name in row).rstrip() for row in rows]
-
-
-def seconds_text(value: float) -> str:
-    """Return an exposure in s or ms."""
-    return f"{figure(value, '.4g')} s" if value >= 1 else f"{value * 1e3:.3g} ms"
-
-
-def lab_figures(recipe: LabRecipe, camera: CameraModel) -> dict[str, Any]:
-    """Return captures and frames of each kind, ready for JSON."""
+def lab_meaning(recipe: LabRecipe, source: Source) -> Meaning:
+    """Return captures and frames of each kind for the camera, if one is given."""
+    camera = source.camera
+    if camera is None:
+        return {}, []
     captures = plan(camera, recipe, 0)
     frames = sum(capture.trials for capture in captures)
-    return {
-        "camera": camera.name,
-        "captures": dict(Counter(capture.kind for capture in captures)),
-        "frames": frames,
-        "bytes": frames * camera.rows * camera.cols * 2,
-    }
+    kinds = dict(Counter(capture.kind for capture in captures))
+    size = frames * camera.rows * camera.cols * 2
+    return {"camera": camera.name, "captures": kinds, "frames": frames, "bytes": size}, []
 
 
 def lab_lines(lab: dict[str, Any], width: int | None) -> list[str]:

@@ -12,41 +12,31 @@ from typing import Any, NamedTuple
 import msgspec
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, load_camera
+from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_recipe_faults, load_camera
+from l3cli.artifacts.recipe_source import Meaning, Source, key_in
 from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.design.recipe import DesignRecipe
 from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
+from l3cli.io.measurement_check import measurement_faults, measurement_lines, measurement_meaning
 from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
 from l3cli.recipes.builtin import known_benchmarks, known_recipes
 from l3cli.recipes.faults import LISTED, Fault, about_others, typed
 from l3cli.recipes.schema import output_schema, schema_of
 from l3cli.recipes.toml import KIND_KEYS, KeyPath, Recipe, key_lines, line_of, parse_toml, read_text
-from l3cli.simulation.lab import LabRecipe
+from l3cli.simulation.lab import LabRecipe, lab_recipe_faults
 from l3cli.simulation.recipe import SceneRecipe
-from l3cli.simulation.summary import camera_lines, lab_lines, scene_lines
+from l3cli.simulation.summary import camera_lines, camera_meaning, lab_lines, lab_meaning, scene_lines
 from l3cli.stages.recipes import (
-    Meaning,
-    Source,
-    camera_meaning,
-    camera_recipe_faults,
-    class_meaning,
-    class_recipe_faults,
     design_lines,
     design_meaning,
     design_recipe_faults,
     files_named,
-    key_in,
-    lab_meaning,
-    lab_recipe_faults,
-    measurement_faults,
-    measurement_lines,
-    measurement_meaning,
     scene_meaning,
     scene_recipe_faults,
 )
 from l3cli.system.ledger import note_inputs
-from l3cli.training.recipe import TrainingRecipe
-from l3cli.training.summary import class_lines
+from l3cli.training.recipe import TrainingRecipe, class_recipe_faults
+from l3cli.training.summary import class_lines, class_meaning
 
 
 class Kind(NamedTuple):

@@ -61,6 +61,17 @@ def size_text(count: int) -> str:
     return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
 
 
+def seconds_text(value: float) -> str:
+    """Return an exposure in s or ms."""
+    return f"{figure(value, '.4g')} s" if value >= 1 else f"{value * 1e3:.3g} ms"
+
+
+def array_lines(rows: list[list[str]]) -> list[str]:
+    """Return the rows of a colour filter array in columns."""
+    wide = max(len(name) for row in rows for name in row)
+    return [" ".join(name.ljust(wide) for name in row).rstrip() for row in rows]
+
+
 def unit(text: str) -> str:
     """Return a unit as ASCII artifacts write it, as print does."""
     return text.replace("e-", "e⁻").replace("m^2", "m²").replace("^2", "²")

@@ -9,8 +9,11 @@ import msgspec
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel, NoiseScale
+from l3cli.artifacts.class_rule import MAX_PATCH
 from l3cli.artifacts.plane_rules import MOST_LEAVES
+from l3cli.artifacts.recipe_source import Source
 from l3cli.artifacts.table import WINDOWS
+from l3cli.classes import contrast, level
 from l3cli.classes.rule import ClassRecipe
 from l3cli.errors import RecipeError
 from l3cli.recipes.faults import Fault, fault
@@ -237,3 +240,14 @@ def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
             yield fault(message, f"{key}.strengths")
         elif recipe.strengths[-1] > MOST_STRENGTH:
             yield fault(f"{name}.strengths exceed {MOST_STRENGTH:g}", f"{key}.strengths")
+
+
+def class_recipe_faults(recipe: TrainingRecipe, source: Source) -> Iterator[Fault]:
+    """Yield all that is wrong with a recipe, for its camera if one is given."""
+    yield from learning_faults(recipe.learning)
+    yield from layer_faults(recipe.layer)
+    classes = recipe.classes
+    if classes.patch % 2 == 0 or not 1 <= classes.patch <= MAX_PATCH:
+        yield fault(f"classes.patch is {classes.patch}, not an odd number up to {MAX_PATCH}", "classes.patch")
+    yield from source.attempt(None, contrast.check_edges, classes)
+    yield from source.attempt(None, level.edge_shares, classes)

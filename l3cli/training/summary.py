@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
+from l3cli.artifacts.recipe_source import Meaning, Source
 from l3cli.artifacts.table import RATIO_TAPS, PlaneLayer, PlaneRule, SceneLight, TransformTable
 from l3cli.classes import level
 from l3cli.classes.features import further_features
@@ -205,6 +206,11 @@ def _kinds(layer: dict[str, Any]) -> str:
         f"{layer['levels']} levels; {layer['structures']} structures: flat, {layer['strengths']} strengths × (none + "
         f"{layer['directions']} directions)"
     )
+
+
+def class_meaning(recipe: TrainingRecipe, source: Source) -> Meaning:
+    """Return the classes of each layer, and the bytes of the table for a camera."""
+    return class_figures(recipe, source.camera), []
 
 
 def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[str, Any]:
