@@ -22,6 +22,12 @@ MAX_CFA = 8
 MAX_BITS = 16
 ROUNDING = 1e-6  # of a quantum efficiency of 1
 MOST_WAVELENGTHS, LONGEST = 10_000, 20_000  # samples of a spectrum; nm
+QUANTISATION = 1 / 12  # DN², variance of rounding to whole DN
+
+
+def sensitivity_threshold(read_noise: Any, gain: Any) -> Any:
+    """Return EMVA 1288's absolute sensitivity threshold (e-), the signal whose signal-to-noise ratio is 1."""
+    return np.sqrt(read_noise**2 + QUANTISATION / gain**2) + 0.5
 
 
 @dataclass(frozen=True)
@@ -400,6 +406,6 @@ class CameraModel(Artifact):
             gain = self.gain * self.readout.channel_gain[channel]
             read_noise = self.readout.channel_read_noise[channel]
             channel_dark = dark * (self.readout.channel_exposure * self.readout.channel_gain)[channel]
-        constant = gain**2 * (left * read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
+        constant = gain**2 * (left * read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + QUANTISATION
         constant += (left * gain + prnu * channel_dark) * channel_dark
         return stretch**2 * constant, stretch * (left * gain + 2 * prnu * channel_dark), prnu

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import CameraModel, sensitivity_threshold
 from l3cli.artifacts.camera_curves import full_width
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, PhotoFit, SeriesFit
 from l3cli.calibration import gain
@@ -104,7 +104,7 @@ def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
 
 def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
     """Return EMVA 1288's figures; dynamic range is of electrons, from saturation to a signal-to-noise ratio of 1."""
-    least = np.sqrt(noise.read_noise**2 + 1.0 / 12.0 / noise.conversion_gain**2) + 0.5
+    least = sensitivity_threshold(noise.read_noise, noise.conversion_gain)
     return {
         "K (DN/e-)": noise.conversion_gain,
         "dark noise (e-)": noise.read_noise,
@@ -134,7 +134,7 @@ def _gains(camera: CameraModel) -> dict[str, dict[str, float]]:
     rows = {}
     for times in sorted([1.0, *camera.gains.analog_gain]) if camera.gains else []:
         there = camera.at_gain(float(times))
-        capacity, least = there.full_scale, np.sqrt(there.noise.read_noise**2 + 1.0 / 12.0 / there.gain**2) + 0.5
+        capacity, least = there.full_scale, sensitivity_threshold(there.noise.read_noise, there.gain)
         rows[f"gain {times:.3g}"] = {
             "K (DN/e-)": there.gain,
             "dark noise (e-)": there.noise.read_noise,

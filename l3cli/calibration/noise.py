@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import QUANTISATION
 from l3cli.calibration import agreement
 from l3cli.calibration.statistics import (
     LEAST_LOSS,
@@ -31,7 +32,6 @@ from l3cli.calibration.statistics import (
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
-QUANTISATION = 1.0 / 12.0  # DN², variance of rounding
 SATURATED = 0.985  # share of the span from black to white level that counts as saturated
 TOLERATED = 1e-4  # share of saturated pixels that leaves a variance unharmed
 LINEAR = (0.05, 0.95)  # share of saturation over which EMVA 1288 judges linearity

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.artifacts.design import SHARP, SOFT, WEIGHTINGS, LightMoments
 from l3cli.design.moments import SIDE
 
@@ -34,7 +34,7 @@ class Noise:
 def noise_of(camera: CameraModel) -> Noise:
     """Return the noise of a camera's pixel; its channels are taken to be read alike."""
     noise = camera.noise
-    floor = noise.read_noise**2 + noise.dsnu**2 + noise.column_noise**2 + 1 / 12 / camera.gain**2
+    floor = noise.read_noise**2 + noise.dsnu**2 + noise.column_noise**2 + QUANTISATION / camera.gain**2
     return Noise(floor, noise.dark_current, camera.full_scale, noise.prnu)
 
 

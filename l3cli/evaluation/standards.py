@@ -61,14 +61,14 @@ class GreyNoise:
         signal = np.asarray(lux)[:, None] * self.per_lux
         return np.asarray(signal / np.sqrt(self.constant + (self.linear + self.quadratic * signal) * signal))
 
-    def lux(self, snr: float = SNR) -> list[float | None]:
-        """Return lux (channel) at which a channel reaches a signal-to-noise ratio s, the root of S² = s² (c + l S + q S²);
-        None if its pixels differ too much, or are full before."""
+    def lux(self) -> list[float | None]:
+        """Return lux (channel) at which a channel reaches a signal-to-noise ratio s of SNR, the root of
+        S² = s² (c + l S + q S²); None if its pixels differ too much, or are full before."""
         found: list[float | None] = []
         for per_lux, constant, linear in zip(self.per_lux, self.constant, self.linear, strict=True):
-            rest = 1.0 - snr**2 * self.quadratic
-            half = snr**2 * linear / 2
-            signal = (half + math.sqrt(half**2 + snr**2 * constant * rest)) / rest if rest > 0 else math.inf
+            rest = 1.0 - SNR**2 * self.quadratic
+            half = SNR**2 * linear / 2
+            signal = (half + math.sqrt(half**2 + SNR**2 * constant * rest)) / rest if rest > 0 else math.inf
             found.append(float(signal / per_lux) if signal < self.top and per_lux > 0 else None)
         return found
 
@@ -78,14 +78,14 @@ def measured_snr(plane: Array) -> float:
     return max(float(plane.mean() / max(plane.std(), 1e-30)), 0.0)
 
 
-def crossing(lux: Array, snr: Array, wanted: float = SNR) -> float | None:
-    """Return the lux from which on a measured ratio stays at `wanted` or above, linear between logarithms; None if that is
-    not among them."""
-    below = np.flatnonzero(snr < wanted)
+def crossing(lux: Array, snr: Array) -> float | None:
+    """Return the lux from which on a measured ratio stays at SNR or above, linear between logarithms; None if that is not
+    among them."""
+    below = np.flatnonzero(snr < SNR)
     if not below.size or below[-1] == len(lux) - 1 or not snr[below[-1]] > 0:
         return None
     at = np.s_[below[-1] : below[-1] + 2]
-    return float(np.exp(np.interp(np.log(wanted), np.log(snr[at]), np.log(lux[at]))))
+    return float(np.exp(np.interp(np.log(SNR), np.log(snr[at]), np.log(lux[at]))))
 
 
 def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> Sharpness:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.artifacts.fit import NoiseFit
 from l3cli.report import colours
 from l3cli.report.drawing import GLYPH, Plot, box, escape, sheet, spanning
@@ -182,7 +182,7 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     keys = colours.channel_keys(camera)
     for channel, key in enumerate(keys):
         gain = float(noise.conversion_gain[channel])
-        dark = (gain * float(noise.read_noise[channel])) ** 2 + 1 / 12
+        dark = (gain * float(noise.read_noise[channel])) ** 2 + QUANTISATION
         end = float(mean[int(variance[:, channel].argmax()), channel])  # beyond it the channel saturates
         plot.line(np.array([0.0, end]), np.array([dark, dark + gain * end]), key.colour, key.mark, 1.2)
         plot.dots(mean[:, channel], variance[:, channel], key.colour, colours.MARKS[key.mark], series=key.label)

@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import QUANTISATION, CameraModel, sensitivity_threshold
 from l3cli.artifacts.fit import NoiseFit
 from l3cli.report import colours
 from l3cli.report.camera import responsivity_figures, transfer_figure
@@ -14,7 +14,6 @@ from l3cli.system.text import tidy
 
 Array = NDArray[np.floating]
 LINEAR = (0.05, 0.95)  # share of saturation over which linearity is judged
-QUANTISATION = 1 / 12  # DN², variance of rounding
 SHOT_MOST = 1e-3  # of saturation, from which the curve of signal over noise is drawn
 
 
@@ -57,14 +56,10 @@ def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
     return Table("Operation point", ("quantity", "value"), rows)
 
 
-def threshold(noise: NoiseFit) -> Array:
-    """Return the absolute sensitivity threshold (channel) in electrons."""
-    return np.asarray(np.sqrt(noise.read_noise**2 + QUANTISATION / noise.conversion_gain**2) + 0.5)
-
-
 def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
     """Return the figures of each channel, as lines of the standard's table."""
-    gain, capacity, least = noise.conversion_gain, noise.saturation_capacity, threshold(noise)
+    gain, capacity = noise.conversion_gain, noise.saturation_capacity
+    least = sensitivity_threshold(noise.read_noise, gain)
     peak = camera.responsivity.argmax(axis=1)
     efficiency = camera.responsivity.max(axis=1)
     lines: list[tuple[str, Array]] = [("peak wavelength (nm)", camera.wavelength[peak])]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingPair, TrainingSet
 from l3cli.classes.windows import Neighbourhoods
 from l3cli.errors import InputFileError
@@ -17,7 +17,6 @@ from l3cli.training.recipe import LearningRecipe
 from l3cli.training.symmetry import orientations, site_maps
 
 Floats = NDArray[np.float32]
-QUANTISATION = 1 / 12  # DN², of rounding to whole DN
 Y = 1  # its place among the outputs X, Y, Z
 
 

@@ -12,10 +12,9 @@ from l3cli.classes.coarse_chroma import BLOCK, SPACINGS, scales_of
 from l3cli.classes.planes import LUMINANCE
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.opencl.devices import pyopencl
-from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, FAR, clipping_macros, joined_files
+from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, FAR, clipping_macros, paired_source
 from l3cli.rendering.opencl.work import Band, Track, scratch
 
-FOLDERS = {"processor": "cpu", "graphics": "gpu"}
 BEYOND = 16  # behind the last of a row, which vectors may read
 
 
@@ -36,7 +35,7 @@ class DeviceCoarseChroma:
         """Enqueue what makes coarse chroma of the planes that a band's last layer reads: the events, and the buffers of
         blocks before and after, which the layer reads beside. `share`: of the camera's noise."""
         if not self._kernels:
-            source = joined_files(*_files("coarse_chroma.cl", self._variant))
+            source = paired_source(self._variant, "coarse_chroma.cl")
             macros = {**COARSE_MACROS, "LUMINANCE": LUMINANCE}
             self._kernels = [self._make(source, macros, name) for name in ("average", "soften")]
         if share not in self._scales:
@@ -83,7 +82,7 @@ class DeviceClipping:
         clipping = table.later[-1].clipping
         assert clipping is not None
         if not self._kernels:
-            source = joined_files("common/vectors.cl", "common/quads.cl", *_files("clipping.cl", self._variant)[1:])
+            source = paired_source(self._variant, "clipping.cl", "common/quads.cl")
             names = ("measure_blocks", "map_blocks", "read_maps")
             self._kernels = [self._make(source, clipping_macros(table), name) for name in names]
             response = np.append(clipping.response, clipping.white)
@@ -105,10 +104,6 @@ class DeviceClipping:
         where = band.reads[len(band.later) - 1].start, *blocks, *shape
         events.append(self._run(read, track, quads, track.maps, track.quads, *map(np.int32, where)))
         return events, track.quads
-
-
-def _files(name: str, variant: str) -> tuple[str, str, str]:
-    return "common/vectors.cl", f"common/{name}", f"{FOLDERS[variant]}/{name}"
 
 
 def _blocks(shape: tuple[int, int]) -> tuple[int, int]:

@@ -34,6 +34,7 @@ from l3cli.rendering.display import Display
 PLANES = 3  # that a layer after the first reads
 PERIODS = 31  # columns by which a row of the CFA is repeated, so that two vectors of 16 can be read from any phase on
 SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # of floats that are arranged so; at most so many taps (folding.cl)
+FOLDERS = {"processor": "cpu", "graphics": "gpu"}  # of opencl/, by variant
 SHARED = ("common/rule.cl", "common/encoding.cl")
 TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu/side_by_side.cl", "cpu/transform.cl")
 
@@ -123,6 +124,11 @@ def joined_files(*names: str) -> str:
     """Return the files of opencl/, joined."""
     folder = source_folder()
     return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
+
+
+def paired_source(variant: str, name: str, *shared: str) -> str:
+    """Return the .cl files of a kernel of which a part is common and a part the variant's own, joined behind `shared`."""
+    return joined_files("common/vectors.cl", *shared, f"common/{name}", f"{FOLDERS[variant]}/{name}")
 
 
 def table_macros(table: TransformTable, sets: int = 1) -> Macros:

@@ -22,7 +22,7 @@ from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl import layout
 from l3cli.rendering.opencl.coarse_chroma import DeviceClipping, DeviceCoarseChroma
 from l3cli.rendering.opencl.devices import pyopencl, refusals
-from l3cli.rendering.opencl.layout import Macros, joined_files
+from l3cli.rendering.opencl.layout import Macros, joined_files, paired_source
 from l3cli.rendering.opencl.programs import Programs, chosen, compiler_of
 from l3cli.rendering.opencl.work import (
     COARSE_CHROMA,
@@ -92,9 +92,6 @@ class DeviceShading:
         return self._buffers[key]
 
 
-FILES = {"processor": "cpu/spectra.cl", "graphics": "gpu/spectra.cl"}
-
-
 class DeviceSpectra:
     """The kernel of a table that smooths spectra, made when the first frame comes."""
 
@@ -123,7 +120,7 @@ class DeviceSpectra:
                 "RADIUS": self._smoothing.radius,
                 "DARKEST": f"{SPECTRA_DARKEST!r}f",
             }
-            source = joined_files("common/vectors.cl", "common/spectra.cl", FILES[self._variant])
+            source = paired_source(self._variant, "spectra.cl")
             self._kernel = self._make(source, macros, "smooth_spectra")
         made, first = band.made, band.rows.start
         where = map(np.int32, (made.stop - made.start, made.start, first, frame_rows))
