@@ -147,5 +147,6 @@ def _pictures(design: Design, truth: Truth, level: int, jpeg: Jpeg) -> Gallery:
         large = crop.repeat(ENLARGED, axis=0).repeat(ENLARGED, axis=1)
         coded = base64.b64encode(jpeg(np.ascontiguousarray(large), 90)).decode()
         caption = f"{design.levels[level]}: {name}"
-        pictures.append(Picture("data:image/jpeg;base64," + coded, *large.shape[:2], caption, f"{caption}, at {ENLARGED}×"))
+        rows, cols = large.shape[:2]
+        pictures.append(Picture("data:image/jpeg;base64," + coded, rows, cols, caption, f"{caption}, at {ENLARGED}×"))
     return Gallery(tuple(pictures))
