@@ -52,7 +52,7 @@ def gather(folder: Path) -> None:
 def _left_out(folder: str, names: list[str]) -> set[str]:
     """What no page is made of, sites that were built inside docs/ among it."""
     built = {name for name in names if Path(folder, name, BUILT).is_dir()}
-    return built | shutil.ignore_patterns("site", "Dockerfile*", "meta.yaml", "__pycache__")(folder, names)
+    return built | shutil.ignore_patterns("site", "Dockerfile*", "meta.yaml", "paper.*", "__pycache__")(folder, names)
 
 
 def relinked(text: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from l3cli.api.stages import Name
 from l3cli.artifacts import store
@@ -53,7 +53,7 @@ def read_raw(
 
 
 def raw_frame(
-    values: NDArray[np.integer], sensor: TransformTable | CameraModel, *, pattern: str | NDArray[np.str_] | None = None,
+    values: NDArray[np.integer], sensor: TransformTable | CameraModel, *, pattern: ArrayLike | None = None,
     black_level: float | None = None, white_level: float | None = None, phase: tuple[int, int] | None = None,
     neutral: Mapping[str, float] | None = None, exposure: float | None = None, gain: float | None = None,
     camera: CameraModel | None = None,
@@ -74,7 +74,7 @@ def raw_frame(
     return _of_array(values, sensor, known, content)
 
 
-def _codes(pattern: str | NDArray[np.str_]) -> NDArray[np.int64]:
+def _codes(pattern: ArrayLike) -> NDArray[np.int64]:
     """Return the codes (row, col) of letters; RecipeError if they are none, or no square."""
     letters = np.array(list(pattern) if isinstance(pattern, str) else pattern)
     side = math.isqrt(letters.size)

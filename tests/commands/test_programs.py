@@ -135,7 +135,7 @@ def test_messages_of_ros(there: Path, encoding: str, big: int) -> None:
     debayer = names_of("ROS")["Debayer"]
     with rawpy.imread("frame.dng") as raw:
         values = raw.raw_image_visible[:, "grbg" in encoding :].copy()
-    levels = {"black_level": 66, "white_level": 3800}
+    levels: dict[str, Any] = {"black_level": 66, "white_level": 3800}
     if encoding.endswith("8"):
         values, levels = (values >> 4).astype(np.uint8), {"black_level": 4.125, "white_level": 237.5}
     sent = values.astype((">" if big else "<") + values.dtype.str[1:])

@@ -39,6 +39,21 @@ def test_the_container_copies_what_a_wheel_is_built_from_and_drops_rights() -> N
     assert lines.index("USER l3") < lines.index('ENTRYPOINT ["l3"]')
 
 
+def test_the_paper_is_short_cites_what_it_lists_and_has_the_figures_of_the_comparison() -> None:
+    _, head, text = (ROOT / "docs/paper.md").read_text(encoding="utf-8").split("---\n", 2)
+    about, listed = yaml.safe_load(head), (ROOT / "docs/paper.bib").read_text(encoding="utf-8")
+    assert about["bibliography"] == "paper.bib"
+    assert about["title"] == yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["title"]
+    assert 250 <= len(text.split()) <= 1000
+    assert set(re.findall(r"@(\w+\d{4})", text)) == set(re.findall(r"^@\w+{(\w+),", listed, re.MULTILINE))
+    table = [line for line in text.splitlines() if re.match(r"\| (Bayer|X-Trans|sixteen)", line)]
+    figures = {number for line in table for number in re.findall(r"(?<= )\d+\.\d+|(?<= )\d+(?= \|)", line)}
+    compared = re.findall(r"[\d.]+", (ROOT / "docs/peers.md").read_text(encoding="utf-8"))
+    assert len(table) == 5
+    assert len(figures) > 15
+    assert figures <= set(compared)
+
+
 def test_the_citation_is_of_this_version() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert (citation["version"], citation["license"]) == (__version__, PROJECT["project"]["license"])
