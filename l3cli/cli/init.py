@@ -42,6 +42,7 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
     from l3cli.recipes.builtin import cameras_by_name, starters, summary
     from l3cli.stages.starting import start, start_designed, start_from, start_named
 
+    of_photos = [name for name in ("light", "phase", "black_level") if getattr(options, name) is not None]
     if options.photos:  # the shell may have made several files of a pattern
         named = [Path(each) for each in (recipe, folder, *more) if each is not None]
         if not named:
@@ -49,13 +50,14 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
         if any(each.suffix == ".h5" for each in options.photos):
             if len(options.photos) + len(named) != 2:
                 raise click.UsageError("a design gives one folder; give one file with --from")
+            if of_photos:
+                raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is that of photos; a design has none")
             start_designed(options.photos[0], named[0], options)
             return Result({"folders": [str(named[0])]})
         made = start_from([*options.photos, *named[:-1]], named[-1], options)
         return Result({"folders": [str(each) for each in made]})
-    for each in ("light", "phase", "black_level"):
-        if getattr(options, each) is not None:
-            raise click.UsageError(f"--{each.replace('_', '-')} is that of photos; give them with --from")
+    if of_photos:
+        raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is that of photos; give them with --from")
     if more:
         raise click.UsageError(f'one recipe and one folder are wanted, not "{more[0]}"; give raw files with --from')
     if options.named:
