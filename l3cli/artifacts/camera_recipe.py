@@ -22,7 +22,7 @@ from l3cli.artifacts.camera import (
     check_sensor,
 )
 from l3cli.artifacts.camera_curves import ResponsivityRecipe, curve_faults, curve_table, differences, responsivity
-from l3cli.artifacts.recipe_source import Source
+from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.artifacts.store import load
 from l3cli.errors import RecipeError, suggestion
 from l3cli.recipes.faults import Fault, fault, refuse_first
@@ -423,7 +423,7 @@ def recipe_text(path: Path) -> str:
     return "\n".join(read_text(file) for file in dict.fromkeys([path, read_recipe(path)[1]]))
 
 
-def camera_recipe_faults(recipe: CameraRecipe | PhaseRecipe, source: Source) -> Iterator[Fault]:
+def camera_recipe_faults(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Iterator[Fault]:
     """Yield all that is wrong with the numbers of a recipe, or with its file of curves."""
     if source.path.suffix != ".toml":
         yield fault("commands know a camera recipe by its suffix; call the file NAME.toml", "name")

@@ -17,7 +17,7 @@ Meaning = tuple[dict[str, Any], list[Fault]]  # of a recipe, ready for JSON, and
 
 
 @dataclass(frozen=True)
-class Source:
+class RecipeSource:
     """A recipe that is checked, and what it is checked with."""
 
     path: Path

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from l3cli.artifacts.camera_recipe import load_camera
-from l3cli.artifacts.recipe_source import Meaning, Source
+from l3cli.artifacts.recipe_source import Meaning, RecipeSource
 from l3cli.io.curves import prior_files
 from l3cli.io.measurement_recipe import (
     CaptureRecipe,
@@ -26,7 +26,7 @@ from l3cli.spectra.file import read_table
 from l3cli.system.text import array_lines, counted, seconds_text
 
 
-def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> Iterator[Fault]:
+def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Iterator[Fault]:
     """Yield the faults of the keys and of every file that is named; the rest `meaning` finds one by one."""
     yield from key_faults(recipe)
     for section, number, capture in captures_of(recipe):
@@ -42,7 +42,7 @@ def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Sou
         yield from _photo_faults(photo, ("photo", number) if isinstance(recipe.photo, list) else ("photo",), source)
 
 
-def _photo_faults(photo: PhotoRecipe, key: KeyPath, source: Source) -> Iterator[Fault]:
+def _photo_faults(photo: PhotoRecipe, key: KeyPath, source: RecipeSource) -> Iterator[Fault]:
     """Yield the faults of the files, the light and the chart of a photo."""
     for field in ("frames", "dark", "white"):
         yield from _missing(getattr(photo, field), (*key, field), source)
@@ -57,7 +57,7 @@ def _named_chart(name: str) -> None:
     charts.chart(name, spectra.VISIBLE)
 
 
-def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: Source) -> Iterator[Fault]:
+def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: RecipeSource) -> Iterator[Fault]:
     """Yield the faults of the frames and the spectra of a capture."""
     yield from _missing(capture.frames, (*key, "frames"), source)
     if isinstance(capture, MonoRecipe):
@@ -66,19 +66,19 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: Source) -> Ite
         yield from source.attempt((*key, "radiance"), chart_radiance, source.file(capture.radiance), capture, key[0])
 
 
-def _light(step: MonoRecipe, source: Source) -> None:
+def _light(step: MonoRecipe, source: RecipeSource) -> None:
     """Raise InputFileError or RecipeError unless a table holds the light of a step."""
     step_radiance(read_table(source.file(step.spectrum)), step, source.path)
 
 
-def _missing(names: Sequence[str], key: KeyPath, source: Source) -> Iterator[Fault]:
+def _missing(names: Sequence[str], key: KeyPath, source: RecipeSource) -> Iterator[Fault]:
     """Yield the faults of frames that do not exist."""
     for number, name in enumerate(names):
         if not os.path.isfile(source.file(name)):
             yield fault(f"{source.file(name)} does not exist; it is named as a frame", (*key, number))
 
 
-def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> Meaning:
+def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Meaning:
     """Return the sections with their captures, frames and exposures."""
     body = load_measurements(source.path).body
     sections = _captures(recipe)

@@ -359,6 +359,35 @@ def picture_files(path: Path) -> list[Path]:
     return files
 
 
+def require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None:
+    """Raise InputFileError if a sequence holds one picture, or differs in size or number from an ideal one."""
+    if ours.count == 1:
+        raise InputFileError(f"{ours.name} holds one picture; a sequence has two or more")
+    if wanted is None:
+        return
+    if ours.shape != wanted.shape:
+        sizes = " and ".join(f"{rows}×{cols}" for rows, cols in (ours.shape, wanted.shape))
+        raise InputFileError(f"{ours.name} and {wanted.name} are of {sizes} pixels; give pictures of the same frames")
+    if ours.count is not None and wanted.count is not None and ours.count != wanted.count:
+        counts = f"{ours.count} and {wanted.count} pictures"
+        raise InputFileError(f"{ours.name} and {wanted.name} hold {counts}; give pictures of the same frames")
+
+
+def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tuple[Linear, Linear | None, Linear | None]]:
+    """Yield rendered picture, ideal one and known motion of each frame; InputFileError if one sequence ends before the
+    other."""
+    ideals: Iterator[Linear | None] = wanted.pictures() if wanted else itertools.repeat(None)
+    motions = iter(wanted.motion) if wanted else iter(())
+    for number, picture in enumerate(ours.pictures()):
+        ideal = next(ideals, None)
+        if wanted is not None and ideal is None:
+            raise InputFileError(f"{wanted.name} ends after {number} pictures, {ours.name} goes on; give the same frames")
+        motion = next(motions, None)
+        yield picture, ideal, None if motion is None else read_motion(motion, ours.shape)
+    if wanted is not None and next(ideals, None) is not None:
+        raise InputFileError(f"{ours.name} ends before {wanted.name}; give pictures of the same frames")
+
+
 def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
     """Return the motion of a frame since the one before (3, row, col): pixels down, right, and 1 where the same was seen."""
     planes, names = read_image(path)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, CameraModel
-from l3cli.artifacts.recipe_source import Source
+from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES
 from l3cli.physics import spectra
 from l3cli.physics.lens import relative_illumination
@@ -327,7 +327,7 @@ def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
     return falloff(2.0 * y / (camera.rows - 1) - 1.0, 2.0 * x / (camera.cols - 1) - 1.0, missing)
 
 
-def lab_recipe_faults(recipe: LabRecipe, source: Source) -> Iterator[Fault]:
+def lab_recipe_faults(recipe: LabRecipe, source: RecipeSource) -> Iterator[Fault]:
     """Yield all that is wrong with a recipe, for its camera if one is given."""
     yield from lab_faults(recipe, source.camera)
     yield from source.attempt(("white", "illuminant"), spectra.require_illuminant, recipe.white.illuminant)

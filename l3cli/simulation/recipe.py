@@ -10,14 +10,14 @@ import msgspec
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel, Optics
+from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault, inside
-from l3cli.recipes.toml import Recipe
-from l3cli.simulation.light import CAMERA, MEASURED, OUTPUTS, SCENE_LIGHT, Curve, mixture
+from l3cli.recipes.toml import KeyPath, Recipe
+from l3cli.simulation.light import CAMERA, MEASURED, OUTPUTS, SCENE_LIGHT, Curve, mixture, read_curve
 from l3cli.simulation.sensor import noise_plugin, with_analog_gain
 from l3cli.simulation.sources import (
-    FileSource,
     IsetScenes,
     Source,
     Spectral,
@@ -232,6 +232,34 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[Wanted
             yield scene, [Shot(next(index), *setting) for setting in settings]
 
 
-def patterns(recipe: SceneRecipe) -> list[str | None]:
-    """Return the file or glob of each source; None for built-in scenes."""
-    return [source.file if isinstance(source, FileSource) else None for source in recipe.scene]
+def curve_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
+    """Yield the faults of the lights that a recipe names, and of its files of curves."""
+    lens, target = recipe.lens, recipe.target
+    for text, key in _lights(recipe):
+        yield from _light_faults(text, key, source)
+    if isinstance(lens.transmittance, str):
+        yield from source.attempt(("lens", "transmittance"), read_curve, source.file(lens.transmittance), "transmittance")
+    if target.outputs.endswith(MEASURED):
+        yield from source.attempt(("target", "outputs"), read_curve, source.file(target.outputs), "functions")
+
+
+def _lights(recipe: SceneRecipe) -> Iterator[tuple[str, KeyPath]]:
+    """Yield the lights that a recipe names, and where."""
+    yield from ((text, ("illuminants", number)) for number, text in enumerate(recipe.illuminants))
+    if recipe.target.illuminant is not None:
+        yield recipe.target.illuminant, ("target", "illuminant")
+    for number, scene in enumerate(recipe.scene):
+        if text := getattr(scene, "light", None):
+            yield text, ("scene", number, "light")
+
+
+def _light_faults(text: str, key: KeyPath, source: RecipeSource) -> Iterator[Fault]:
+    if text == SCENE_LIGHT:
+        return
+    wrong = list(source.attempt(key, mixture, text))
+    yield from wrong
+    for _, name in [] if wrong else mixture(text):
+        if name.endswith(MEASURED):
+            yield from source.attempt(key, read_curve, source.file(name), "light")
+        else:
+            yield from source.attempt(key, spectra.require_illuminant, name)

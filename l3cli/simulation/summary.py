@@ -8,7 +8,7 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import full_width
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, columns_left_out, load_camera
-from l3cli.artifacts.recipe_source import Meaning, Source
+from l3cli.artifacts.recipe_source import Meaning, RecipeSource
 from l3cli.errors import InputFileError, listed
 from l3cli.simulation.lab import LabRecipe, plan
 from l3cli.simulation.light import make_light, white_rates
@@ -57,7 +57,7 @@ def camera_figures(camera: CameraModel) -> dict[str, Any]:
     }
 
 
-def camera_meaning(recipe: CameraRecipe | PhaseRecipe, source: Source) -> Meaning:
+def camera_meaning(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Meaning:
     """Return the camera in figures, and a note on columns of its file of curves."""
     return camera_figures(load_camera(source.path)) | {"note": columns_left_out(source.path)}, []
 
@@ -91,7 +91,7 @@ def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:
     ]
 
 
-def lab_meaning(recipe: LabRecipe, source: Source) -> Meaning:
+def lab_meaning(recipe: LabRecipe, source: RecipeSource) -> Meaning:
     """Return captures and frames of each kind for the camera, if one is given."""
     camera = source.camera
     if camera is None:

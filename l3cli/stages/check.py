@@ -13,7 +13,7 @@ import msgspec
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_recipe_faults, load_camera
-from l3cli.artifacts.recipe_source import Meaning, Source, key_in
+from l3cli.artifacts.recipe_source import Meaning, RecipeSource, key_in
 from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.design.recipe import DesignRecipe
 from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
@@ -113,8 +113,8 @@ def schema(kind: str) -> dict[str, Any]:
 class Judge(NamedTuple):
     """Judgement of the recipes of a kind."""
 
-    faults: Callable[[Any, Source], Iterator[Fault]]
-    meaning: Callable[[Any, Source], Meaning]
+    faults: Callable[[Any, RecipeSource], Iterator[Fault]]
+    meaning: Callable[[Any, RecipeSource], Meaning]
     lines: Callable[[dict[str, Any], int | None], list[str]]  # the meaning as text, at most so many characters wide
 
 
@@ -219,13 +219,13 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
         kinds = ", ".join(each.title for each in KINDS.values())
         message = f"its keys do not show its kind; it may be {kinds}: add what only one of them has, such as responsivity"
         return Judgement(path, None, (Finding(1, "", message),))
-    meaning, faults = _judged(kind, Source(path, content, camera))
+    meaning, faults = _judged(kind, RecipeSource(path, content, camera))
     findings = _findings([each for each in faults if each.message][:LISTED], text)
     more = len(faults) - len(findings)
     return Judgement(path, kind.name, findings, more, {} if faults else meaning, files_named(path, content))
 
 
-def _judged(kind: Kind, source: Source) -> tuple[dict[str, Any], list[Fault]]:
+def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Fault]]:
     """Return the meaning of a recipe, and its faults: by types, then by its keys, then by their consequences."""
     recipe, faults = typed(dict(source.content), kind.structure(source.content))
     if recipe is not None:

@@ -3,7 +3,7 @@ sequence, beside the ideal one or without it → figures over time."""
 
 import contextlib
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from l3cli.evaluation.quality import VIEWING
 from l3cli.evaluation.sequence import CELL, SequenceEvaluation, SequenceFigures
 from l3cli.io.pictures.registry import write_picture
 from l3cli.io.scenes import rgb
-from l3cli.io.sequences import PictureSequence, find_pictures, picture_files, read_motion
+from l3cli.io.sequences import find_pictures, paired, picture_files, require_alike
 from l3cli.options.commands import EvaluateOptions, SequenceOptions
 from l3cli.rendering.conditions import FAR, Mix, at_gain, described, gain_of_frames, gains_of, mix_for, mixed
 from l3cli.rendering.display import require_xyz
@@ -223,7 +223,7 @@ def evaluate_sequence(rendered: Path, options: SequenceOptions) -> SequenceFigur
     ideal, console = options.ideal, options.console
     ours = find_pictures(rendered)
     wanted = None if ideal is None else find_pictures(ideal)
-    _require_alike(ours, wanted)
+    require_alike(ours, wanted)
     margin = options.border or 0
     if min(ours.shape) - 2 * margin < CELL:
         rows, cols = ours.shape
@@ -231,7 +231,7 @@ def evaluate_sequence(rendered: Path, options: SequenceOptions) -> SequenceFigur
     before_work({"pictures": ours.files, "ideal": wanted.files if wanted else (), "motion": wanted.motion if wanted else ()})
     evaluation = SequenceEvaluation(str(rendered), None if ideal is None else str(ideal), margin)
     light = np.zeros(2)
-    for ours_now, ideal_now, motion in console.progress(_frames(ours, wanted), ours.count, "frames"):
+    for ours_now, ideal_now, motion in console.progress(paired(ours, wanted), ours.count, "frames"):
         evaluation.add(ours_now, ideal_now, motion)
         light += [ours_now.mean(), 0.0 if ideal_now is None else ideal_now.mean()]
     if wanted is not None and not 1 / UNLIKE <= light[0] / max(light[1], 1e-9) <= UNLIKE:
@@ -243,31 +243,3 @@ def evaluate_sequence(rendered: Path, options: SequenceOptions) -> SequenceFigur
         return evaluation.figures()
     except ValueError as error:
         raise InputFileError(f"{rendered}: {error}") from error
-
-
-def _require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None:
-    if ours.count == 1:
-        raise InputFileError(f"{ours.name} holds one picture; a sequence has two or more")
-    if wanted is None:
-        return
-    if ours.shape != wanted.shape:
-        sizes = " and ".join(f"{rows}×{cols}" for rows, cols in (ours.shape, wanted.shape))
-        raise InputFileError(f"{ours.name} and {wanted.name} are of {sizes} pixels; give pictures of the same frames")
-    if ours.count is not None and wanted.count is not None and ours.count != wanted.count:
-        counts = f"{ours.count} and {wanted.count} pictures"
-        raise InputFileError(f"{ours.name} and {wanted.name} hold {counts}; give pictures of the same frames")
-
-
-def _frames(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tuple[Planes, Planes | None, Planes | None]]:
-    """Yield rendered picture, ideal one and known motion of each frame; InputFileError if one sequence ends before the
-    other."""
-    ideals: Iterator[Planes | None] = wanted.pictures() if wanted else itertools.repeat(None)
-    motions = iter(wanted.motion) if wanted else iter(())
-    for number, picture in enumerate(ours.pictures()):
-        ideal = next(ideals, None)
-        if wanted is not None and ideal is None:
-            raise InputFileError(f"{wanted.name} ends after {number} pictures, {ours.name} goes on; give the same frames")
-        motion = next(motions, None)
-        yield picture, ideal, None if motion is None else read_motion(motion, ours.shape)
-    if wanted is not None and next(ideals, None) is not None:
-        raise InputFileError(f"{ours.name} ends before {wanted.name}; give pictures of the same frames")

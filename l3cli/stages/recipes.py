@@ -8,21 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.recipe_source import Meaning, Source, keys_of
+from l3cli.artifacts.recipe_source import Meaning, RecipeSource, keys_of
 from l3cli.design.pixel import pixel_of
 from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves, level_name
 from l3cli.errors import InputFileError
 from l3cli.io.file_names import find_scenes
-from l3cli.io.scenes.registry import is_folder
-from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
-from l3cli.recipes.toml import KeyPath
 from l3cli.simulation.frame import SimulationRun
-from l3cli.simulation.light import MEASURED, SCENE_LIGHT, mixture, read_curve
-from l3cli.simulation.recipe import SceneRecipe, scene_faults, shots
-from l3cli.simulation.sources import FileSource, name_of, wanted_scenes
-from l3cli.simulation.sources import Source as SceneSource
-from l3cli.stages.simulation.preparation import prepare, refusals, size_of
+from l3cli.simulation.recipe import SceneRecipe, curve_faults, scene_faults, shots
+from l3cli.simulation.sources import wanted_scenes
+from l3cli.stages.simulation.preparation import prepare, refusals, scene_files, size_of
 
 
 def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
@@ -38,7 +33,7 @@ def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def design_recipe_faults(recipe: DesignRecipe, source: Source) -> Iterator[Fault]:
+def design_recipe_faults(recipe: DesignRecipe, source: RecipeSource) -> Iterator[Fault]:
     """Yield all that is wrong with a recipe, and with the files that it names."""
     wrong = list(design_faults(recipe))
     yield from wrong
@@ -46,12 +41,12 @@ def design_recipe_faults(recipe: DesignRecipe, source: Source) -> Iterator[Fault
         yield from source.attempt(None, _design_curves, recipe, source)
 
 
-def _design_curves(recipe: DesignRecipe, source: Source) -> Any:
+def _design_curves(recipe: DesignRecipe, source: RecipeSource) -> Any:
     camera = pixel_of(recipe.pixel, source.path.parent)
     return filter_curves(recipe, camera, camera.wavelength, source.path.parent)
 
 
-def design_meaning(recipe: DesignRecipe, source: Source) -> Meaning:
+def design_meaning(recipe: DesignRecipe, source: RecipeSource) -> Meaning:
     """Return the peak efficiency of each filter, and the lights and exposures."""
     peaks = _design_curves(recipe, source).max(axis=1).tolist()
     return {"filters": dict(zip(recipe.filters, peaks, strict=True)), "levels": list(map(level_name, recipe.level))}, []
@@ -63,18 +58,12 @@ def design_lines(figures: dict[str, Any], width: int | None) -> list[str]:
     return [f"filters, peak quantum efficiency: {filters}", f"levels: {'; '.join(figures['levels'])}"]
 
 
-def scene_recipe_faults(recipe: SceneRecipe, source: Source) -> Iterator[Fault]:
+def scene_recipe_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
     """Yield all that is wrong with a recipe, for its camera if one is given, and with the files that it names."""
     yield from scene_faults(recipe, source.camera)
-    lens, target = recipe.lens, recipe.target
-    for text, key in _lights(recipe):
-        yield from _light_faults(text, key, source)
-    if isinstance(lens.transmittance, str):
-        yield from source.attempt(("lens", "transmittance"), read_curve, source.file(lens.transmittance), "transmittance")
-    if target.outputs.endswith(MEASURED):
-        yield from source.attempt(("target", "outputs"), read_curve, source.file(target.outputs), "functions")
+    yield from curve_faults(recipe, source)
     for number, scene in enumerate(recipe.scene):
-        yield from source.attempt(("scene", number, "file"), _files, scene, source.path)
+        yield from source.attempt(("scene", number, "file"), scene_files, scene, source.path)
     for number, pair in enumerate(recipe.pair):
         for side, name in (("raw", pair.raw), ("picture", pair.picture)):
             if not os.path.isfile(source.file(name)):
@@ -82,38 +71,11 @@ def scene_recipe_faults(recipe: SceneRecipe, source: Source) -> Iterator[Fault]:
                 yield fault(message, f"pair.{number}.{side}")
 
 
-def _lights(recipe: SceneRecipe) -> Iterator[tuple[str, KeyPath]]:
-    """Yield the lights that a recipe names, and where."""
-    yield from ((text, ("illuminants", number)) for number, text in enumerate(recipe.illuminants))
-    if recipe.target.illuminant is not None:
-        yield recipe.target.illuminant, ("target", "illuminant")
-    for number, scene in enumerate(recipe.scene):
-        if text := getattr(scene, "light", None):
-            yield text, ("scene", number, "light")
-
-
-def _light_faults(text: str, key: KeyPath, source: Source) -> Iterator[Fault]:
-    if text == SCENE_LIGHT:
-        return
-    wrong = list(source.attempt(key, mixture, text))
-    yield from wrong
-    for _, name in [] if wrong else mixture(text):
-        if name.endswith(MEASURED):
-            yield from source.attempt(key, read_curve, source.file(name), "light")
-        else:
-            yield from source.attempt(key, spectra.require_illuminant, name)
-
-
-def _files(scene: SceneSource, recipe: Path) -> list[Path]:
-    """Return the files of a source; InputFileError if it is to have some and there are none."""
-    return find_scenes(scene.file, recipe.parent, is_folder(name_of(scene))) if isinstance(scene, FileSource) else []
-
-
-def scene_meaning(recipe: SceneRecipe, source: Source) -> Meaning:
+def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
     """Return the frames, and their size where a camera is given; the files that do not fit on its sensor."""
     run = None
     if source.camera is None:
-        files = [_files(scene, source.path) for scene in recipe.scene]
+        files = [scene_files(scene, source.path) for scene in recipe.scene]
     else:
         run, files = prepare(recipe, source.path, source.camera, 0)
     wanted = list(shots(recipe, files)) if recipe.scene else []

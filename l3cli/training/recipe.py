@@ -11,7 +11,7 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.class_rule import MAX_PATCH
 from l3cli.artifacts.plane_rules import MOST_LEAVES
-from l3cli.artifacts.recipe_source import Source
+from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.artifacts.table import WINDOWS
 from l3cli.classes import contrast, level
 from l3cli.classes.rule import ClassRecipe
@@ -242,7 +242,7 @@ def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
             yield fault(f"{name}.strengths exceed {MOST_STRENGTH:g}", f"{key}.strengths")
 
 
-def class_recipe_faults(recipe: TrainingRecipe, source: Source) -> Iterator[Fault]:
+def class_recipe_faults(recipe: TrainingRecipe, source: RecipeSource) -> Iterator[Fault]:
     """Yield all that is wrong with a recipe, for its camera if one is given."""
     yield from learning_faults(recipe.learning)
     yield from layer_faults(recipe.layer)

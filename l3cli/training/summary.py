@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
-from l3cli.artifacts.recipe_source import Meaning, Source
+from l3cli.artifacts.recipe_source import Meaning, RecipeSource
 from l3cli.artifacts.table import RATIO_TAPS, PlaneLayer, PlaneRule, SceneLight, TransformTable
 from l3cli.classes import level
 from l3cli.classes.features import further_features
@@ -208,7 +208,7 @@ def _kinds(layer: dict[str, Any]) -> str:
     )
 
 
-def class_meaning(recipe: TrainingRecipe, source: Source) -> Meaning:
+def class_meaning(recipe: TrainingRecipe, source: RecipeSource) -> Meaning:
     """Return the classes of each layer, and the bytes of the table for a camera."""
     return class_figures(recipe, source.camera), []
 

@@ -30,6 +30,11 @@ if TYPE_CHECKING:
     from l3cli.frames.scene import ChannelPicture, Scene
 
 
+def scene_files(source: sources.Source, recipe: Path) -> list[Path]:
+    """Return the files of a source of a recipe; InputFileError if it is to have some and there are none."""
+    return find_scenes(source.file, recipe.parent, is_folder(name_of(source))) if isinstance(source, FileSource) else []
+
+
 def files_of(source: sources.Source, path: Path) -> list[Path]:
     """Return the files of a scene of that name: bands of a folder, an ENVI header and its data, else the file itself."""
     return format_of(sources.name_of(source), path).files(path)
@@ -163,10 +168,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     outputs = recipe.target.outputs
     names = column_names(path.parent / outputs) if outputs in curves else ()
     target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
-    patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
-    files = [
-        find_scenes(text, path.parent, is_folder(name_of(source))) if text is not None else [] for source, text in patterns
-    ]
+    files = [scene_files(source, path) for source in recipe.scene]
     return SimulationRun(recipe, fitted, target, lights, recorded, seed, path.parent), files
 
 
