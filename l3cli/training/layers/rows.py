@@ -104,9 +104,12 @@ def row_weights(
         of_mosaic = np.repeat(_of_mosaics(seen, basis) ** -recipe.error_power, len(weight) // seen.count)
         return np.asarray(weight * of_mosaic[:, None], np.float32)
     back = (np.linalg.inv(basis) * PLANE_STEP).astype(np.float32)
-    clean, noisy = (np.moveaxis(planes, 0, -1).astype(np.float32) @ back for planes in (seen.light, seen.noisy))
+    clean = np.moveaxis(seen.light, 0, -1).astype(np.float32) @ back
     context = (seen.target, seen.brightness, white.astype(np.float32))
-    error = lab_error(clean - seen.target, *context) + window_means(mirrored(lab_error(noisy - clean, *context), 2), 5)
+    error = lab_error(clean - seen.target, *context)
+    if seen.clean is not None:
+        noise = np.moveaxis(seen.noisy, 0, -1).astype(np.float32) @ back - clean
+        error = error + window_means(mirrored(lab_error(noise, *context), 2), 5)
     return np.asarray(weight * (error + np.float32(ERROR_FLOOR)) ** np.float32(-recipe.error_power), np.float32)
 
 
@@ -151,7 +154,8 @@ class GatheredRows:
         if seen.label.shape[1] != self._cols:  # frames of another size
             self.add_up()
             self._cols = seen.label.shape[1]
-        clean, light = _in_fours(seen.light), self._ratios(seen.light, pixels)
+        planes = seen.light
+        clean, light = _in_fours(planes), self._ratios(planes, pixels)
         noise, spread = np.empty((0, 4), np.float32), np.empty((pixels.size, 0), np.float32)
         if self._noise:
             noise, spread = _in_fours(seen.noisy) - clean, self._ratios(seen.noisy, pixels) - light
