@@ -298,10 +298,10 @@ def test_the_grid_covers_what_the_camera_sees() -> None:
 @pytest.mark.parametrize("name", ["default", "demo_unseen", "small"])
 def test_recipes_in_configs_are_right(name: str, fiveband: object) -> None:
     from l3cli.recipes.toml import load_recipe
-    from l3cli.simulation.recipe import SceneRecipe, check
+    from l3cli.simulation.recipe import SceneRecipe, scene_faults
 
     recipe = load_recipe(CONFIGS / f"scenes/{name}.toml", SceneRecipe)
-    check(recipe, fiveband)  # type: ignore[arg-type]
+    assert not list(scene_faults(recipe, fiveband))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("illuminant", "value"), [(np.ones(3), 2e6), (None, 2e26)])
