@@ -86,10 +86,10 @@ def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
         raise InputFileError(too_much(path)) from error
     except ImportError as error:
         raise L3Error(f"a library that decodes {path} cannot be loaded ({error}); {MORE_MEMORY}") from error
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from error
     except Exception as error:  # decoders raise whatever they stumble over
-        reason = f"{type(error).__name__}: {error}"[:200]
+        if isinstance(error, OSError) and error.strerror:
+            raise InputFileError(f"{path}: {error.strerror}") from error
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise InputFileError(f"{path} cannot be decoded ({reason}); it is damaged or of another kind") from error
 
 

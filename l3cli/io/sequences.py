@@ -223,15 +223,11 @@ def _series(path: Path, table: TransformTable, known: RawOverrides, dataset: str
         if known.size is None:
             raise RecipeError("raw frames on stdin have no header with their size; give it with ‹size› ROWSxCOLS")
         return _series_of_stack(STDIN_NAME, "", read_stdin(table, known), table, known)
-    if path.is_dir():
-        return _series_of_files(str(path), _in_folder(path), table, known)
     if not path.exists() and PATTERN.search(path.name):
         return _series_of_pattern(path, table, known)
-    if not path.exists() and is_glob(path):
-        return _series_of_files(str(path), _globbed(path), table, known)
-    if path.exists() and (stack := read_stack(path, table, known, dataset)):
+    if path.exists() and not path.is_dir() and (stack := read_stack(path, table, known, dataset)):
         return _series_of_stack(str(path), path.stem, stack, table, known)
-    return _series_of_files(str(path), (path,), table, known)
+    return _series_of_files(str(path), frame_files(path), table, known)
 
 
 # ---------------------------------------------------------------------------------------------------------- files

@@ -152,17 +152,6 @@ def shot_of_page(page: Any) -> dict[str, str | float]:
     return {name: value for name, value in plain.items() if value is not None}
 
 
-def shot_of_file(path: Path) -> dict[str, str | float]:
-    """Return the settings stated by a camera raw; none if it is not a TIFF, or a damaged one."""
-    import tifffile
-
-    try:
-        with tifffile.TiffFile(path) as file:
-            return shot_of_page(file.pages[0])
-    except Exception:  # the frame has been read: a library that stumbles over tags is no reason to refuse it
-        return {}
-
-
 def shot_of_spec(spec: Any) -> dict[str, str | float]:
     """Return the settings stated by OpenImageIO's description of a picture."""
     stated = {name: spec.getattribute(other) for name, (_, other) in SHOT.items()}

@@ -223,7 +223,7 @@ def test_broken_fits_is_refused(
 ) -> None:
     path, output = tmp_path / "a.fits", tmp_path / "a.png"
     path.write_bytes(b"nothing")
-    assert "no FITS file" in refused(3, "render", raw_table, path, "-o", output)
+    assert "cannot be decoded" in refused(3, "render", raw_table, path, "-o", output)
     fits.writeto(path, mosaic, overwrite=True)
     path.write_bytes(path.read_bytes()[:3000])
     assert "damaged" in refused(3, "render", raw_table, path, "-o", output)

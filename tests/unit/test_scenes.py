@@ -103,8 +103,8 @@ def test_what_a_scene_does_not_cover_is_reported_once(l3: L3, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda path: path.write_text("no scene"), "not a MATLAB file"),
-        (lambda path: path.write_bytes(b""), "not a MATLAB file"),
+        (lambda path: path.write_text("no scene"), "cannot be decoded"),
+        (lambda path: path.write_bytes(b""), "cannot be decoded"),
         (lambda path: save_scene(path, photons(), illuminant={"name": "D65"}), "lacks data"),
         (lambda path: save_scene(path, photons()[..., :30]), "do not fit 31 wavelengths"),
         (lambda path: save_scene(path, photons((15, 40))), "16×16"),

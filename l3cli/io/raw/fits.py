@@ -22,7 +22,6 @@ from l3cli.system.limits import require_picture
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
 BOTTOM_UP = "BOTTOM-UP"
 ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
-BROKEN = (TypeError, ValueError, KeyError, IndexError, AttributeError)  # what astropy raises over a damaged file
 
 
 def stack(path: Path) -> MultiFrameFile | None:
@@ -77,13 +76,9 @@ def _first_image(path: Path) -> Iterator[Any]:
         raise L3Error(INSTALL) from error
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of sloppy headers; what cannot be read raises
-        try:
-            with fits.open(path, uint=True, lazy_load_hdus=True) as units:
-                image = next((unit for unit in units if unit.is_image and unit.header.get("NAXIS", 0) >= 2), None)
-                if image is None:
-                    raise InputFileError(f"{path} holds no image; give a FITS file with a raw frame")
-                require_picture(str(path), *image.shape[-2:])
-                yield image
-        except (*BROKEN, OSError) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise InputFileError(f"{path} is damaged or no FITS file ({reason}); copy it again") from error
+        with fits.open(path, uint=True, lazy_load_hdus=True) as units:
+            image = next((unit for unit in units if unit.is_image and unit.header.get("NAXIS", 0) >= 2), None)
+            if image is None:
+                raise InputFileError(f"{path} holds no image; give a FITS file with a raw frame")
+            require_picture(str(path), *image.shape[-2:])
+            yield image

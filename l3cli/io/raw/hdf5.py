@@ -10,6 +10,7 @@ from l3cli.artifacts.container import datasets, require_within_file
 from l3cli.errors import InputFileError
 from l3cli.io.isolated import isolated
 from l3cli.io.raw.content import MultiFrameFile, RawContent
+from l3cli.system.files import stamp
 from l3cli.system.limits import require_picture
 
 CHUNK_CACHE = 128 << 20  # bytes at most: chunks of many frames are unpacked once, not once a frame
@@ -52,8 +53,7 @@ def _open(path: Path, stack: str | None = None) -> Any:
     """Return the file, kept open from frame to frame of a stack."""
     import h5py
 
-    state = path.stat()
-    key = (str(path), state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, stack)
+    key = (str(path), *stamp(path), stack)
     if key not in _opened:
         if not h5py.is_hdf5(path):
             raise InputFileError(f"{path} is not an HDF5 file; give one with a dataset (frame, row, col)")
@@ -80,11 +80,8 @@ def chunks_of_a_frame(frames: Any) -> int:
 def _only_stack(path: Path, held: dict[str, Any]) -> str:
     stacks = sorted(name for name, member in held.items() if _is_stack(member, (3,)))
     if len(stacks) != 1:
-        content = (
-            f"{len(stacks)} datasets of frames ({', '.join(stacks[:4])})"
-            if stacks
-            else "no dataset uint16 (frame, row, col)"
-        )
+        several = f"{len(stacks)} datasets of frames ({', '.join(stacks[:4])})"
+        content = several if stacks else "no dataset uint16 (frame, row, col)"
         raise InputFileError(f"{path} holds {content}; name one with ‹dataset›")
     return stacks[0]
 

@@ -15,7 +15,7 @@ from l3cli.frames.measurement import Stated, StatedMatrix
 from l3cli.io.isolated import isolated, named_in_utf8
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.content import RawContent
-from l3cli.io.tags import BROKEN, COLOUR_FILTER_ARRAY, camera_names, exif_of, number, numbers, shot_of_file
+from l3cli.io.tags import BROKEN, COLOUR_FILTER_ARRAY, camera_names, exif_of, number, numbers, shot_of_page
 from l3cli.system.files import require_regular
 from l3cli.system.limits import require_picture
 
@@ -25,7 +25,8 @@ def read(path: Path) -> RawContent:
     """Return the content of a camera raw within its visible area; InputFileError as from `opened`."""
     with opened(path) as raw:
         content = _visible(path, raw)
-        content["shot"] = _shot(raw) | shot_of_file(path)
+        content["camera"], shot = _stated_by_tags(path)
+        content["shot"] = _shot(raw) | shot
     return content
 
 
@@ -77,7 +78,6 @@ def _visible(path: Path, raw: Any) -> RawContent:
         orientation=int(raw.sizes.flip),
         exposure=exposure,
         neutral=_neutral(raw, letters),
-        camera=_camera_names(path),
     )
 
 
@@ -91,15 +91,15 @@ def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
     return np.array(list(stated.items()))
 
 
-def _camera_names(path: Path) -> list[str]:
-    """Return `camera_names` of a raw file that is a TIFF file, as most are; nothing of another."""
+def _stated_by_tags(path: Path) -> tuple[list[str], dict[str, str | float]]:
+    """Return camera names and settings of the shot of a raw file that is a TIFF file, as most are; nothing of another."""
     import tifffile
 
     try:
         with tifffile.TiffFile(path) as file:
-            return camera_names(file.pages[0])
-    except (tifffile.TiffFileError, *BROKEN, OSError):  # LibRaw has read the file, whatever kind it is of
-        return []
+            return camera_names(file.pages[0]), shot_of_page(file.pages[0])
+    except Exception:  # LibRaw has read the frame: a library that stumbles over tags is no reason to refuse it
+        return [], {}
 
 
 def _shot(raw: Any) -> dict[str, str | float]:

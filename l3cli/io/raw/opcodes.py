@@ -68,13 +68,12 @@ class Opcodes:
     """Corrections that a file asks for."""
 
     constants: tuple[int, ...] = ()  # stored values of bad pixels
-    points: tuple[NDArray[np.int64], ...] = ()  # (point, 3) stage, row, col
     rects: tuple[NDArray[np.int64], ...] = ()  # (rect, 5) stage, top, left, bottom, right
     gains: tuple[GainMap | Vignette, ...] = ()
     notes: tuple[str, ...] = ()  # what is left out
 
     def __bool__(self) -> bool:
-        return bool(self.constants or self.points or self.rects or self.gains)
+        return bool(self.constants or self.rects or self.gains)
 
 
 # ------------------------------------------------------------------------------------------------------------ reading
@@ -83,7 +82,7 @@ class Opcodes:
 def read_opcodes(path: Path, page: Any) -> Opcodes:
     """Return the opcodes of a page. InputFileError if one is neither carried out nor optional; ValueError or struct.error if
     a list is damaged."""
-    found: dict[str, list[Any]] = {"constants": [], "points": [], "rects": [], "gains": [], "notes": []}
+    found: dict[str, list[Any]] = {"constants": [], "rects": [], "gains": [], "notes": []}
     linearised = page.tags.valueof("LinearizationTable") is not None
     for each in _listed(page):
         carried = each.number in CARRIED_OUT[each.stage]
@@ -92,9 +91,7 @@ def read_opcodes(path: Path, page: Any) -> Opcodes:
         elif each.number == FIX_BAD_PIXELS_CONSTANT:
             found["constants"].append(struct.unpack(">II", each.content)[0])
         elif each.number == FIX_BAD_PIXELS_LIST:
-            points, rects = _bad_pixels(each)
-            found["points"].append(points)
-            found["rects"].append(rects)
+            found["rects"].append(_bad_rects(each))
         else:
             found["gains"].append(_vignette(each) if each.number == FIX_VIGNETTE_RADIAL else _gain_map(each))
     return Opcodes(**{name: tuple(values) for name, values in found.items()})
@@ -131,14 +128,14 @@ def _left_out(path: Path, opcode: Opcode) -> str:
     return f"{name} of OpcodeList{opcode.stage + 1} is optional and not carried out"
 
 
-def _bad_pixels(opcode: Opcode) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (point, 3), (rect, 5): the list's stage, then coordinates."""
+def _bad_rects(opcode: Opcode) -> NDArray[np.int64]:
+    """Return (rect, 5), points among them: the list's stage, then top, left, bottom, right."""
     _, points, rects = struct.unpack_from(">III", opcode.content)
     if len(opcode.content) != 12 + 8 * points + 16 * rects:
         raise ValueError("a list of bad pixels of another length")
     numbers = np.frombuffer(opcode.content, ">i4", offset=12).astype(np.int64)
-    split = numbers[: 2 * points].reshape(-1, 2), numbers[2 * points :].reshape(-1, 4)
-    return tuple(np.insert(each, 0, opcode.stage, axis=1) for each in split)  # type: ignore[return-value]
+    corners, listed = numbers[: 2 * points].reshape(-1, 2), numbers[2 * points :].reshape(-1, 4)
+    return np.insert(np.concatenate([np.hstack([corners, corners + 1]), listed]), 0, opcode.stage, axis=1)
 
 
 def _gain_map(opcode: Opcode) -> GainMap:
@@ -172,11 +169,6 @@ def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, 
     top, left, bottom, right = active
     bad = np.isin(stored[top:bottom, left:right], opcodes.constants)
     origins = ((top, left), (0, 0), (0, 0))
-    for points in opcodes.points:
-        for stage, row, col in points.tolist():
-            down, across = row - origins[stage][0], col - origins[stage][1]
-            if 0 <= down < bad.shape[0] and 0 <= across < bad.shape[1]:
-                bad[down, across] = True
     for rects in opcodes.rects:
         for stage, *edges in rects.tolist():
             down, across = origins[stage]

@@ -81,13 +81,10 @@ def _read_pages(path: Path) -> NDArray | None:
     """Return the pages (row, col, page) of a TIFF of one channel; None of one of several."""
     import tifffile
 
-    try:
-        with tifffile.TiffFile(path) as file:
-            if file.pages[0].samplesperpixel > 1:
-                return None
-            first = file.series[0]
-            require_values(str(path), first.shape, first.dtype.itemsize if first.dtype else 1)
-            pages = first.asarray()
-    except (tifffile.TiffFileError, OSError, ValueError, IndexError) as error:
-        raise InputFileError(f"{path} is truncated or damaged; give a whole TIFF") from error
+    with tifffile.TiffFile(path) as file:
+        if file.pages[0].samplesperpixel > 1:
+            return None
+        first = file.series[0]
+        require_values(str(path), first.shape, first.dtype.itemsize if first.dtype else 1)
+        pages = first.asarray()
     return np.moveaxis(pages, 0, 2) if pages.ndim == 3 else pages[..., None]

@@ -1,8 +1,7 @@
 """Spectral cubes as arrays of MATLAB, HDF5 and .npy files, of which the last name no wavelengths; and files of MATLAB and
 HDF5 as nested dictionaries of arrays, whatever their version."""
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -98,12 +97,12 @@ def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
 
     if path.suffix != MATLAB or h5py.is_hdf5(path):
         reverse = path.suffix == MATLAB or _is_matlab(path)
-        with _hdf5(path) as root:
+        with h5py.File(path, "r") as root:
             stored = {name: data.shape for name, data in datasets(root) if data.dtype.kind in "fiu" and name[0] != "#"}
         return {name: _squeezed(shape[::-1]) if reverse else shape for name, shape in stored.items()}
     from scipy.io import whosmat
 
-    variables = _tried(path, whosmat)
+    variables = whosmat(path)
     structs = [name for name, _, kind in variables if kind == "struct"]
     shapes = {name: _squeezed(shape) for name, shape, kind in variables if "int" in kind or kind in ("double", "single")}
     return shapes | ({name: values.shape for name, values in _arrays(_loaded(path, structs))} if structs else {})
@@ -126,22 +125,10 @@ def _loaded(path: Path, names: list[str] | None = None) -> Content:
     """Return the variables called `names` (None: all) of a .mat file before 7.3."""
     from scipy.io import loadmat, whosmat
 
-    for name, shape, _ in _tried(path, whosmat):
+    for name, shape, _ in whosmat(path):
         require_values(f"{path}: {name}", shape)
-    variables = _tried(path, lambda file: loadmat(file, variable_names=names, simplify_cells=True))
+    variables = loadmat(path, variable_names=names, simplify_cells=True)
     return _plain({name: value for name, value in variables.items() if not name.startswith("__")})
-
-
-def _tried(path: Path, work: Callable[[Path], Any]) -> Any:
-    """Return what scipy reads; whatever it stumbles over is raised as InputFileError."""
-    try:
-        return work(path)
-    except MemoryError:
-        raise
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from error
-    except Exception as error:
-        raise InputFileError(f"{path} is not a MATLAB file, or a damaged one; save it again") from error
 
 
 def _plain(content: Content, depth: int = 0) -> Content:
@@ -161,21 +148,11 @@ def _is_matlab(path: Path) -> bool:
         return stream.read(10) == b"MATLAB 7.3"
 
 
-@contextlib.contextmanager
-def _hdf5(path: Path) -> Iterator[Any]:
-    """Yield the root of an HDF5 file, whatever the library stumbles over as InputFileError."""
+def _stored(path: Path, reverse: bool) -> Content:
     import h5py
 
-    try:
-        with h5py.File(path, "r") as root:
-            yield root
-    except (OSError, RuntimeError, TypeError) as error:
-        raise InputFileError(f"{path} is not an HDF5 file, or a damaged one; save it again") from error
-
-
-def _stored(path: Path, reverse: bool) -> Content:
     content: Content = {}
-    with _hdf5(path) as root:
+    with h5py.File(path, "r") as root:
         for name, dataset in datasets(root):
             if name.startswith("#") or dataset.dtype.kind not in "fiub":
                 continue
