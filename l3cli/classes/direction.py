@@ -1,17 +1,6 @@
 """Direction: along which axis a neighbourhood varies, how strongly, and whether it varies along that axis alone
-(docs/method.md#direction).
-
-Differences D of sums over boxes of one CFA period, which hold every channel equally often wherever they lie, so that no
-difference shows the CFA: right − left (0), lower right − upper left (1), lower − upper (2), lower left − upper right (3).
-With their sizes G = |D| · m, where m makes all four answer a ramp along their axis alike, in integers:
-
-    steepest    first k of largest G[k]; of eight orientations its half towards the larger of its neighbours' G
-    strength    number of strength edges (of the pixel's level) < G[steepest]
-    coherent    16 G[steepest + 2] ≤ coherence · G[steepest], across it
-    direction   0 where strength is 0, else 1 + ((strength − 1) · 2 + coherent) · orientations + orientation
-
-without "· 2 + coherent" where a recipe does not ask for coherence. Whether brightness grows or falls along its axis does not
-matter: transforms are linear.
+(docs/method.md#direction, with the formulas; coherence is none of them where a recipe does not ask for it). Whether
+brightness grows or falls along its axis does not matter: transforms are linear.
 
 A patch that is mirrored or turned varies along another axis: a quarter turn exchanges axes 0 and 2, and 1 and 3;
 transposition exchanges 0 and 2; strength and coherence stay (`turned`). This holds to the last bit, since boxes lie

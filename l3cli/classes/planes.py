@@ -1,13 +1,7 @@
 """Layers in fixed point: planes whose integers are the same wherever they are computed (docs/method.md#planes).
 
-    plane = clamp(Σ W · DN + B + 2^(F − 1) >> F, ±4194303)
-
-The planes are X − aY, Y and Z − bY, with (a, 1, b) the white under the training light, so that greys have no chroma. W and
-B are the layer's weights and intercept per DN and PLANE_STEP, times 2^F, rounded: weights so that those of each channel add
-up to their rounded sum, or else what is rounded off would colour plain areas, and differently at every site. F is that of
-the class, the largest for which weights fit 16 bits and no sum over any values leaves 32: processors multiply 16 bits twice
-as fast as floats. A layer between reads planes in steps 2^COARSE times as large, so that they fit 16 bits, for DN and for
-channels.
+Weights of each channel are rounded so that they add up to their rounded sum: else what is rounded off would colour plain
+areas, and differently at every site. They fit 16 bits, which processors multiply twice as fast as floats.
 """
 
 from collections.abc import Iterable

@@ -1,18 +1,6 @@
 """Structure: strength and direction of the edge at a pixel, from the luminance that the layer before has made
-(docs/method.md#structure).
-
-With Y that luminance in fixed point, f and s the factor and shift of gradients at the pixel's level, so that noise alone
-has a standard deviation of about SIGMA:
-
-    g_x = clamp((Y[r, c + 1] − Y[r, c − 1]) · f >> s, ±4095)     g_y alike down a column
-    xx, yy, xy = Σ w · (g_x², g_y², g_x g_y) over 5 × 5, w the products of 1 2 3 2 1
-    strength = number of strength edges < xx + yy
-    a = ±(xx − yy >> 6)   b = ±(xy >> 5)   t = xx + yy >> 6       the signs turn the site's axes to those it is learned in
-    direction = the nearest of eight multiples of 45° to the angle of (a, b), twice that of the gradient
-    directed = 64 · (length of (a, b) along it) > coherence · t
-    structure = 0 if strength = 0, else 1 + (strength − 1) · 9 + (1 + direction if directed else 0)
-
-All in integers below 2³¹, and so equal wherever it is computed.
+(docs/method.md#structure, with the formulas). The angle of (a, b) there is twice that of the gradient. All is computed in
+integers below 2³¹, and so equal everywhere.
 """
 
 import functools

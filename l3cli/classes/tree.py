@@ -1,10 +1,4 @@
-"""Trees: threshold tests on what the planes of the layer before show near a pixel (docs/method.md#trees).
-
-With C₁ L C₂ those planes in fixed point and f, s the factor and shift of gradients at a pixel's level, as in `structure`:
-
-    g = clamp((difference of pixels two apart) · f >> s, ±TOP)        of L across and down; of C₁ and C₂ with CHROMA_TOP
-    b = clamp((second difference) · f >> s, ±TOP)                     of L across and down
-    Σ₅, Σ₃ = weighted sums over 5 × 5 and 3 × 3, weights the products of 1 2 3 2 1 and of 1 2 1
+"""Trees: threshold tests on what the planes of the layer before show near a pixel (docs/method.md#trees, with the evidence).
 
 A test compares a numerator with threshold times a denominator. Both are integers below 2³¹ that are converted to float32 and
 multiplied by IEEE-754's rules, once: the outcome is the same wherever it is computed.
