@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.fit import Fit
 from l3cli.artifacts.schema import MOST, Artifact, data, group
 from l3cli.errors import InputFileError
+from l3cli.frames.frame import tiled
 from l3cli.physics import lens, spectra
 from l3cli.system.limits import most_pixels
 
@@ -274,11 +275,7 @@ class CameraModel(Artifact):
             raise ValueError("pixel_pitch, gain and the peak of the responsivity must be above zero, the seed not below")
         if self.absolute and not self.responsivity.max() <= 1.0 + ROUNDING:
             raise ValueError(f"its peak quantum efficiency is {self.responsivity.max():.4g}, which cannot exceed 1")
-        if (
-            self.defects
-            and self.defects.position.size
-            and (self.defects.position.max(axis=0) >= (self.rows, self.cols)).any()
-        ):
+        if self.defects and (self.defects.position >= (self.rows, self.cols)).any():
             raise ValueError(f"defects lie beyond the {self.rows}×{self.cols} pixels")
         if self.flat_field and not self.flat_field.covers(self.rows, self.cols):
             raise ValueError(f"the grid of the flat field is not that of {self.rows}×{self.cols} pixels")
@@ -319,8 +316,7 @@ class CameraModel(Artifact):
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
         """Return the channel (row, col) of the pixels of a frame of that shape, CFA phase (0, 0)."""
-        rows, cols = self.cfa.shape
-        return self.cfa[np.ix_(np.arange(shape[0]) % rows, np.arange(shape[1]) % cols)]
+        return tiled(self.cfa, shape)
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:

@@ -135,6 +135,18 @@ class NoiseRecipe(Recipe):
     column_noise_e: float = 0.0
 
 
+def noise_of(recipe: NoiseRecipe) -> Noise:
+    """Return the noise that a recipe declares."""
+    return Noise(
+        read_noise=recipe.read_noise_e,
+        dark_current=recipe.dark_current_e_per_s,
+        dsnu=recipe.dsnu_e,
+        prnu=recipe.prnu,
+        well_capacity=recipe.well_capacity_e,
+        column_noise=recipe.column_noise_e,
+    )
+
+
 class GainRecipe(Recipe):
     """Analog gains beside that of [sensor] (docs/method.md#gains)."""
 
@@ -163,17 +175,12 @@ def gain_faults(recipe: GainRecipe, read_noise: float) -> Iterator[Fault]:
     if not 0 <= recipe.iso <= MOST_ISO:
         yield fault(f"gain.iso is {recipe.iso:g}, and must lie in 0…{MOST_ISO:g}", "gain.iso")
     if len(recipe.gains) != len(recipe.read_noise_e):
-        message = (
-            f"gain.gains names {len(recipe.gains)} gains, gain.read_noise_e {len(recipe.read_noise_e)}; give one of each"
-        )
-        yield fault(message, "gain.read_noise_e", "gain.gains")
+        message = f"gain.gains names {len(recipe.gains)} gains, gain.read_noise_e {len(recipe.read_noise_e)}"
+        yield fault(f"{message}; give one of each", "gain.read_noise_e", "gain.gains")
     for gain in recipe.gains:
         if not 1 / MOST_GAIN <= gain <= MOST_GAIN or gain == 1 or recipe.gains.count(gain) > 1:
-            message = (
-                f"gain.gains: {gain:g} must lie in {1 / MOST_GAIN:g}…{MOST_GAIN:g}, once, and not be 1, of which "
-                "noise.read_noise_e tells"
-            )
-            yield fault(message, "gain.gains")
+            message = f"gain.gains: {gain:g} must lie in {1 / MOST_GAIN:g}…{MOST_GAIN:g}, once"
+            yield fault(f"{message}, and not be 1, of which noise.read_noise_e tells", "gain.gains")
     for noise in recipe.read_noise_e:
         if not 0 <= noise <= MOST_NOISE:
             yield fault(f"gain.read_noise_e: {noise:g} must lie in 0…{MOST_NOISE:g} e-", "gain.read_noise_e")
@@ -289,14 +296,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
             black_level=sensor.black_level_dn,
             white_level=white_level(recipe),
             fixed_pattern_seed=sensor.fixed_pattern_seed,
-            noise=Noise(
-                read_noise=noise.read_noise_e,
-                dark_current=noise.dark_current_e_per_s,
-                dsnu=noise.dsnu_e,
-                prnu=noise.prnu,
-                well_capacity=noise.well_capacity_e,
-                column_noise=noise.column_noise_e,
-            ),
+            noise=noise_of(noise),
             optics=Optics(recipe.optics.focal_length_mm * 1e-3, recipe.optics.f_number, recipe.optics.object_distance_m),
             readout=readout_of(recipe.channel, recipe.cfa.channels, noise.read_noise_e),
             gains=gains_of(recipe.gain, noise.read_noise_e),
@@ -321,16 +321,16 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
         ("optics.f_number", optics.f_number),
     ]
     for key, value in positive:
-        if value is not None and not 0 < value < float("inf"):
+        if value is not None and not value > 0:
             yield fault(f"{key} is {value:g}, and must be above zero", key)
     for channel, terms in (recipe.responsivity.gaussians or {}).items():
         for number, term in enumerate(terms):
-            if not 0 < term.narrowest < float("inf"):
+            if not term.narrowest > 0:
                 message = f"a sigma of the Gaussians of {channel} is {term.narrowest:g}, and must be above zero"
                 yield fault(message, ("responsivity", "gaussians", channel, number))
     for name in noise.__struct_fields__:
         key, value = f"noise.{name}", getattr(noise, name)
-        if name != "well_capacity_e" and not 0 <= value < float("inf"):
+        if name != "well_capacity_e" and not value >= 0:
             yield fault(f"{key} is {value:g}, and must not be negative", key)
     if recipe.responsivity.peak_efficiency is not None:
         yield from share_faults(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0)
@@ -345,17 +345,14 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 
 
 def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
-    """Yield the faults of a sensor or lens whose numbers are right one by one, but not together."""
-    sensor, optics = recipe.sensor, recipe.optics
+    """Yield the faults of a sensor whose numbers are right one by one, but not together."""
+    sensor = recipe.sensor
     black, white = sensor.black_level_dn, white_level(recipe) if 1 <= sensor.bits <= MAX_BITS else 0.0
     try:
         check_sensor(sensor.rows, sensor.cols, sensor.bits, black, white)
     except ValueError as error:
         named = ("rows", "cols") if black < white else ("black_level_dn", "white_level_dn", "gain_dn_per_e")
         yield fault(str(error), *(f"sensor.{key}" for key in (*named, "bits", "rows", "cols")), "noise.well_capacity_e")
-    if optics.focal_length_mm > 0 and 0 < optics.object_distance_m <= optics.focal_length_mm * 1e-3:
-        message = "optics.object_distance_m is nearer than the focal length; give 0 for infinity"
-        yield fault(message, "optics.object_distance_m", "optics.focal_length_mm")
 
 
 def white_level(recipe: CameraRecipe) -> float:
@@ -375,7 +372,8 @@ def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:
 
 
 def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
-    """Yield the faults of a pixel pitch, focal length or f-number whose size shows that it is in another unit."""
+    """Yield the faults of a pixel pitch, focal length or f-number whose size shows that it is in another unit, and of an
+    object within the focal length."""
     least, most = PITCHES_UM
     if pitch_um > 0 and not least <= pitch_um <= most:
         meant = next(
@@ -389,6 +387,9 @@ def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
         yield fault(message, "optics.focal_length_mm")
     if 0 < f_number < LEAST_F_NUMBER:
         yield fault(f"optics.f_number is {f_number:g}; no lens in air is below {LEAST_F_NUMBER}", "optics.f_number")
+    if 0 < optics.object_distance_m <= focal * 1e-3:
+        message = "optics.object_distance_m is nearer than the focal length; give 0 for infinity"
+        yield fault(message, "optics.object_distance_m", "optics.focal_length_mm")
 
 
 def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:

@@ -149,12 +149,9 @@ class PartialLayerSums(Artifact):
             raise ValueError(f"ratio_taps is {self.ratio_taps}, neither 0 nor {RATIO_TAPS}")
         if self.side < 1 or self.side % 2 == 0:
             raise ValueError(f"side is {self.side}, not odd")
-        below = self.table.first.rule
-        if (len(self.rule.gradient_factor), self.rule.cases) != (below.levels, below.lost_cases):
-            raise ValueError("rule has other levels or saturation cases than the table's first layer")
-        if len(self.rule.turns) != self.table.cfa.size:
-            raise ValueError(f"rule is for {len(self.rule.turns)} sites, the CFA has {self.table.cfa.size}")
-        if [len(scale.gradient_factor) for scale in self.gradients] != [below.levels for _ in self.table.noises]:
+        self.rule.check_fits(self.table.cfa.size, self.table.first.rule)
+        levels = self.table.first.rule.levels
+        if [len(scale.gradient_factor) for scale in self.gradients] != [levels for _ in self.table.noises]:
             raise ValueError("gradients are not those of each noise that the table is learned for")
 
     @property

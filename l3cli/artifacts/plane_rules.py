@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.schema import check, data
 
 GRADIENT = 4095  # largest gradient, in units of SIGMA per standard deviation of noise: sums of 81 squares stay below 2^31
@@ -63,6 +64,7 @@ class PlaneClasses(GradientScale):
     first layer; structures are what a rule tells apart where nothing is saturated."""
 
     cases: int  # saturation cases of the first layer, the unsaturated one included
+    turns: NDArray[Any]  # (site, …) orientation that a site is learned in
 
     @property
     def levels(self) -> int:
@@ -79,6 +81,16 @@ class PlaneClasses(GradientScale):
     @property
     def classes_per_site(self) -> int:
         return self.levels * self.kinds
+
+    def check_fits(self, sites: int, first: ClassRule) -> None:
+        """Raise ValueError if the rule is not for an array of so many sites, or for another rule of the first layer."""
+        if len(self.turns) != sites:
+            raise ValueError(f"turns holds {len(self.turns)} sites, the CFA {sites}")
+        if (len(self.gradient_factor), self.cases) != (first.levels, first.lost_cases):
+            raise ValueError(
+                f"a refinement layer is for {len(self.gradient_factor)} levels and {self.cases} saturation cases, "
+                f"the first has {first.levels} and {first.lost_cases}"
+            )
 
     def level_of(self, first: Any) -> Any:
         """Return the levels of this rule for levels of the first layer."""

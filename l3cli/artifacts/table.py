@@ -356,9 +356,7 @@ class TransformTable(Artifact):
     light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
     camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
     conditions: tuple[Condition, ...] = group(default=(), older=older_conditions)  # other noise, then light by light
-    spectra: SpectralSmoothing | None = group(
-        default=None
-    )  # of the outputs, the last step; None: they are as layers leave them
+    spectra: SpectralSmoothing | None = group(default=None)  # of the outputs, the last step; None: as layers leave them
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -392,14 +390,7 @@ class TransformTable(Artifact):
 
     def _check_refinement(self, layer: PlaneLayer) -> None:
         """Raise ValueError if a layer does not fit the first one, whose levels, saturation cases and outputs it takes."""
-        rule, below = layer.rule, self.first.rule
-        if len(rule.turns) != self.cfa.size:
-            raise ValueError(f"turns holds {len(rule.turns)} sites, the CFA {self.cfa.size}")
-        if (len(rule.gradient_factor), rule.cases) != (below.levels, below.lost_cases):
-            raise ValueError(
-                f"a refinement layer is for {len(rule.gradient_factor)} levels and {rule.cases} saturation cases, "
-                f"the first has {below.levels} and {below.lost_cases}"
-            )
+        layer.rule.check_fits(self.cfa.size, self.first.rule)
         taps = layer.side**2 * len(self.outputs)
         if layer.side % 2 == 0 or layer.weights.shape[2] not in (taps, taps + RATIO_TAPS):
             raise ValueError(f"weights has {layer.weights.shape[2]} taps, {len(self.outputs)} windows of odd side {taps}")

@@ -33,7 +33,9 @@ def verify(path: Path) -> Intact:
     digest = container.check(path, "an l3 command")
     with open_artifact(path, unchanged=digest) as root:
         count = 0
-        for name, dataset in _datasets(root, path):
+        with reading(path, "a group"):
+            every = list(container.datasets(root))
+        for name, dataset in every:
             with reading(path, f"dataset {name}"):
                 scale, stored = is_scale(dataset), dataset.id.get_storage_size()
             if scale and not stored:
@@ -46,18 +48,6 @@ def verify(path: Path) -> Intact:
                 raise InputFileError(f"{path}: dataset {name} is damaged (checksum); make the file again") from error
             count += not scale
         return Intact(str(root.attrs["kind"]), int(root.attrs["version"]), digest, count, read_history(root, path))
-
-
-def _datasets(root: h5py.File, path: Path) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Yield every dataset by name; no soft or external link is followed."""
-    names: list[str] = []
-    try:
-        root.visit(names.append)
-        for name in names:
-            if isinstance(member := root[name], h5py.Dataset):
-                yield name, member
-    except (OSError, RuntimeError, KeyError) as error:
-        raise InputFileError(f"{path} is damaged; make the file again") from error
 
 
 def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.frames.frame import tiled
+
 SMALLEST = 4  # pixels, side of a block
 QUAD = 2  # pixels a side
 BEGINS, CLIPS = 0.6, 0.985  # means of a channel, shares of full scale, between which it passes for clipped more and more
@@ -76,8 +78,7 @@ def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
         cut = values[np.ix_(*places)].reshape(blocks[0], -1, blocks[1], len(places[1]) // blocks[1])
         return cut.transpose(0, 2, 1, 3).reshape(*blocks, -1)
 
-    period = mosaic.cfa.shape
-    channel = in_blocks(mosaic.cfa[np.arange(shape[0])[:, None] % period[0], np.arange(shape[1]) % period[1]])
+    channel = in_blocks(tiled(mosaic.cfa, shape))
     values = in_blocks(mosaic.values.astype(np.int64))
     span, means, ranges = mosaic.white_level - mosaic.black_level, [], []
     whole = values.max(axis=-1) >= first_bright(mosaic.black_level, mosaic.white_level)

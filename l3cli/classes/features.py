@@ -92,12 +92,8 @@ class FurtherFeature(Feature, Protocol):
         """Return the macros that the snippet is compiled with."""
 
 
-BASIC: tuple[BasicFeature, ...] = (
-    level,
-    contrast,
-    saturation,
-    chroma,
-)  # in this order their snippets are joined and their arrays handed on
+# In this order their snippets are joined and their arrays handed on.
+BASIC: tuple[BasicFeature, ...] = (level, contrast, saturation, chroma)
 FURTHER: Mapping[str, FurtherFeature] = {  # by the table of a recipe that switches it on
     "direction": direction,
 }

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.classes import saturation
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, sites
-from l3cli.frames.frame import pad_mosaic, shifted_cfa
+from l3cli.frames.frame import pad_mosaic, shifted_cfa, tiled
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,9 @@ def patch_statistics(values: NDArray[np.uint32], rule: ClassRule, order: TapOrde
     if rule.shift:
         values >>= rule.shift
     sums = _channel_sums(values, order)
-    windows = order.windows @ values.astype(np.float32) if len(order.windows) else _no_windows(values.shape[1])
+    windows = np.empty((0, values.shape[1]), np.float32)
+    if len(order.windows):
+        windows = order.windows @ values.astype(np.float32)
     squares = None
     if rule.contrasts > 1:
         values *= values
@@ -68,17 +70,13 @@ def _channel_sums(values: NDArray[np.uint32], order: TapOrder) -> NDArray[np.uin
     return np.stack([np.add.reduce(values[taps], axis=0, dtype=np.uint32) for taps in order.channels])
 
 
-def _no_windows(patches: int) -> NDArray[np.float32]:
-    return np.empty((0, patches), np.float32)
-
-
 def mosaic_statistics(
     values: NDArray[np.uint16], rule: ClassRule, neighbours: Neighbourhoods, cfa: NDArray[np.uint8], phase: tuple[int, int]
 ) -> Statistics:
     """Return statistics of every pixel of a mosaic (row, col) of DN whose first pixel has CFA site `phase`."""
     rows, cols = values.shape
     padded = pad_mosaic(values, rule.radius, cfa.shape).astype(np.int64)
-    channel = _padded_channels(shifted_cfa(cfa, phase), rule.radius, rows, cols)
+    channel = tiled(shifted_cfa(cfa, (phase[0] - rule.radius, phase[1] - rule.radius)), padded.shape)
     shifted = padded >> rule.shift
     saturated = padded >= rule.saturation
     sums, squares, code = [], [], np.zeros((rows, cols), dtype=np.int64)
@@ -107,12 +105,6 @@ def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> 
             sums[first + window.sum] += window.sign * (low[:, right] - top[:, right] - low[:, left] + top[:, left])
         first += axis.sums
     return np.moveaxis(sums, 0, -1)
-
-
-def _padded_channels(frame_cfa: NDArray[np.uint8], radius: int, rows: int, cols: int) -> Integers:
-    row = np.arange(-radius, rows + radius) % frame_cfa.shape[0]
-    col = np.arange(-radius, cols + radius) % frame_cfa.shape[1]
-    return frame_cfa[np.ix_(row, col)].astype(np.int64)
 
 
 def _inner(padded: NDArray, rule: ClassRule) -> NDArray:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from l3cli.system.console import Console
 
 T = TypeVar("T")
+SIZE = re.compile("0*[1-9][0-9]{0,5}")  # of a terminal, in COLUMNS or LINES
 PARAMETER = re.compile("‹([a-z_]+)›")  # as messages from below the command line mark it
 
 
@@ -79,8 +80,7 @@ def prepare() -> None:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
     for name in ("COLUMNS", "LINES"):
-        size = os.environ.get(name, "")
-        if not (size.isascii() and size.isdecimal() and int(size)):
+        if not SIZE.fullmatch(os.environ.get(name, "")):
             os.environ.pop(name, None)
 
 
@@ -93,8 +93,6 @@ def drop(stream: IO[str]) -> None:
             os.dup2(nowhere.fileno(), stream.fileno())
 
 
-SIZES = ("COLUMNS", "LINES")  # environment variables of a terminal's size
-DIGITS = re.compile(r"[0-9]{1,6}")  # of a size
 SELDOM, OFTEN = 600.0, 10.0  # seconds after which a log hears of the progress at the latest, and before which it does not
 
 
@@ -102,8 +100,7 @@ def width() -> int | None:
     """Return characters in a line of stdout, by its terminal or the environment variable COLUMNS; None: any number."""
     import shutil
 
-    columns = os.environ.get("COLUMNS", "")
-    if not sys.stdout.isatty() and not DIGITS.fullmatch(columns):
+    if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
         return None
     return max(shutil.get_terminal_size().columns, 40)
 
@@ -150,8 +147,7 @@ def _with_bar(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
 
     pace = TextColumn("{task.fields[pace]}")
     columns = (TextColumn(what), BarColumn(bar_width=12), MofNCompleteColumn(), pace, TimeElapsedColumn())
-    environment = {name: os.environ[name] for name in os.environ if name not in SIZES or DIGITS.fullmatch(os.environ[name])}
-    with Progress(*columns, console=console.Console(stderr=True, _environ=environment), transient=True) as bar:
+    with Progress(*columns, console=console.Console(stderr=True), transient=True) as bar:
         task, start = bar.add_task(what, total=total, pace="0 %" if total else ""), time.monotonic()
         for done, item in enumerate(items, 1):
             yield item

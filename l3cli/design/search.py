@@ -45,14 +45,6 @@ class Problem:
         return float(np.exp(np.log(np.maximum((errors * self.share).sum(axis=1), 1e-12)).mean()))
 
 
-def least_period(cfa: Cfa) -> Cfa:
-    """Return the smallest array that repeats to the same."""
-    rows, cols = cfa.shape
-    periods = itertools.product(*([each for each in range(1, size + 1) if size % each == 0] for size in (rows, cols)))
-    tiled = ((down, across, np.tile(cfa[:down, :across], (rows // down, cols // across))) for down, across in periods)
-    return next(cfa[:down, :across] for down, across, whole in tiled if np.array_equal(whole, cfa))
-
-
 @functools.cache
 def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
     """Return the orders (symmetry, site) in which the sites of an array of that period may be read without changing it:

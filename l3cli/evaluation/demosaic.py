@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import L3Error
 from l3cli.evaluation.quality import cropped
-from l3cli.frames.frame import pad_mosaic
+from l3cli.frames.frame import pad_mosaic, tiled
 from l3cli.system.plugins import BASELINES, blamed, described, plugins
 
 Array = NDArray[np.floating]
@@ -85,11 +85,6 @@ def bayer_roles(cfa: CFA) -> tuple[int, int, int] | None:
             first, second = sorted({0, 1, 2} - {green})
             return first, green, second
     return None
-
-
-def tiled(cfa: CFA, shape: tuple[int, ...]) -> CFA:
-    """Return the channel (row, col) of every pixel of a frame of `shape`, CFA phase (0, 0)."""
-    return cfa[np.ix_(np.arange(shape[0]) % cfa.shape[0], np.arange(shape[1]) % cfa.shape[1])]
 
 
 def _bayer_baselines(cfa: CFA) -> dict[str, Demosaic]:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.frames.frame import tiled
+
 CORE = 0.25  # half the side of a patch's core, in cells: frames of patches, and blurred edges, stay out
 FAR = 5.0  # robust standard deviations: dust, scratches, hot pixels
 DUSTY = 0.2  # share of a patch's pixels that may be left out
@@ -94,7 +96,7 @@ def patch_values(
         if part.size < LEAST_PIXELS:
             raise ValueError(f"patch {index + 1} holds {part.size} pixels of channel {channel}")
         values = mean_frame.ravel()[part]
-        clean = _clean(values)
+        clean = _typical(values, 0.5)
         mean[index, channel] = values[clean].mean()
         variance[index, channel] = _robust_variance(differences.ravel()[part])
         noise = np.sqrt(variance[index, channel] / len(frames) / clean.sum())
@@ -114,10 +116,8 @@ def patch_values(
 
 def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> Iterator[tuple[tuple[int, int], NDArray]]:
     """Yield ((patch, channel), flat indices of its pixels) of a map (row, col) of patches."""
-    shape, channels = patch.shape, int(cfa.max()) + 1
-    channel_of = np.tile(cfa, [-(-length // period) for length, period in zip(shape, cfa.shape, strict=True)])
-    channel_of = channel_of[: shape[0], : shape[1]]
-    label = np.where(patch < patches, patch * channels + channel_of, patches * channels).ravel()
+    channels = int(cfa.max()) + 1
+    label = np.where(patch < patches, patch * channels + tiled(cfa, patch.shape), patches * channels).ravel()
     order = np.argsort(label, kind="stable")
     bounds = np.searchsorted(label[order], np.arange(patches * channels + 1))
     for index, channel in np.ndindex(patches, channels):
@@ -125,11 +125,10 @@ def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> I
         yield (index, channel), order[bounds[at] : bounds[at + 1]]
 
 
-def _clean(values: Array) -> NDArray[np.bool_]:
-    """Return which values are no dust, scratch or hot pixel."""
-    middle = np.median(values)
-    spread = max(MAD * float(np.median(np.abs(values - middle))), 0.5)
-    return np.asarray(np.abs(values - middle) <= FAR * spread)
+def _typical(values: Array, least: float) -> NDArray[np.bool_]:
+    """Return which values are no dust, scratch or hot pixel; the rest has a standard deviation of `least` or more."""
+    off = np.abs(values - np.median(values))
+    return np.asarray(off <= FAR * max(MAD * float(np.median(off)), least))
 
 
 def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
@@ -149,9 +148,7 @@ def _robust_variance(values: Array) -> float:
     values = values[np.isfinite(values)]
     if values.size < LEAST_PIXELS:
         return 0.0
-    spread = max(MAD * float(np.median(np.abs(values - np.median(values)))), 1e-3)
-    typical = values[np.abs(values - np.median(values)) <= FAR * spread]
-    return float(typical.var())
+    return float(values[_typical(values, 1e-3)].var())
 
 
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:

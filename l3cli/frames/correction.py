@@ -264,13 +264,15 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
     Breiman 1995). So hot pixels are taken off whole however few the frames, and the finer pattern the better the more
     there are. σ comes from the differences of frames, of a single one from the spread of its pixels.
     """
+    kind: tuple[object, ...] = ()
     first, total, squares, count = None, np.zeros(1), 0.0, 0
     for frame in frames:
         values = frame.values.astype(np.float64)
+        of_kind = values.shape, frame.phase, frame.orientation, frame.exposure
         if first is None:
-            first, total = frame, np.zeros_like(values)
+            first, kind, total = frame, of_kind, np.zeros_like(values)
             earlier = values
-        elif _differs(frame, first):
+        elif of_kind != kind:
             raise InputFileError(f"{frame.name} and {first.name} differ in size, phase or exposure; give darks of one kind")
         else:
             squares += _spread(values - earlier) ** 2 / 2  # of the noise of one frame
@@ -319,11 +321,6 @@ def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
 def _spread(values: NDArray[np.float64]) -> float:
     """Return the standard deviation of the values, hot pixels aside."""
     return MAD * float(np.median(np.abs(values - np.median(values))))
-
-
-def _differs(frame: RawFrame, first: RawFrame) -> bool:
-    about = [(each.values.shape, each.phase, each.orientation, each.exposure) for each in (frame, first)]
-    return about[0] != about[1]
 
 
 @dataclass(frozen=True)

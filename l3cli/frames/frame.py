@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,6 +167,21 @@ def pad_mosaic(values: NDArray, margin: int, cfa_shape: tuple[int, int]) -> NDAr
     rows = mirrored_indices(values.shape[0], margin, cfa_shape[0])
     cols = mirrored_indices(values.shape[1], margin, cfa_shape[1])
     return values[np.ix_(rows, cols)]
+
+
+def tiled(pattern: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return (row, col) of what repeats over a mosaic of that shape, from its first pixel on."""
+    rows, cols = pattern.shape
+    return pattern[np.arange(shape[0])[:, None] % rows, np.arange(shape[1]) % cols]
+
+
+def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
+    """Return the smallest array that repeats to a pattern (row, col)."""
+    lengths = []
+    for axis, length in enumerate(pattern.shape):
+        periods = (each for each in range(1, length + 1) if length % each == 0)
+        lengths.append(next(each for each in periods if np.array_equal(np.roll(pattern, each, axis), pattern)))
+    return pattern[: lengths[0], : lengths[1]]
 
 
 def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:

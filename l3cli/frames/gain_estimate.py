@@ -174,9 +174,8 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
 def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
     """Return the mean square of the weak and of the strong components of each patch (patch), and how many are weak."""
     pixels, channels = patches.member.shape
-    directions = np.linalg.qr(np.concatenate([patches.member, np.eye(pixels)], axis=1))[0][
-        :, channels:
-    ]  # means are left out
+    every = np.linalg.qr(np.concatenate([patches.member, np.eye(pixels)], axis=1))[0]
+    directions = every[:, channels:]  # means are left out
     count = (pixels - channels) // 2
     weak, strong = np.empty(len(whitened)), np.empty(len(whitened))
     for half in (False, True):

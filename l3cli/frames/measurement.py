@@ -198,9 +198,7 @@ class Measurements:
     photos: tuple[PhotoCapture, ...] = ()
     cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # what is known of curves before a photo is taken
     datasheet: SensorFigures | None = None
-    base: CameraModel | None = (
-        None  # of which all is known but its defects and flat field, for which `darks` and `whites` are
-    )
+    base: CameraModel | None = None  # all but its defects and flat field is known, for which `darks` and `whites` are
     lamp_drift: float = 0.0  # relative standard deviation between a light and its measured spectrum
     wavelength_uncertainty: float = 0.0  # nm, standard deviation of the spectrometer's scale
 

@@ -25,9 +25,7 @@ class Shading:
     """The shading of one sensor's frames."""
 
     gain: NDArray[np.float32]  # (row, node) of the outputs, at every STEP-th column; linear in between
-    colour: (
-        NDArray[np.int16] | None
-    )  # (row, col) colour shading: gain of the values, less 1, in 1/2^FRACTION; None: 0 everywhere
+    colour: NDArray[np.int16] | None  # (row, col) gain of the values, less 1, in 1/2^FRACTION; None: 0 everywhere
 
     def gain_map(self, cols: int) -> NDArray[np.float64]:
         """Return the gain (row, col) of the outputs."""

@@ -1,30 +1,15 @@
-"""The measurement file, its keys, and what lies around it: MEASUREMENTS.toml, frames, CSV spectra
-(docs/method.md#calibration).
+"""The measurement file and its keys (docs/own-lab.md, docs/method.md#calibration).
 
-    MEASUREMENTS.toml   sensor, cfa, optics, and what was measured:
-      responsivity      one of: [[mono]] frames of a monochromator; [sweep] a table of means beside a photodiode; [curves]
-                        a finished curve; [[band]] a chart behind narrow filters at several exposures; [photo], or
-                        several [[photo]], raw files of a chart of known reflectances
-      scale             [[chart]] ColorCheckers under known lights; without them the camera's responsivity is relative
-      sensor            [[dark]] and [[white]] frames; without [[white]] a [datasheet] of declared figures; a photo
-                        alone gives gain and dark noise
-    frames              single-channel 16-bit pictures (TIFF, PNG, PGM) or raw files (.npy, FITS, DNG, NEF…) of the whole
-                        sensor, raw DN, CFA phase (0, 0)
-    spectra             CSV: wavelength in nm, then radiances in photons/s/sr/m²/nm, one column a light or a patch; other
-                        units as a heading or the key `unit` states
-
-A measurement file of [[dark]] and [[white]] frames alone takes all else from a camera model or recipe, its `base`.
-
-Names of files are relative to the folder of the measurement file.
+It states one source of responsivity ([[mono]], [sweep], [curves], [[band]], [photo]); for its scale [[chart]]s; for the
+sensor [[dark]] and [[white]] frames, or a [datasheet]. One of [[dark]] and [[white]] frames alone takes all else from a
+camera model or recipe, its `base`. Names of files are relative to its folder.
 """
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
 import msgspec
-import numpy as np
 
 from l3cli.artifacts.camera import MAX_BITS, CameraModel
 from l3cli.artifacts.camera_curves import column_faults
@@ -282,10 +267,6 @@ def _sensor_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
     for key in ("focal_length_mm", "f_number"):
         if not getattr(optics, key) > 0:
             yield fault("optics needs focal_length_mm and f_number above 0", f"optics.{key}")
-    if optics.focal_length_mm > 0 and 0 < optics.object_distance_m <= optics.focal_length_mm * 1e-3:
-        yield fault(
-            "optics.object_distance_m is nearer than the focal length; give 0 for infinity", "optics.object_distance_m"
-        )
     yield from length_faults(sensor.pixel_pitch_um, optics)
     array = list(cfa_faults(recipe.cfa))
     yield from array
@@ -305,11 +286,11 @@ def _datasheet_faults(declared: DatasheetRecipe, most: int) -> Iterator[Fault]:
     """Yield the faults of declared figures; `most`: the largest DN."""
     spreads = (declared.read_noise_e, declared.dark_current_e_per_s, declared.dsnu_e, declared.prnu)
     levels = 0 <= declared.black_level_dn < declared.white_level_dn <= most
-    if not (levels and 0 < declared.well_capacity_e < math.inf and min(spreads) >= 0):
+    if not (levels and declared.well_capacity_e > 0 and min(spreads) >= 0):
         message = f"datasheet needs 0 ≤ black_level_dn < white_level_dn ≤ {most}, a well, and no negative figure"
         yield fault(message, "datasheet")
     yield from share_faults(declared.prnu, "datasheet.prnu", MOST_PRNU)
-    if declared.gain_dn_per_e is not None and not 0 < declared.gain_dn_per_e < math.inf:
+    if declared.gain_dn_per_e is not None and not declared.gain_dn_per_e > 0:
         yield fault("datasheet.gain_dn_per_e must be above 0", "datasheet.gain_dn_per_e")
 
 
@@ -327,7 +308,7 @@ def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
         place: KeyPath = ("photo", number) if isinstance(recipe.photo, list) else ("photo",)
         if not photo.frames:
             yield fault("a [photo] needs frames, one raw file or more of one scene", (*place, "frames"))
-        if photo.corners is not None and (len(photo.corners) != 4 or not np.isfinite(photo.corners).all()):
+        if photo.corners is not None and len(photo.corners) != 4:
             message = "a [photo] has four corners, col, row of its first, last of row, last, first of last row"
             yield fault(message, (*place, "corners"))
 
@@ -335,7 +316,7 @@ def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
 def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
     """Yield the faults of the exposure, the monitor's reading and the corners of a capture."""
     table = key[0]
-    if capture.seconds is None or not 0 < capture.seconds < math.inf:
+    if capture.seconds is None or not capture.seconds > 0:
         message = f"a [[{table}]] capture needs one of exposure_s, exposure_ms and exposure_us, above 0"
         yield fault(message, *((*key, name) for name in EXPOSURES))
     if not 1 / MOST_MONITOR <= capture.monitor <= MOST_MONITOR:
@@ -343,7 +324,7 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
         yield fault(f"{message}, 1 where it is the same", (*key, "monitor"))
     if not capture.frames:
         yield fault(f"a [[{table}]] capture needs frames", (*key, "frames"))
-    if isinstance(capture, ChartRecipe) and (len(capture.corners) != 4 or not np.isfinite(capture.corners).all()):
+    if isinstance(capture, ChartRecipe) and len(capture.corners) != 4:
         message = f"a [[{table}]] has {len(capture.corners)} corners; give col, row of patches 1, 6, 24, 19"
         yield fault(message, (*key, "corners"))
 

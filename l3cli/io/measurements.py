@@ -5,15 +5,15 @@ photographs of charts, and the measurement file of a raw file that says all that
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, CameraModel, Noise, Optics
+from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, CameraModel, Optics
 from l3cli.artifacts.camera_recipe import (
     F_NUMBER,
     FOCAL_MM,
@@ -22,12 +22,13 @@ from l3cli.artifacts.camera_recipe import (
     OpticsRecipe,
     camera_files,
     load_camera,
+    noise_of,
     parse_cfa,
     settings_from,
 )
 from l3cli.artifacts.schema import Stage
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame, least_period, shifted_cfa, tiled
 from l3cli.frames.measurement import (
     PATCH_NAMES,
     PATCHES,
@@ -76,11 +77,7 @@ MOST = 65535  # DN
 Array = NDArray[np.float64]
 
 
-class Levels(NamedTuple):
-    """Black and white level in DN where the file states none; None: unknown."""
-
-    black: float | None
-    white: float | None
+Levels = Mapping[str, float]  # "black_level" and "white_level" in DN of raw files that state none, as far as they are known
 
 
 def load_photos(photos: Sequence[PhotoRecipe], body: Body, levels: Levels, path: Path) -> tuple[PhotoCapture, ...]:
@@ -90,7 +87,7 @@ def load_photos(photos: Sequence[PhotoRecipe], body: Body, levels: Levels, path:
     for photo in photos:
         wavelength, radiance = _light(photo, path)
         if photo.dark:  # measures the black level
-            levels = levels._replace(black=levels.black or 0.0)
+            levels = {"black_level": 0.0, **levels}
         frames, darks, whites = (
             tuple(_frame(path.parent / name, body, levels) for name in names)
             for names in (photo.frames, photo.dark, photo.white)
@@ -116,17 +113,15 @@ def _check_alike(frames: Sequence[RawFrame], darks: Sequence[RawFrame], whites: 
 
 def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
     """Return a raw file as it stands, at its own levels."""
-    content = raw_content(path)
-    black, white = content.get("black_level", levels.black), content.get("white_level", levels.white)
-    if black is None:
+    content: Mapping[str, Any] = {**levels, **raw_content(path)}
+    if "black_level" not in content:
         raise InputFileError(f"{path} states no black level; name a dark frame, as dark, or give a [datasheet]")
     pattern = content.get("pattern")
     phase = (0, 0) if pattern is None else phase_of(path, pattern, body)
-    values = np.ascontiguousarray(content["values"], np.uint16)
+    values, white = np.ascontiguousarray(content["values"], np.uint16), content.get("white_level", 2**body.bits - 1)
     try:
-        white = float(2**body.bits - 1 if white is None else white)
         neutral = neutral_of_channels(content.get("neutral"), pattern, phase, body)
-        return RawFrame(str(path), values, float(black), white, phase, neutral=neutral)
+        return RawFrame(str(path), values, float(content["black_level"]), float(white), phase, neutral=neutral)
     except ValueError as error:
         raise InputFileError(str(error)) from error
 
@@ -200,7 +195,7 @@ def recipe_of_photos(paths: Sequence[Path], light: str | None) -> MeasurementRec
 
 def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
     """Return the colour filter array of the codes (row, col) that a raw file states, channels called by letters."""
-    pattern = _shortest(codes)
+    pattern = least_period(codes)
     names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}
     return CfaRecipe(list(names.values()), [" ".join(names[int(code)] for code in row) for row in pattern])
 
@@ -223,23 +218,13 @@ def export_offsets(camera: CameraModel, photos: Sequence[PhotoCapture], folder: 
     assert camera.fit.photo is not None
     for path, photo, glare in zip(offset_paths(folder, photos), photos, camera.fit.photo.glare, strict=True):
         frame = photo.frames[0]
-        cfa = shifted_cfa(camera.cfa, frame.phase)
-        repeats = [-(-length // period) for length, period in zip(frame.values.shape, cfa.shape, strict=True)]
-        sites = np.tile(cfa, repeats)[: frame.values.shape[0], : frame.values.shape[1]]
+        sites = tiled(shifted_cfa(camera.cfa, frame.phase), frame.values.shape)
         values = np.clip(np.rint(camera.black_level + glare), 0, MOST).astype(np.uint16)[sites]
         content = io.BytesIO()
         with tifffile.TiffWriter(content) as file:
             for _ in range(2):
                 file.write(values, compression="zlib", photometric="minisblack", metadata=None, software=None)
         write_whole(path, content.getbuffer())
-
-
-def _shortest(pattern: NDArray[np.integer]) -> NDArray[np.integer]:
-    """Return the smallest array that repeats to a pattern."""
-    rows, cols = pattern.shape
-    row = next(n for n in range(1, rows + 1) if rows % n == 0 and (pattern == np.roll(pattern, n, axis=0)).all())
-    col = next(n for n in range(1, cols + 1) if cols % n == 0 and (pattern == np.roll(pattern, n, axis=1)).all())
-    return pattern[:row, :col]
 
 
 def load_measurements(path: Path) -> Measurements:
@@ -384,9 +369,8 @@ def curve_of(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurv
 
 
 def _levels(recipe: MeasurementRecipe) -> Levels:
-    """Return the black and white level of raw files that state none."""
     declared = recipe.datasheet
-    return Levels(None, None) if declared is None else Levels(declared.black_level_dn, declared.white_level_dn)
+    return {} if declared is None else {"black_level": declared.black_level_dn, "white_level": declared.white_level_dn}
 
 
 def _cameras(recipe: MeasurementRecipe, path: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
@@ -397,10 +381,9 @@ def _cameras(recipe: MeasurementRecipe, path: Path) -> CurveStatistics | tuple[F
 
 
 def _figures(declared: DatasheetRecipe) -> SensorFigures:
-    black_level, white_level, well = declared.black_level_dn, declared.white_level_dn, declared.well_capacity_e
-    noise = Noise(declared.read_noise_e, declared.dark_current_e_per_s, declared.dsnu_e, declared.prnu, well)
-    gain = (white_level - black_level) / well if declared.gain_dn_per_e is None else declared.gain_dn_per_e
-    return SensorFigures(gain, black_level, white_level, noise)
+    black_level, white_level, gain = declared.black_level_dn, declared.white_level_dn, declared.gain_dn_per_e
+    gain = (white_level - black_level) / declared.well_capacity_e if gain is None else gain
+    return SensorFigures(gain, black_level, white_level, noise_of(declared))
 
 
 def _body(recipe: MeasurementRecipe, path: Path) -> Body:

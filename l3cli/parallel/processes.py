@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from l3cli.errors import L3Error
 from l3cli.parallel import without_plots
-from l3cli.system.limits import ONE_BLAS_THREAD
+from l3cli.system.limits import ONE_BLAS_THREAD, environment
 from l3cli.system.signals import uninterrupted
 
 T = TypeVar("T")
@@ -25,35 +25,23 @@ R = TypeVar("R")
 
 @contextlib.contextmanager
 def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]]:
-    """Offer `map` by so many processes, whose memory nothing else has used; at most two results for each wait."""
-    with _pool(jobs) as pool:
-        yield functools.partial(_pooled, pool, 2 * jobs)
-
-
-@contextlib.contextmanager
-def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Start processes that end with the block: at once where it fails or is interrupted."""
-    saved = {name: os.environ.get(name) for name in ONE_BLAS_THREAD}
-    os.environ.update(ONE_BLAS_THREAD)
-    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _begin)
-    before = multiprocessing.active_children()
-    try:
-        yield pool
-    except BaseException:
-        for child in multiprocessing.active_children():
-            if child not in before:
-                child.terminate()
-        # One that ends while it sends a result leaves half of it. The pool's thread waits for the rest as long as anybody
-        # could send it, and so do we, who hold that end of the pipe, too.
-        pool._result_queue._writer.close()  # type: ignore[attr-defined]
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-        for name, value in saved.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+    """Offer `map` by so many processes, whose memory nothing else has used; at most two results for each wait. They end with
+    the block: at once where it fails or is interrupted."""
+    with environment(ONE_BLAS_THREAD):
+        pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _begin)
+        before = multiprocessing.active_children()
+        try:
+            yield functools.partial(_pooled, pool, 2 * jobs)
+        except BaseException:
+            for child in multiprocessing.active_children():
+                if child not in before:
+                    child.terminate()
+            # One that ends while it sends a result leaves half of it. The pool's thread waits for the rest as long as
+            # anybody could send it, and so do we, who hold that end of the pipe, too.
+            pool._result_queue._writer.close()  # type: ignore[attr-defined]
+            raise
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 @uninterrupted  # a process that is only half started would wait for its beginning, and we for its end

@@ -14,9 +14,7 @@ XY: TypeAlias = tuple[float, float]  # chromaticity
 
 # Written out, though colour-science has both: rendering a frame needs nothing else of it, and importing it takes longer.
 SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
-BRADFORD = np.array(
-    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
-)  # cone response of XYZ
+BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])  # cones of XYZ
 D65: XY = (0.3127, 0.3290)
 
 

@@ -10,13 +10,8 @@ from pathlib import Path
 
 from l3cli.errors import InputFileError, RecipeError, suggestion
 
-KINDS = {
-    "cameras": "camera",
-    "lab": "lab",
-    "scenes": "scene",
-    "classes": "class",
-    "designs": "design",
-}  # folders of configs/: what they hold
+# Folders of configs/: what they hold.
+KINDS = {"cameras": "camera", "lab": "lab", "scenes": "scene", "classes": "class", "designs": "design"}
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
 CURVES = "curves.csv"  # of a folder of recipes that l3 writes for a camera
 COMMON = {

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from l3cli.recipes.toml import Recipe
+from l3cli.recipes.toml import Recipe, tables_in
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 PLACE = "#/$defs/{name}"
@@ -57,15 +57,12 @@ def _plain(value: Any) -> Any:
 def _structures(recipes: Sequence[type[Recipe]]) -> dict[str, type[Recipe]]:
     """Return the structures that recipes are made of, by name."""
     found: dict[str, type[Recipe]] = {}
-    left: list[Any] = list(recipes)
+    left = list(recipes)
     while left:
         kind = left.pop()
-        if isinstance(kind, type) and issubclass(kind, Recipe):
-            if kind.__name__ not in found:
-                found[kind.__name__] = kind
-                left += [field.type for field in msgspec.structs.fields(kind)]
-        else:
-            left += getattr(kind, "__args__", ())
+        if kind.__name__ not in found:
+            found[kind.__name__] = kind
+            left += [each for field in msgspec.structs.fields(kind) for each in tables_in(field.type)]
     return found
 
 

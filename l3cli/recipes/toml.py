@@ -319,9 +319,13 @@ def _tables(recipe: type[Recipe], where: str) -> list[type[Recipe]]:
     tables = [recipe]
     for name in filter(None, re.sub(r"\[[^]]*\]", "", where).split(".")):
         fields = [field for each in tables for field in msgspec.structs.fields(each) if field.encode_name == name]
-        kinds = [kind for field in fields for kind in _member_types(field.type)]
-        tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Recipe)]
+        tables = [table for field in fields for table in tables_in(field.type)]
     return tables
+
+
+def tables_in(kind: Any) -> list[type[Recipe]]:
+    """Return the structures that a value of a type is, or is made of."""
+    return [each for each in _member_types(kind) if isinstance(each, type) and issubclass(each, Recipe)]
 
 
 def _member_types(kind: Any) -> Iterator[Any]:

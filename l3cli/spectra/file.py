@@ -33,7 +33,7 @@ from l3cli.physics.spectra import colour_science
 from l3cli.recipes.toml import LARGEST
 from l3cli.spectra import units
 from l3cli.spectra.table import CurveTable
-from l3cli.system.limits import MOST_TEXT, read_bounded
+from l3cli.system.limits import read_bounded
 
 CURE = "give a CSV file of spectra"
 MARKER = re.compile(r"^(?:>{3,}|<{3,}|\*{3,}|={3,}|-{3,})")
@@ -216,11 +216,8 @@ def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
         if not _is_grid(values) or not spectra or not all(_all_numbers(other[labels:], decimal_comma) for other in spectra):
             return cells
         first = [other[0] for other in spectra]
-        if (
-            _all_numbers(first, decimal_comma)
-            and len(first) > 2
-            and _is_grid([_number(each, decimal_comma) for each in first])
-        ):
+        named = len(first) > 2 and _all_numbers(first, decimal_comma)
+        if named and _is_grid([_number(each, decimal_comma) for each in first]):
             return cells  # columns that are called by their wavelengths
         names = [" ".join(filter(None, other[:labels])) for other in spectra]
         return [*cells[:number], ["nm", *names], *map(list, zip(grid, *(other[labels:] for other in spectra), strict=True))]
@@ -258,11 +255,8 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
         other = next((row for row in reversed(before) if len(row) > 1 and any(map(is_wavelength, row))), None)
         if other is not None:
             raise InputFileError(_mismatch(len(other), columns, path))
-        return (
-            before[-1]
-            if len(before[-1]) == columns > 2 and not any(_is_number(x, decimal_comma) for x in before[-1])
-            else None
-        )
+        last = before[-1]
+        return last if len(last) == columns > 2 and not any(_is_number(cell, decimal_comma) for cell in last) else None
     heading = fitting[named]
     below = fitting[named + 1] if named + 1 < len(fitting) else None
     if named and all(_bare(cell) is not None or not cell for cell in heading):  # units alone: the names stand above them
@@ -342,11 +336,8 @@ def read_table(path: Path) -> CurveTable:
     wavelength = table[:, at] * (scale or 1.0)
     if scale in (None, 1.0) and (other := other_unit(float(wavelength.min()), float(wavelength.max()))):
         raise InputFileError(f'{path}: {other[0]}; name that column "wavelength_{other[1]}"')
-    if not (np.abs(table) <= LARGEST).all() or not _monotonic(wavelength):
-        raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
-    if not (wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST):
-        column = "" if scale is None or heading is None else f' ("{heading[at]}")'
-        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm{column}")
+    column = "" if scale is None or heading is None else f' ("{heading[at]}")'
+    _require_light(path, wavelength, table, column)
     if wavelength[0] > wavelength[-1]:
         wavelength, table = wavelength[::-1], table[::-1]
     values = np.ascontiguousarray(np.delete(table, at, axis=1).T)
@@ -384,33 +375,28 @@ def _digitised(curves: Sequence[tuple[str, Sequence[tuple[float, float]]]], path
 
 def _spdx(path: Path) -> CurveTable:
     """Return the spectrum of an IES TM-27-14 file, in the unit of its quantity; InputFileError if it holds none."""
-    try:
-        wavelength, values, unit = _read_spdx(path)
-    except ValueError as error:
-        raise InputFileError(f"{path} is not an IES TM-27 spectrum ({error}); give one, or CSV") from error
-    if wavelength.size < 2 or not _monotonic(wavelength) or not (np.abs(values) <= LARGEST).all():
-        raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
-    if not (wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST):
-        raise InputFileError(f"{path}: give wavelengths within 0…{LONGEST} nm")
-    order = np.argsort(wavelength)
-    return CurveTable(path, wavelength[order], values[None, order], (path.stem,), (unit,))
-
-
-def _read_spdx(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], str | None]:
-    """Return wavelengths (nm), values, and the unit of their quantity, None without one; ValueError if the file holds no
-    spectrum."""
-    if path.stat().st_size > MOST_TEXT:
-        raise ValueError(f"larger than {MOST_TEXT >> 20} MB")
+    read_bounded(path, CURE)
     colour = colour_science()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             spectrum = colour.SpectralDistribution_IESTM2714(str(path)).read()
-    except (ParseError, OSError, TypeError, KeyError, AttributeError) as error:
-        raise ValueError(str(error).splitlines()[0] if str(error) else type(error).__name__) from error
-    quantity = (spectrum.spectral_quantity or "other").lower()
-    wavelength, values = np.asarray(spectrum.wavelengths, np.float64), np.asarray(spectrum.values, np.float64)
-    return wavelength, values, SPDX_UNITS.get(quantity)
+        wavelength, values = np.asarray(spectrum.wavelengths, np.float64), np.asarray(spectrum.values, np.float64)
+    except (ParseError, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise InputFileError(f"{path} is not an IES TM-27 spectrum ({reason}); give one, or CSV") from error
+    _require_light(path, wavelength, values)
+    order = np.argsort(wavelength)
+    unit = SPDX_UNITS.get((spectrum.spectral_quantity or "other").lower())
+    return CurveTable(path, wavelength[order], values[None, order], (path.stem,), (unit,))
+
+
+def _require_light(path: Path, wavelength: Array, values: Array, column: str = "") -> None:
+    """Raise InputFileError unless values stand along wavelengths of light, in order; `column`: what holds these."""
+    if not (np.abs(values) <= LARGEST).all() or not _monotonic(wavelength):
+        raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
+    if not (wavelength.size and wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST):
+        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm{column}")
 
 
 def _monotonic(wavelength: Array) -> bool:

@@ -80,10 +80,8 @@ class CurveTable:
                 wrong = f'no column is called "{name}"; {suggestion(name, names)}'
                 if len(names) == len(asked) and not columns:
                     wrong = _difference(names, asked)
-                example = (
-                    f"; name it, columns = {{{channel} = {json.dumps(left_out[0], ensure_ascii=False)}}}" if left_out else ""
-                )
-                raise InputFileError(f"{self.path}: {wrong}{example}")
+                example = f"{{{channel} = {json.dumps(left_out[0], ensure_ascii=False)}}}" if left_out else ""
+                raise InputFileError(f"{self.path}: {wrong}{'; name it, columns = ' if example else ''}{example}")
         chosen = [place for place in order if place is not None]
         units = tuple(self.units[place] for place in chosen)
         return CurveTable(self.path, self.wavelength, self.values[chosen], tuple(channels), units, tuple(left_out))

@@ -3,7 +3,8 @@
 import contextlib
 import os
 import resource
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from math import prod
 from pathlib import Path
 
@@ -104,15 +105,21 @@ def trusted() -> bool:
     return word in YES
 
 
-@contextlib.contextmanager
-def trust() -> Iterator[None]:
+def trust() -> AbstractContextManager[None]:
     """Decode foreign files, within the block and in processes started there, without a child."""
-    before = os.environ.get(TRUST)
-    os.environ[TRUST] = "1"
+    return environment({TRUST: "1"})
+
+
+@contextlib.contextmanager
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Set environment variables within the block, and for processes started there."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
     try:
         yield
     finally:
-        if before is None:
-            del os.environ[TRUST]
-        else:
-            os.environ[TRUST] = before
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

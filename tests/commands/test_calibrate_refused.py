@@ -189,6 +189,7 @@ def table(tmp_path: Path) -> Path:
 
 def test_a_table_makes_a_relative_camera(table: Path, tmp_path: Path, l3: L3) -> None:
     """The photodiode's curve divides, its dark reading is lost first, and energy becomes photons."""
+    (table / "MEASUREMENTS.toml").write_text(TABLE.replace("[datasheet]", "[datasheet]\ncolumn_noise_e = 0.5"))
     assert l3("calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")[0] == 0
     camera = load(CameraModel, tmp_path / "camera.h5")
     wavelength = np.array([400.0, 500.0, 600.0, 700.0])
@@ -197,7 +198,7 @@ def test_a_table_makes_a_relative_camera(table: Path, tmp_path: Path, l3: L3) ->
     np.testing.assert_allclose(camera.responsivity, expected / expected.max(), rtol=1e-12)
     assert not camera.absolute
     assert camera.gain == pytest.approx((4000 - 64) / 20000)
-    assert camera.noise.read_noise == 0
+    assert (camera.noise.read_noise, camera.noise.column_noise) == (0, 0.5)
 
 
 def test_a_band_is_made_of_what_is_stated_or_there_is_none(table: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:

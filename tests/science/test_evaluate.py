@@ -15,7 +15,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame
 from l3cli.errors import InputFileError
 from l3cli.evaluation.basic import develop, fit_colour, light_of, white_preserving_ridge
-from l3cli.evaluation.demosaic import band_baselines, baselines, bayer_roles, interpolate, tiled
+from l3cli.evaluation.demosaic import band_baselines, baselines, bayer_roles, interpolate
 from l3cli.evaluation.mottle import BLUR, PlainPatches, mottle
 from l3cli.evaluation.pictures import error_map
 from l3cli.evaluation.quality import (
@@ -28,6 +28,7 @@ from l3cli.evaluation.quality import (
     spectral_angle,
     ssim,
 )
+from l3cli.frames.frame import tiled
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.physics.figures import sign

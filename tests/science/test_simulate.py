@@ -12,7 +12,7 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.evaluation.demosaic import tiled
+from l3cli.frames.frame import tiled
 from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.io.pictures.registry import write_picture
 from l3cli.physics import spectra

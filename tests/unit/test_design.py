@@ -19,11 +19,11 @@ from l3cli.design.search import (
     distinct,
     every_array,
     independent_outputs,
-    least_period,
     multiset_size,
     symmetries,
 )
 from l3cli.design.tuning import Tuning, error_gradient
+from l3cli.frames.frame import least_period
 
 TERMS, NOISE = 3, Noise(floor=9.0, dark=0.0, full=6000.0, prnu=0.01)
 CURVES = np.array([[0.4, 0.1, 0.0], [0.1, 0.5, 0.1], [0.0, 0.1, 0.4], [0.5, 0.6, 0.5]])

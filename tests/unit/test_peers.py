@@ -15,7 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 import l3cli
-from l3cli.evaluation.demosaic import bilinear, tiled
+from l3cli.evaluation.demosaic import bilinear
+from l3cli.frames.frame import tiled
 from tests.helpers.cameras import BAYER, bayer_camera
 from tests.helpers.paths import ROOT
 from tests.helpers.tables import random_table

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel
-from l3cli.frames.frame import Shot
+from l3cli.frames.frame import Shot, tiled
 from l3cli.io.pictures.icc import D50
 from l3cli.io.pictures.registry import Label, Picture
 from l3cli.io.raw.cfa_codes import channel_codes
@@ -99,8 +99,7 @@ CAMERA = "linear Rec. 2020"
 def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.uint16]:
     """Return DN (row, col, 3) of linear Rec. 2020 values (row, col, 3), or (row, col) of a `mosaic` of them."""
     if mosaic is not None:
-        sites = np.tile(RGGB, [-(-length // 2) for length in linear.shape[:2]])[: linear.shape[0], : linear.shape[1]]
-        linear = np.take_along_axis(linear, sites[..., None], axis=2)[..., 0]
+        linear = np.take_along_axis(linear, tiled(RGGB, linear.shape)[..., None], axis=2)[..., 0]
     return np.clip(np.rint(linear * (WHITE_LEVEL / HEADROOM)), BLACK_LEVEL, WHITE_LEVEL).astype(np.uint16)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frames.frame import shifted_cfa
+from l3cli.frames.frame import shifted_cfa, tiled
 
 if TYPE_CHECKING:  # the process that decodes starts without them
     from l3cli.artifacts.camera import CameraModel
@@ -64,10 +64,10 @@ def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> 
     """
     if max(pattern.shape) > LARGEST:
         raise InputFileError(f"{name} has a colour filter array of {pattern.shape[0]}×{pattern.shape[1]}; it is damaged")
-    size = np.lcm(pattern.shape, sensor.cfa.shape)
-    theirs = _tiled(pattern, size)
+    size = tuple(np.lcm(pattern.shape, sensor.cfa.shape).tolist())
+    theirs = tiled(pattern, size)
     phases = list(itertools.product(range(sensor.cfa.shape[0]), range(sensor.cfa.shape[1])))
-    ours = {phase: _tiled(shifted_cfa(sensor.cfa, phase), size) for phase in phases}
+    ours = {phase: tiled(shifted_cfa(sensor.cfa, phase), size) for phase in phases}
     codes = channel_codes(sensor.channels)
     exact = [phase for phase in phases if np.array_equal(codes[ours[phase]], theirs)]
     fitting = exact or [phase for phase in phases if _fits(ours[phase], theirs, sensor.channels)]
@@ -93,8 +93,8 @@ def neutral_of_channels(
     of_code = {int(code): float(signal) for code, signal in neutral}
     codes = dict(enumerate(channel_codes(sensor.channels).tolist()))
     if pattern is not None:
-        size = np.lcm(pattern.shape, sensor.cfa.shape)
-        ours, theirs = _tiled(shifted_cfa(sensor.cfa, phase), size), _tiled(pattern, size)
+        size = tuple(np.lcm(pattern.shape, sensor.cfa.shape).tolist())
+        ours, theirs = tiled(shifted_cfa(sensor.cfa, phase), size), tiled(pattern, size)
         codes |= dict(zip(ours.ravel().tolist(), theirs.ravel().tolist(), strict=True))
     signals = [of_code.get(codes[channel]) for channel in range(len(sensor.channels))]
     return None if None in signals else tuple(signals)  # type: ignore[arg-type]
@@ -104,10 +104,6 @@ def _fits(ours: NDArray[np.uint8], theirs: NDArray[np.integer], channels: Sequen
     pairs = set(zip(ours.ravel().tolist(), theirs.ravel().tolist(), strict=True))
     one_to_one = len(pairs) == len({channel for channel, _ in pairs}) == len({code for _, code in pairs})
     return one_to_one and all(code_of(channels[channel]) in (None, code) for channel, code in pairs)
-
-
-def _tiled(pattern: NDArray, size: NDArray[np.integer]) -> NDArray:
-    return np.tile(pattern, (int(size[0]) // pattern.shape[0], int(size[1]) // pattern.shape[1]))
 
 
 def _written(pattern: NDArray[np.integer]) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.frames.correction import plan_correction
-from l3cli.frames.frame import with_one_black_level
+from l3cli.frames.frame import tiled, with_one_black_level
 from l3cli.io.isolated import isolated
 from l3cli.io.raw.cfa_codes import LETTERS
 from l3cli.io.raw.content import RawContent
@@ -161,9 +161,7 @@ def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]
     """Return black levels (row, col) of the active area, or (1, 1) where all pixels have the same."""
     if np.ptp(mosaic.black_level) == 0 and not mosaic.black_of_row.any() and not mosaic.black_of_col.any():
         return mosaic.black_level[:1, :1]
-    repeats = [-(-length // period) for length, period in zip(shape, mosaic.black_level.shape, strict=True)]
-    tiled = np.tile(mosaic.black_level, repeats)[: shape[0], : shape[1]]
-    return tiled + mosaic.black_of_row[:, None] + mosaic.black_of_col
+    return tiled(mosaic.black_level, shape) + mosaic.black_of_row[:, None] + mosaic.black_of_col
 
 
 def rate(path: Path) -> Fraction | None:

@@ -160,7 +160,7 @@ TYPES: dict[int, np.dtype] = {
     3: np.dtype("<u2"),
     4: np.dtype("<u4"),
     13: np.dtype("<u4"),
-}  # of values: short, long, place of a directory
+}  # short, long, a place
 EXIF_TYPES: dict[int, np.dtype] = {5: np.dtype(("<u4", 2))}  # rational
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.tree import REACH
 from l3cli.errors import InputFileError
-from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame, shifted_cfa, tiled
 from l3cli.rendering.reference import ReferenceRenderer
 
 Array = NDArray[np.floating]
@@ -115,8 +115,7 @@ def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]
     if clipped > MOST_CLIPPED:
         return means, f"is clipped in {clipped:.0%} of its pixels; give a darker grey"
     cfa = shifted_cfa(table.cfa, (frame.phase[0] + where[0].start, frame.phase[1] + where[1].start))
-    repeats = (-(-values.shape[0] // cfa.shape[0]), -(-values.shape[1] // cfa.shape[1]))
-    channel = np.tile(cfa, repeats)[: values.shape[0], : values.shape[1]]
+    channel = tiled(cfa, values.shape)
     top, reached = int(frame.values.max()), 0  # of how many channels the part has the frame's highest value
     for index, letter in enumerate(table.channels):
         seen = values[channel == index] - (frame.black_level + frame.dark)

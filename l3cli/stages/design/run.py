@@ -24,10 +24,11 @@ from l3cli.design.recipe import (
     shown,
     tuned_filters,
 )
-from l3cli.design.search import anneal, bayer_arrays, canonical, least_period
+from l3cli.design.search import anneal, bayer_arrays, canonical
 from l3cli.design.task import Task
 from l3cli.design.tuning import random_start
 from l3cli.errors import L3Error, RecipeError
+from l3cli.frames.frame import least_period
 from l3cli.options.commands import DesignOptions
 from l3cli.parallel import WorkerPool, workers
 from l3cli.recipes.toml import read_text
