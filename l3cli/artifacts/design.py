@@ -39,10 +39,8 @@ class LightMoments:
 
     def __post_init__(self) -> None:
         check(self)
-        if (
-            self.moment.shape[-1] != self.mean.shape[-1] + SOFT.stop + self.terms
-            or self.moment.shape[-2:] != (self.moment.shape[-1],) * 2
-        ):
+        entries = self.mean.shape[-1] + SOFT.stop + self.terms
+        if self.moment.shape[-2:] != (entries, entries):
             raise ValueError("moments do not hold taps, targets and terms")
         if not (self.patches.min(initial=0) >= 0 and self.patches.sum() > 0 and 0 <= self.lost < 1):
             raise ValueError("moments are of no patches")
@@ -141,6 +139,11 @@ class Truth:
         return float(np.corrcoef(expected, measured)[0, 1])
 
 
+def overall(errors: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the geometric mean (…) of errors (…, level)."""
+    return np.asarray(np.exp(np.log(np.maximum(errors, 1e-12)).mean(axis=-1)))
+
+
 @dataclass(frozen=True)
 class Design(Artifact):
     """Arrays of a library of filters, best first, with their predicted errors."""
@@ -189,12 +192,12 @@ class Design(Artifact):
     @property
     def score(self) -> NDArray[np.float64]:
         """Return the predicted error (candidate) over all levels, their geometric mean."""
-        return np.asarray(np.exp(np.log(np.maximum(self.predicted, 1e-12)).mean(axis=1)))
+        return overall(self.predicted)
 
     @property
     def winner(self) -> tuple[str, NDArray[np.float64]]:
         """Return the best array, rows of names, and its filters (filter, wavelength): the tuned ones if they are better."""
-        if self.tuned is not None and np.exp(np.log(np.maximum(self.tuned.after, 1e-12)).mean()) < self.score[0]:
+        if self.tuned is not None and overall(self.tuned.after) < self.score[0]:
             return self.tuned.pattern, self.tuned.tuned_efficiency
         return self.patterns[0], self.efficiency
 

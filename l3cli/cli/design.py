@@ -86,22 +86,16 @@ def _document(made: "Design") -> dict[str, Any]:
 
 
 def _text(made: "Design") -> None:
-    predicted, score = made.predicted, made.score
-    places = [*range(min(SHOWN, len(score))), *([made.bayer] if made.bayer >= SHOWN else [])]
-    rows = []
-    for place in places:
-        to_bayer = "–" if made.dyes[place].min() <= 0 else f"{_gain(score[place], made.dyes[place]):+.1f} %"
-        name = f"{made.patterns[place]}{' (Bayer)' if place == made.bayer else ''}"
-        rows.append(
-            [
-                f"{place + 1}{'=' if made.ties[place] else ''}",
-                *(f"{error:.3f}" for error in predicted[place]),
-                to_bayer,
-                name,
-            ]
-        )
-    from l3cli.artifacts.design import TIE
+    from l3cli.artifacts.design import TIE, overall
 
+    predicted, score, rows = made.predicted, made.score, []
+    places = [*range(min(SHOWN, len(score))), *([made.bayer] if made.bayer >= SHOWN else [])]
+    for place in places:
+        dyes = made.dyes[place]
+        to_bayer = "–" if dyes.min() <= 0 else f"{100 * (score[place] / overall(dyes) - 1):+.1f} %"
+        name = f"{made.patterns[place]}{' (Bayer)' if place == made.bayer else ''}"
+        rank = f"{place + 1}{'=' if made.ties[place] else ''}"
+        rows.append([rank, *(f"{error:.3f}" for error in predicted[place]), to_bayer, name])
     title = [f"{made.tried} arrays, predicted error ({made.unit}); =: within {TIE:.0%} of the best"]
     show_table(title, ["", *made.levels, "to Bayer", "array"], rows, *made.verdict, *made.crossings)
     _more(made)
@@ -128,10 +122,3 @@ def _more(made: "Design") -> None:
             each = [f"{figure} {truth.correlation(place, number):.2f}" for number, figure in enumerate(truth.figures)]
             ranks.append(f"{level}: rank correlation with {', '.join(each)}")
         show_table(["trained and judged on the same unseen scenes"], [*headings, "array"], rows, *ranks)
-
-
-def _gain(score: float, dyes: Any) -> float:
-    """Return the % by which an array differs from the best Bayer array of its filters."""
-    import numpy as np
-
-    return float(100 * (score / np.exp(np.log(dyes).mean()) - 1))

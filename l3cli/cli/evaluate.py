@@ -158,14 +158,10 @@ def _print_classes(document: dict[str, Any], figure: str) -> None:
 def print_sequence(figures: "SequenceFigures") -> None:
     """Print frames of a sequence one by one, and figures of the whole."""
     named = ["frame", "mean L*", "jump", "step σ", "warped\nerror", "PSNR dB", "ΔE00 mean"]
-    rows = [
-        [
-            str(each.frame),
-            *(_known(value) for value in (each.mean_lightness, each.jump, each.step_sigma)),
-            *(_known(value) for value in (each.warped_error, each.psnr, each.mean_delta_e)),
-        ]
-        for each in figures.frames
-    ]
+    rows = []
+    for each in figures.frames:
+        brightness = each.mean_lightness, each.jump, each.step_sigma
+        rows.append([str(each.frame), *map(_known, (*brightness, each.warped_error, each.psnr, each.mean_delta_e))])
     whole = [
         ["temporal σ of L*, still patches", _known(figures.temporal_sigma)],
         ["… of the patches' means", _known(figures.patch_sigma)],

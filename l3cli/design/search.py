@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.design import overall
 from l3cli.design.error import Cfa, Level, Noise, Seen, array_errors
 
 MOST_ENUMERATED, MOST_JUDGED = 4_000_000, 100_000  # arrangements that are counted, and distinct ones that are judged
@@ -42,7 +43,7 @@ class Problem:
 
     def score(self, errors: NDArray[np.float64]) -> float:
         """Return the geometric mean, over levels, of errors (level, group)."""
-        return float(np.exp(np.log(np.maximum((errors * self.share).sum(axis=1), 1e-12)).mean()))
+        return float(overall((errors * self.share).sum(axis=1)))
 
 
 @functools.cache
