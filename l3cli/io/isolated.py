@@ -308,11 +308,8 @@ _links: dict[Path, str] = {}  # by absolute path: those of `linked`
 @contextlib.contextmanager
 def named_in_utf8(path: Path) -> Iterator[str]:
     """Yield a name of the file: as given, or that of a link where it has bytes that are no UTF-8."""
-    try:
-        yield os.fsencode(path).decode()
-    except UnicodeDecodeError:
-        with linked(path):
-            yield _links[path.absolute()]
+    with linked(path):
+        yield _links.get(path.absolute(), str(path))
 
 
 @contextlib.contextmanager

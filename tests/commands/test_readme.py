@@ -115,9 +115,6 @@ def test_the_worked_example_prints_what_is_shown(small: Path, l3: L3, monkeypatc
     assert (small / "rendered.png").stat().st_size > 1000
 
 
-# ------------------------------------------------------------------------------------------------- files and links
-
-
 # -------------------------------------------------------------------------------------------------------- recipes
 
 

@@ -1,4 +1,4 @@
-"""A byte that has changed is detected, wherever it lies; a history is compared with its inputs; older formats are read."""
+"""A byte that has changed is detected, wherever it lies; a history is compared with its inputs."""
 
 import dataclasses
 import json
@@ -14,12 +14,9 @@ from hypothesis import strategies as st
 from l3cli.artifacts import container
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.partial_sums import write_partial_sums
-from l3cli.artifacts.schema import Artifact
-from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.store import save
 from l3cli.artifacts.training_set import TrainingSet, write_training_set
 from l3cli.cli import run
-from l3cli.errors import InputFileError
 from tests.helpers.artifacts import a_camera, a_frame, a_table, some_layer_sums, some_sums
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
@@ -123,20 +120,6 @@ def test_a_file_without_its_digest_or_before_its_first_byte_is_refused(
     ):
         path.write_bytes(bad)
         assert words in refused(3, "info", path)
-
-
-# ---------------------------------------------------------------------------------------------------------- versions
-
-
-@pytest.mark.parametrize("kind", [CameraModel, TransformTable])
-def test_newer_formats_are_refused(kind: type[Artifact], bayer: CameraModel, tmp_path: Path) -> None:
-    path = tmp_path / "new.h5"
-    save(a_camera(bayer) if kind is CameraModel else a_table(bayer), path)
-    with h5py.File(path, "r+") as root:
-        root.attrs["version"] = kind.version + 1
-    container.seal(path)
-    with pytest.raises(InputFileError, match="upgrade l3cli"):
-        load(kind, path)
 
 
 # ---------------------------------------------------------------------------------------------------------- history

@@ -98,7 +98,7 @@ def break_kind(path: Path) -> None:
 
 def break_version(path: Path) -> None:
     with h5py.File(path, "r+") as root:
-        root.attrs["version"] = 99
+        root.attrs["version"] = CameraModel.version + 1
 
 
 def break_dataset(path: Path) -> None:

@@ -112,13 +112,11 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_same_as_by_the_library(tmp_path: Path, shape: tuple[int, int], exposure: float | None) -> None:
     path = tmp_path / "a.tif"
     write_mosaic(path, mosaic(*shape), exposure)
-    content = tiff.read_plain(path)
-    content = tiff.read_by_library(path)
-    values, time = content["values"], content["exposure"]
-    assert content is not None
-    np.testing.assert_array_equal(content["values"], mosaic(*shape))
-    np.testing.assert_array_equal(content["values"], values)
-    assert (content["values"].dtype, content["exposure"]) == (values.dtype, time)
+    plain, theirs = tiff.read_plain(path), tiff.read_by_library(path)
+    assert plain is not None
+    np.testing.assert_array_equal(plain["values"], mosaic(*shape))
+    np.testing.assert_array_equal(plain["values"], theirs["values"])
+    assert (plain["values"].dtype, plain["exposure"]) == (theirs["values"].dtype, theirs["exposure"])
     assert tiff.is_plain(path)
     assert not files.needs_isolation(path)
 
@@ -131,13 +129,12 @@ def test_every_changed_byte_is_refused_or_read_as_by_the_library(tmp_path: Path)
     for place in range(len(whole)):
         for change in (1, 0x80, 0xFF):
             broken.write_bytes(whole[:place] + bytes([whole[place] ^ change]) + whole[place + 1 :])
-            content = tiff.read_plain(broken)
-            assert tiff.is_plain(broken) == (content is not None)
-            if content is not None:
-                content = tiff.read_by_library(broken)
-                values, time = content["values"], content["exposure"]
-                np.testing.assert_array_equal(content["values"], values)
-                assert content["exposure"] == pytest.approx(time, rel=1e-6)
+            plain = tiff.read_plain(broken)
+            assert tiff.is_plain(broken) == (plain is not None)
+            if plain is not None:
+                theirs = tiff.read_by_library(broken)
+                np.testing.assert_array_equal(plain["values"], theirs["values"])
+                assert plain["exposure"] == pytest.approx(theirs["exposure"], rel=1e-6)
                 accepted += 1
         broken.write_bytes(whole[:place])
         assert tiff.read_plain(broken) is None
