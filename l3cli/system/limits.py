@@ -112,7 +112,7 @@ def trust() -> AbstractContextManager[None]:
 
 @contextlib.contextmanager
 def environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables within the block, and for processes started there."""
+    """Hold environment variables at these values within the block, and for processes started there."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
