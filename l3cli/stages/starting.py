@@ -328,7 +328,7 @@ def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
     shown = [(f"{row},{col}", _pattern(body, shifted_cfa(body.cfa, (row, col)))) for row, col in doubt.phases]
     (best, pattern), others = shown[0], " or ".join(f"{phase} ({pattern})" for phase, pattern in shown[1:])
     if doubt.by_grey:
-        why = f"with {pattern} they are about as grey as it says they are, or the white that it states is wrong"
+        why = f"its mean is far from the grey that it states, and near to it as {pattern}, unless that white is wrong"
     else:
         why = f"its pixels show {pattern}: sites of one channel differ by {doubt.stated:.1%}, so by {doubt.least:.1%}"
     other = f", {others} where that gives true colours" if others else ""
