@@ -131,12 +131,29 @@ class Truth:
     digest: str = data("str", doc="SHA-256 of what the scenes show, the same for all arrays")
 
     def correlation(self, level: int, figure: int = 0) -> float:
-        """Return Spearman's rank correlation of predicted errors with a figure; of dB with their negatives."""
-        better = -1 if self.figures[figure].endswith("psnr") else 1
-        expected, measured = (
-            np.argsort(np.argsort(each)) for each in (self.expected[:, level], better * self.measured[:, level, figure])
-        )
+        """Return Spearman's rank correlation of predicted errors with a figure; of dB with errors relative to the peak."""
+        expected, measured = (np.argsort(np.argsort(each)) for each in self._logarithms(level, figure))
         return float(np.corrcoef(expected, measured)[0, 1])
+
+    def in_order(self, level: int, figure: int = 0) -> float:
+        """Return the share of the pairs of arrays, of those that differ by more than TIE in predicted error and in a figure,
+        that both order alike; NaN if there are none."""
+        one, other = np.triu_indices(len(self.trained), 1)
+        expected, measured = (each[one] - each[other] for each in self._logarithms(level, figure))
+        differ = (np.abs(expected) > TIE) & (np.abs(measured) > TIE)
+        return float((expected * measured > 0)[differ].mean()) if differ.any() else float("nan")
+
+    def in_words(self, level: int, figure: int = 0) -> str:
+        """Return both as a sentence's part."""
+        share = self.in_order(level, figure)
+        pairs = f", {share:.0%} of the pairs beyond {TIE:.0%} in order" if np.isfinite(share) else ""
+        return f"{self.correlation(level, figure):.2f}{pairs}"
+
+    def _logarithms(self, level: int, figure: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the logarithms (trained) of predicted and measured errors."""
+        measured = self.measured[:, level, figure]
+        of_decibels = -measured * (np.log(10) / 20)
+        return np.log(self.expected[:, level]), of_decibels if self.figures[figure].endswith("psnr") else np.log(measured)
 
 
 def overall(errors: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -119,6 +119,6 @@ def _more(made: "Design") -> None:
         ]
         ranks = []
         for place, level in enumerate(made.levels):
-            each = [f"{figure} {truth.correlation(place, number):.2f}" for number, figure in enumerate(truth.figures)]
-            ranks.append(f"{level}: rank correlation with {', '.join(each)}")
+            each = [f"{figure} {truth.in_words(place, number)}" for number, figure in enumerate(truth.figures)]
+            ranks.append(f"{level}: rank correlation with {'; '.join(each)}")
         show_table(["trained and judged on the same unseen scenes"], [*headings, "array"], rows, *ranks)

@@ -122,7 +122,7 @@ def _truth(design: Design) -> Table:
         (name, *(f"{value:.2f}" for pair in zip(expected, measured[:, 0], strict=True) for value in pair))
         for name, expected, measured in zip(truth.trained, truth.expected, truth.measured, strict=True)
     ]
-    ranks = "; ".join(f"{level} {truth.correlation(place):.2f}" for place, level in enumerate(design.levels))
+    ranks = "; ".join(f"{level} {truth.in_words(place)}" for place, level in enumerate(design.levels))
     headings = ("array", *(f"{level}, {what}" for level in design.levels for what in ("predicted", "ΔE00")))
     return Table(f"Predicted and measured error; rank correlation {ranks}", headings, tuple(rows))
 
