@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame, shifted_cfa, tiled
 
 SIDE, MOST = 8, 32  # super-pixels along a block, at most; blocks along a frame, at most
 LEAST_SIGNAL = 1e-3  # of full scale: the mean of a frame below which it is dark
@@ -102,8 +102,7 @@ def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
     """
     if frame.black_level > 0:
         return None
-    tiled = np.tile(cfa, [-(-length // period) for length, period in zip(frame.values.shape, cfa.shape, strict=True)])
-    sites = tiled[: frame.values.shape[0], : frame.values.shape[1]]
+    sites = tiled(cfa, frame.values.shape)
     levels = np.array([np.percentile(frame.values[sites == each], (DARKEST, 50)) for each in np.unique(cfa)])
     darkest, usual = levels.T
     if not LEAST_BLACK * frame.white_level <= darkest.min() <= darkest.max() <= HIGHEST_BLACK * frame.white_level:

@@ -127,9 +127,8 @@ class Tone:
         return np.minimum(x * (self.a * x + self.b) / (x * (self.c * x + self.d) + self.e), 1.0)
 
 
-TONES = {
-    "aces": Tone(2.51, 0.03, 2.43, 0.59, 0.14)
-}  # K. Narkowicz, ACES Filmic Tone Mapping Curve, 2016, of the ACES output
+# K. Narkowicz, ACES Filmic Tone Mapping Curve, 2016, of the ACES output.
+TONES = {"aces": Tone(2.51, 0.03, 2.43, 0.59, 0.14)}
 
 
 # ------------------------------------------------------------------------------------------------ as it is seen

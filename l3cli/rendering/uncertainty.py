@@ -26,10 +26,8 @@ from l3cli.rendering.reference import at_table_levels, mosaic_of
 from l3cli.rendering.renderer import Renderer
 
 Array = NDArray[np.float64]
-CLIPPED, UNTRAINED = (
-    1,
-    2,
-)  # bits of a mask: clipped values decide the class or the result; a class without training patches of its own
+# Bits of a mask: clipped values decide the class or the result; a class without training patches of its own.
+CLIPPED, UNTRAINED = 1, 2
 SHARES = 8  # steps in which shares of coarse chroma are distinguished
 MOST_LAYERS = 1  # of refinement: what follows has classes that mirrored sites name in another way
 # Weights by distance of what blocks of four pixels, interpolated, are of a row of pixels, wherever these begin.

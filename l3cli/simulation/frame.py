@@ -112,9 +112,8 @@ def _collected(
     collected = electron_weights(camera, light, bands)
     transfer = lens_transfer(camera.optics, pitch, bands, lens.diffraction, lens.defocus_um * 1e-6)
     terms = np.ones((1, bands.size)) if transfer is None else transfer.spectral
-    unit = (
-        collected.max() or 1.0
-    )  # taken out of what is rounded to float32, so that rounding is the same for every luminance
+    # Taken out of what is rounded to float32, so that rounding is the same for every luminance.
+    unit = collected.max() or 1.0
     through = (collected[:, None] / unit * terms).reshape(-1, bands.size)
     planes = project(scene.reflectance, np.concatenate([wanted, through]))
     ideal, rates = planes[: len(wanted)], planes[len(wanted) :]

@@ -26,9 +26,7 @@ from l3cli.simulation.light import make_light, matching_weights
 Array = NDArray[np.floating]
 
 COMPONENTS = 8  # of the Gaussian in logit space
-DRAWN = np.arange(
-    SHOWN[0], SHOWN[1] + 1.0, 10.0
-)  # nm: colours are drawn here for every camera; what lies beyond follows them
+DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)  # nm: where colours are drawn for every camera; others follow them
 
 # Share of each kind of material (docs/method.md#procedural-scenes).
 KINDS = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}

@@ -44,9 +44,7 @@ class Pilot:
     occurrences: NDArray[np.int64]  # (code) of each saturation code
     shares: NDArray[np.float64]  # (patch, channel)
     whites: NDArray[np.float64]  # (frame, output) of their lights, each at Y = 1
-    lights: NDArray[
-        np.float64
-    ]  # (frame, wavelength) of a white of 1 cd/m², at every nm (spectra.light_grid); NaN: not known
+    lights: NDArray[np.float64]  # (frame, wavelength) of a white of 1 cd/m², on spectra.light_grid; NaN: not known
     exposures: NDArray[np.float64]  # (frame) s; real pairs, whose dark current is off already: 0
     observed: dict[str, NDArray[np.float64]]  # (patch, …) what each further feature asks for
 

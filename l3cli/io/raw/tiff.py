@@ -156,11 +156,8 @@ BLACK_IS_ZERO = 1
 # tags that may have one value only, which is also what a file means that lacks them
 FIXED = {NEW_SUBFILE_TYPE: 0, COMPRESSION: 1, ORIENTATION: UPRIGHT, CHANNELS: 1, PLANES: 1, SAMPLE_FORMAT: 1}
 ALLOWED = {WIDTH, LENGTH, BITS, PHOTOMETRIC, OFFSETS, ROWS_PER_STRIP, COUNTS, DATE_TIME, EXIF, *FIXED}
-TYPES: dict[int, np.dtype] = {
-    3: np.dtype("<u2"),
-    4: np.dtype("<u4"),
-    13: np.dtype("<u4"),
-}  # short, long, a place
+# Of values: short, long, place of a directory.
+TYPES: dict[int, np.dtype] = {3: np.dtype("<u2"), 4: np.dtype("<u4"), 13: np.dtype("<u4")}
 EXIF_TYPES: dict[int, np.dtype] = {5: np.dtype(("<u4", 2))}  # rational
 
 

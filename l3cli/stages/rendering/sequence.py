@@ -232,9 +232,8 @@ class _Reading:
         # A stream is not asked for what has not come yet, unless its length is known.
         looks_ahead = self.job.temporal is not None and (not sequence.is_stream or sequence.part is not None)
         asked, ahead = itertools.tee(self._asked()) if looks_ahead else (self._asked(), iter(()))
-        needs = needed(
-            (place, not is_finished) for place, _, is_finished in ahead
-        )  # whether a picture depends on a frame in the filter
+        # Whether a picture depends on a frame in the filter.
+        needs = needed((place, not is_finished) for place, _, is_finished in ahead)
         for place, reference, is_finished in asked:
             need = next(needs) if looks_ahead else not is_finished
             read = self._read(reference, is_finished, need)
