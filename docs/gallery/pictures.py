@@ -62,17 +62,17 @@ def drawing(camera: CameraModel) -> str:
     left, legend = MARGIN + SIDE + MARGIN, MARGIN + SIDE + MARGIN + WIDTH + MARGIN
     size = f"{legend + KEY} {max(SIDE, HEIGHT, LINE * len(curves.legend)) + 2 * MARGIN}"
     width, height = size.split()
-    keys = "".join(_key(key, MARGIN + LINE * index) for index, key in enumerate(curves.legend))
+    keys = "".join(key_line(key, MARGIN + LINE * index) for index, key in enumerate(curves.legend))
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size}" width="{width}" height="{height}" color="#1b1f24">'
         f"<style>{STYLE}</style>"
         f'<rect width="{width}" height="{height}" rx="6" fill="#fff"/>'
-        f"{_placed(array.svg, MARGIN, MARGIN, side, side)}{_placed(curves.svg, left, MARGIN, WIDTH, HEIGHT)}"
+        f"{placed(array.svg, MARGIN, MARGIN, side, side)}{placed(curves.svg, left, MARGIN, WIDTH, HEIGHT)}"
         f'<g transform="translate({legend} 0)">{keys}</g></svg>\n'
     )
 
 
-def _placed(svg: str, x: int, y: int, width: int, height: int) -> str:
+def placed(svg: str, x: int, y: int, width: int, height: int) -> str:
     """A drawing inside another, in a box of which it fills the upper left."""
     view = re.match(r'<svg (viewBox="[^"]+")[^>]*>', svg)
     assert view is not None
@@ -80,6 +80,6 @@ def _placed(svg: str, x: int, y: int, width: int, height: int) -> str:
     return f"<svg {box} {view[1]}>{svg[view.end() :]}"
 
 
-def _key(key: Key, y: int) -> str:
+def key_line(key: Key, y: int) -> str:
     line = f'<path d="M0,{y + 8}h24" stroke="{key.colour}" stroke-width="2"{DASHES[key.mark]}/>'
     return f'{line}<text x="30" y="{y + 12}">{key.label}</text>'

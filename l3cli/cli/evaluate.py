@@ -33,6 +33,10 @@ def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) 
     are bilinear interpolation, Malvar and Menon for Bayer, spectral differences (sd) and the pseudo-panchromatic image
     difference (ppid) for arrays in which every band occurs once a period.
 
+    Reflectances and radiances are compared as spectra, too; reflectances also as colours (mean ΔE00) under A, D65 and
+    F11. Beside them stand two linear estimates of each pixel from its demosaicked bands (wiener, pinv), that learn from
+    drawn scenes under the frame's light.
+
     With --rival: pictures of another pipeline beside them, under the name of their folder. Their brightness does not
     matter: one factor a picture is fitted.
 
@@ -66,7 +70,7 @@ def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> R
 
 WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
-NOT_SHOWN = ("visual_noise",)  # JSON and report hold it
+NOT_SHOWN = ("visual_noise", "gfc", "delta_e_a", "delta_e_f11")  # JSON and report hold them
 BAND_FIGURES = ("psnr", "output_psnr", "ssim")
 
 
@@ -78,7 +82,8 @@ def print_tables(document: dict[str, Any]) -> None:
         figure for figure in document["frames"][0]["ours"] if figure not in (NOT_SHOWN if wide else LESS_NEEDED + NOT_SHOWN)
     ]
     baselines = document["pipelines"][1:]
-    main = [figures[0]] + [figure for figure in figures if figure == "psnr" and wide]
+    second = "rmse" if "delta_e_d65" in figures else "psnr"
+    main = [figures[0]] + [figure for figure in figures if figure == second and wide]
     shown = [("ours", figure) for figure in figures] + [(baseline, figure) for baseline in baselines for figure in main]
     named = [FIGURES[figure].short if owner == "ours" else f"{owner}\n{FIGURES[figure].short}" for owner, figure in shown]
 

@@ -106,17 +106,31 @@ def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosai
 
     InputFileError if the camera sees nothing of the light."""
     share = camera.saturation_exposure / camera.full_scale  # of a target of the camera's bands, per electron a second
-    white = frame.white
-    if relit:
-        light = light_of(frame, camera)
-        falling = spectra.at_luminance(light.radiance.astype(np.float64), light.wavelength, frame.luminance)
-        white = electrons_of(camera, light, falling[None])[0] * camera.channel_gains * share
+    white = white_electrons(frame, camera) if relit else frame.white / (share * camera.channel_gains)
+    return balanced_bands(frame, camera, white, demosaic) * frame.white[:, None, None]
+
+
+def white_electrons(frame: TrainingPair, camera: CameraModel) -> Array:
+    """Return the photo-electrons a second (channel) of a perfect white under the light of a frame."""
+    light = light_of(frame, camera)
+    falling = spectra.at_luminance(light.radiance.astype(np.float64), light.wavelength, frame.luminance)
+    return electrons_of(camera, light, falling[None])[0]
+
+
+def balance_of(white: Array, exposure: float, camera: CameraModel) -> Array:
+    """Return the share of a perfect white (channel) a photo-electron, of a white of `white` (channel) electrons a second; 0
+    of channels that see nothing of the light. InputFileError if none does."""
     if not white.max() > 0:
         raise InputFileError(f"camera {camera.name} sees nothing of a frame's light; simulate it under another")
     seen = white > BLIND * white.max()
-    balance = np.where(seen, share * camera.channel_gains / np.where(seen, white, 1.0), 0.0) / frame.exposure
-    balanced = _electrons(frame, camera) * balance[camera.channel_map(frame.raw.shape)]
-    return demosaic(balanced, camera.cfa) * frame.white[:, None, None]
+    return np.where(seen, 1.0 / np.where(seen, white, 1.0), 0.0) / exposure
+
+
+def balanced_bands(frame: TrainingPair, camera: CameraModel, white: Array, demosaic: Demosaic) -> Array:
+    """Return the camera's bands (channel, row, col) of a frame's raw, in shares of a perfect white of `white` (channel)
+    electrons a second; InputFileError as of `balance_of`."""
+    balance = balance_of(white, frame.exposure, camera)
+    return demosaic(_electrons(frame, camera) * balance[camera.channel_map(frame.raw.shape)], camera.cfa)
 
 
 def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:

@@ -75,6 +75,14 @@ def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
     return _with_plugins({"basic": interpolate}, cfa)
 
 
+def best_of_bands(cfa: CFA) -> Demosaic:
+    """Return the best method for bands of l3 itself that fits a CFA and is installed: PPID where every band occurs once a
+    period, Menon's for Bayer, else normalised convolution."""
+    if occurs_once(cfa):
+        return ppi_difference
+    return _bayer_baselines(cfa).get("menon", interpolate)
+
+
 def bayer_roles(cfa: CFA) -> tuple[int, int, int] | None:
     """Return which channels of a Bayer CFA play red, green, blue: green is on a diagonal; None if it is no such CFA."""
     if cfa.shape != (2, 2) or sorted(np.bincount(cfa.ravel()).tolist()) != [1, 1, 2]:

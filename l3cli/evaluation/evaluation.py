@@ -19,10 +19,12 @@ from l3cli.evaluation.classes import ClassErrors
 from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
 from l3cli.evaluation.mottle import KINDS, mottle
 from l3cli.evaluation.quality import VIEWING, Target, band_figures, cropped, judge_bands
+from l3cli.evaluation.reflectance import ESTIMATES, Drawn, Estimates, judge_reflectances
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
 from l3cli.physics.figures import known_mean, sign
+from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 
 Array = NDArray[np.floating]
 FORMAT = 3  # of the document; a change of its keys raises it
@@ -43,9 +45,11 @@ class Evaluation:
         viewing: float = VIEWING,
         border: int | None = None,
         rivals: Sequence[str] = (),
+        drawn: Drawn | None = None,
     ) -> None:
         """Begin with no frame. `border`: pixels left out at each edge of a frame; None: those whose patch is not inside it.
-        `rivals`: names of further pipelines, of whose pictures `add` is given the XYZ.
+        `rivals`: names of further pipelines, of whose pictures `add` is given the XYZ. `drawn`: what estimates of
+        reflectances and radiances learn from; None: there are none.
 
         InputFileError if table and frames are of different CFAs or outputs, RecipeError if a rival cannot be compared or has
         the name of something else."""
@@ -63,6 +67,9 @@ class Evaluation:
             self._baselines = dict.fromkeys(self._merges, interpolate) | baselines(camera.cfa)
         else:
             self._baselines = band_baselines(camera.cfa) if table.outputs == camera.channels else {}
+        self._estimates = None
+        if drawn is not None and table.outputs in (REFLECTANCES, RADIANCES):
+            self._estimates = Estimates(camera, drawn)
         if rivals and not self._pictures:
             raise RecipeError(
                 f"rivals are pictures, and the table's outputs are {', '.join(table.outputs)}; leave ‹rival› out"
@@ -80,8 +87,8 @@ class Evaluation:
 
     @property
     def pipelines(self) -> tuple[str, ...]:
-        """Return "ours", the baselines (none where the outputs are neither XYZ nor the camera's bands), and the rivals."""
-        return (OURS, *self._baselines, *self._rivals)
+        """Return "ours", the baselines (none where the outputs are neither XYZ nor a spectrum), and the rivals."""
+        return (OURS, *self._baselines, *(ESTIMATES if self._estimates else ()), *self._rivals)
 
     def planes(self, frame: TrainingPair, outputs: Array, rivals: Mapping[str, Array] | None = None) -> dict[str, Array]:
         """Return the planes (output, row, col) of every pipeline in the target's unit, for a frame whose raw the table
@@ -96,10 +103,12 @@ class Evaluation:
             raise InputFileError(
                 f"frame {frame.scene} has {size} pixels, none inside a border of {border}; give larger frames"
             )
-        return self.developed(frame, outputs) | dict(rivals or {})
+        estimated = self._estimates.planes(frame) if self._estimates else {}
+        return self.developed(frame, outputs) | estimated | dict(rivals or {})
 
     def developed(self, frame: TrainingPair, outputs: Array) -> dict[str, Array]:
-        """Return `planes` of every pipeline but rivals, of a frame of any size; InputFileError as there."""
+        """Return `planes` of every pipeline but rivals and estimates of spectra, of a frame of any size; InputFileError as
+        there."""
         if self._pictures and not frame.white[1] > 0:
             raise InputFileError(f"frame {frame.scene} has a white without luminance; simulate it again")
         with np.errstate(over="ignore"):
@@ -132,7 +141,8 @@ class Evaluation:
                 judged[name] = figures, errors
             self._patches.append((_octave(level), target.patches.kinds, variances))
         else:
-            judge = functools.partial(judge_bands, target=frame.target, white=frame.white, border=border)
+            judge = judge_reflectances if self._table.outputs == REFLECTANCES else judge_bands
+            judge = functools.partial(judge, target=frame.target, white=frame.white, border=border)
             judged = {name: judge(of) for name, of in planes.items()}
         self._frames.append({**about, **{name: dataclasses.asdict(figures) for name, (figures, _) in judged.items()}})
         if not self._pictures:
@@ -148,7 +158,8 @@ class Evaluation:
                        first, rivals last)
         frames         scene, illuminant, luminance (cd/m²), level (mean signal above the dark / full scale), exposure (s),
                        clipped (share of the pixels at full scale), shown (scene, light: what they are known by; null where
-                       nothing is), then per pipeline the fields of Quality (XYZ) or BandQuality (other outputs)
+                       nothing is), then per pipeline the fields of Quality (XYZ), ReflectanceQuality (reflectances) or
+                       BandQuality (other outputs)
         mean           per pipeline the mean of every figure over the frames
         better         per other pipeline: in how many frames ours is better, by figure
         by_level       from, to (of the frames' level, a factor of two), frames, then per pipeline the mean figures

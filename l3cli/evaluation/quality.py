@@ -60,6 +60,8 @@ class BandQuality:
     mean_angle: float  # degrees, of the spectral angles of all pixels whose target has one; 0 of a single output
     median_angle: float
     p95_angle: float
+    gfc: float  # goodness of fit coefficient: mean cosine of these angles, its sign left out
+    rmse: float  # root mean square error over all outputs, 1 is a perfect white
     psnr: float  # dB over all outputs, of 8-bit codes linear in them: the frame's white is 255, what is brighter is cut
     output_psnr: float  # dB; 1 is the 99th percentile of the target's mean output, times each output's share in the white
     ssim: float  # mean over the outputs, each as for psnr before rounding
@@ -121,10 +123,13 @@ def judge_bands(rendered: Array, target: Array, white: Array, border: int = 0) -
     angles = spectral_angle(cropped(rendered, border), cropped(target, border))
     angle = angles[np.isfinite(angles)] if np.isfinite(angles).any() else np.zeros(1)  # all of the target is black
     linear, shares = _linear_and_shares(rendered, target, white, border)
+    error = cropped(rendered - target, border) / _positive(white)
     return BandQuality(
         mean_angle=float(angle.mean()),
         median_angle=float(np.median(angle)),
         p95_angle=float(np.percentile(angle, 95)),
+        gfc=float(np.abs(np.cos(np.radians(angle))).mean()),
+        rmse=float(np.sqrt(np.mean(error**2))),
         psnr=psnr(*map(_rounded, shares)),
         output_psnr=psnr(*linear),
         ssim=float(np.mean([ssim(*of_band) for of_band in zip(*shares, strict=True)])),
@@ -149,11 +154,15 @@ def _linear_and_shares(
     rendered: Array, target: Array, white: Array, border: int
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return both pictures over what a linear PSNR takes for 1, and as shares of white, cut to 0…1."""
-    positive = np.where(white > 0, white, white.max())[:, None, None]
+    positive = _positive(white)
     peaks = white_luminance(target.mean(axis=0)) * (positive / white.mean())
     rendered, target = cropped(rendered, border), cropped(target, border)
     shares = np.clip(rendered / positive, 0.0, 1.0), np.clip(target / positive, 0.0, 1.0)
     return (rendered / peaks, target / peaks), shares
+
+
+def _positive(white: Array) -> Array:
+    return np.asarray(np.where(white > 0, white, white.max())[:, None, None])
 
 
 def _rounded(share: Array) -> Array:

@@ -30,6 +30,11 @@ FIGURES = {  # those of frames, in the order in which they are shown, then those
     "mean_angle": Figure("mean spectral angle (°)", "SAM mean °", "°"),
     "median_angle": Figure("median angle (°)", "median", "°"),
     "p95_angle": Figure("95 % angle (°)", "95 %", "°"),
+    "gfc": Figure("goodness of fit (1)", "GFC", more_is_better=True, digits=4),
+    "rmse": Figure("RMSE (white is 1)", "RMSE", digits=4),
+    "delta_e_a": Figure("mean ΔE00 under A", "ΔE00 A", " ΔE00"),
+    "delta_e_d65": Figure("mean ΔE00 under D65", "ΔE00 D65", " ΔE00"),
+    "delta_e_f11": Figure("mean ΔE00 under F11", "ΔE00 F11", " ΔE00"),
     "mtf50_rows": Figure("MTF50 along rows (cycles/pixel)", "MTF50\nrows", " cycles/pixel", more_is_better=True, digits=3),
     "mtf50_columns": Figure(
         "MTF50 along columns (cycles/pixel)", "MTF50\ncolumns", " cycles/pixel", more_is_better=True, digits=3

@@ -158,6 +158,9 @@ OBSERVERS = {
 
 INFRARED = 740.0, 780.0, 1000.0  # nm, of near_infrared: where it begins, is whole, and ends
 LUMINOUS_WIDTH = 106.86  # nm, integral of ȳ of CIE 1931
+SAMPLED = np.arange(400.0, 701.0, 10.0)  # nm, of spectra as outputs
+# Called as OpenEXR files call them (Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10, 2021)
+REFLECTANCES, RADIANCES = (tuple(f"{kind}.{each:g}nm" for each in SAMPLED) for kind in ("T", "S0"))
 
 
 def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> Array:
@@ -173,6 +176,17 @@ def near_infrared(wavelength: Array) -> Array:
     much of it as of Y: from 740 nm, where eyes end, rising to 780 nm, where CIE's IR-A begins; zero beyond 1000 nm."""
     band = np.clip((wavelength - INFRARED[0]) / (INFRARED[1] - INFRARED[0]), 0.0, 1.0) * (wavelength <= INFRARED[2])
     return np.asarray(band * (LUMINOUS_WIDTH / (830.0 - (INFRARED[0] + INFRARED[1]) / 2)))
+
+
+def sampled_radiance(wavelength: Array) -> Array:
+    """Return functions (output, wavelength) of RADIANCES: the mean of each step of SAMPLED, scaled as ȳ is, so that a light
+    of equal power gives as much of each as of Y."""
+    return np.asarray(LUMINOUS_WIDTH * sampling_matrix(wavelength, SAMPLED) / bin_widths(wavelength))
+
+
+def is_spectrum(outputs: tuple[str, ...], channels: tuple[str, ...]) -> bool:
+    """Return whether the outputs are a spectrum: reflectances, radiances, or the bands of a camera of these channels."""
+    return outputs in (channels, REFLECTANCES, RADIANCES)
 
 
 def matching_weights(functions: Array, wavelength: Array) -> Array:

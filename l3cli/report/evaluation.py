@@ -36,8 +36,10 @@ MEANINGS = (
     "of sRGB, linear PSNR of XYZ."
 )
 BAND_MEANINGS = (
-    "ours is the table; the other pipelines learn nothing. The spectral angle is that between the outputs of a pixel and "
-    "its target's; PSNR is of 8-bit codes of which the frame's white is 255, linear PSNR of the outputs as they are, 1 "
+    "ours is the table; the other pipelines learn nothing but, of reflectances and radiances, linear estimates from "
+    "demosaicked bands: wiener and pinv (pseudo-inverse). The spectral angle is that between the outputs of a pixel and its "
+    "target's, GFC the mean of its cosine; RMSE is over all outputs, 1 a perfect white; PSNR is of 8-bit codes of which the "
+    "frame's white is 255, linear PSNR of the outputs as they are, 1 "
     "being the 99th percentile of the target's mean output; SSIM is the mean over the outputs."
 )
 GAIN_MEANING = (

@@ -2,7 +2,7 @@
 simulation, the settings that all its frames share (docs/method.md#simulation, docs/method.md#optics)."""
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, Optics
-from l3cli.artifacts.training_set import Shown, TrainingFrame, TrainingPair, TrainingSetReader
+from l3cli.artifacts.training_set import (
+    LightSpectrum,
+    Shown,
+    TrainingFrame,
+    TrainingPair,
+    TrainingSet,
+    TrainingSetReader,
+)
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame, as_taken
 from l3cli.frames.scene import ChannelPicture, Scene
@@ -19,6 +26,7 @@ from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, gaussian_transfer, relative_illumination
 from l3cli.simulation import sensor
 from l3cli.simulation.light import (
+    OUTPUTS,
     SCENE_LIGHT,
     XYZ,
     Light,
@@ -33,6 +41,7 @@ from l3cli.simulation.light import (
 )
 from l3cli.simulation.recipe import Lens, Pair, SceneRecipe, Shot
 from l3cli.simulation.sensor import averaging_exposure, saturating_exposure
+from l3cli.simulation.sources import DeadLeaves, WantedScene
 
 LIGHT = "picture"  # the light of a pair: whatever it was, its picture shows it as D65
 BRIGHT = 0.9  # of full scale and of picture white: brighter pixels do not tell the scale
@@ -40,6 +49,7 @@ Array = NDArray[np.floating]
 Automatic = Callable[[CameraModel, NDArray[np.float32]], float]  # s for the e-/s (row, col) of a mosaic
 LOW_RANK_ERROR = 5e-5  # largest error of the transfer function at any sampled frequency and wavelength
 RADIAL_SAMPLES = 2048
+DRAWN, DRAWN_SIZE, DRAWN_SEED = 48, (64, 64), 20  # frames that estimates of spectra learn from: count, pixels, seed
 
 
 def simulate(
@@ -98,6 +108,27 @@ class AtGain:
         frame = self._reader.frame(index)
         assert isinstance(frame, TrainingFrame)
         return exposed_again(frame, self._reader.head.camera, self._gain)
+
+
+def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], Iterator[TrainingFrame]]:
+    """Return the function that draws frames with the camera of `head` and its target, a spectrum: dead leaves, as in the
+    training scenes that come with l3, under a light that is given, as bright as in a given frame and exposed as long."""
+    camera = replace(head.camera, rows=DRAWN_SIZE[0], cols=DRAWN_SIZE[1], flat_field=None, defects=None)
+    kind = next((kind for kind, names in OUTPUTS.items() if names == head.outputs), "")
+
+    def lit(spectrum: LightSpectrum, luminance: float) -> Light:
+        return Light("", 1.0, spectrum.wavelength, spectrum.radiance.astype(np.float64)).at(luminance)
+
+    def drawn(like: TrainingPair, spectrum: LightSpectrum) -> Iterator[TrainingFrame]:
+        from l3cli.simulation import procedural  # a start that draws nothing is faster without
+
+        light = lit(spectrum, like.luminance)
+        target = Target(head.outputs, "", kind, light=lit(head.target_light, 1.0) if head.target_light else None)
+        for number in range(DRAWN):
+            scene = procedural.draw(WantedScene(DeadLeaves(size=DRAWN_SIZE), number=number), DRAWN_SEED, camera.wavelength)
+            yield simulate(camera, scene, light, like.exposure, Lens(), (DRAWN_SEED, number), target)
+
+    return drawn
 
 
 def _collected(

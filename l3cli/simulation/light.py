@@ -31,7 +31,10 @@ OUTPUTS = {
     "CIE 1964": ("X10", "Y10", "Z10"),
     "luminance": ("Y",),
     "CIE 1931 + IR": ("X", "Y", "Z", "IR"),
+    "reflectance 31": spectra.REFLECTANCES,
+    "radiance 31": spectra.RADIANCES,
 }
+UNLIT = "reflectance 31"  # the same under every light
 CAMERA = "camera"  # the camera's own bands at full resolution
 
 
@@ -231,6 +234,8 @@ def make_target(
         "CIE 1964": "CIE 1964 XYZ",
         "luminance": "luminance",
         "CIE 1931 + IR": "CIE 1931 XYZ and near infrared",
+        UNLIT: "reflectance at 400…700 nm by 10 nm, times the luminance of a perfect white,",
+        "radiance 31": "radiance at 400…700 nm by 10 nm (cd/m² of a light of equal power as strong at all wavelengths)",
         CAMERA: "all bands of the camera (cd/m² of D65 that would saturate its brightest channel as fast)",
     }.get(kind, f"the matching functions of {kind}")
     under = f"under {light.name}" if light else "under its own light"
@@ -247,6 +252,8 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     if target.kind == CAMERA:
         weights = electron_weights(camera, light, bands) * (camera.saturation_exposure / camera.full_scale)
         return weights if camera.readout is None else weights * camera.channel_gains[:, None]
+    if target.kind == UNLIT:
+        return light.luminance * spectra.held_interpolation(bands, spectra.SAMPLED)
     if target.functions:
         grid, values = target.functions
         functions: Array = spectra.average(values, grid, light.wavelength)
@@ -255,6 +262,8 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     elif target.kind == "CIE 1931 + IR":
         visible = spectra.colour_matching_functions(light.wavelength)
         functions = np.vstack([visible, spectra.near_infrared(light.wavelength)])
+    elif target.kind == "radiance 31":
+        functions = spectra.sampled_radiance(light.wavelength)
     else:
         functions = spectra.colour_matching_functions(light.wavelength, target.kind)
     return matching_weights(functions, light, bands)

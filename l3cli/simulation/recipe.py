@@ -15,7 +15,7 @@ from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault, inside
 from l3cli.recipes.toml import KeyPath, Recipe
-from l3cli.simulation.light import CAMERA, MEASURED, OUTPUTS, SCENE_LIGHT, Curve, mixture, read_curve
+from l3cli.simulation.light import CAMERA, MEASURED, OUTPUTS, SCENE_LIGHT, UNLIT, Curve, mixture, read_curve
 from l3cli.simulation.sensor import noise_plugin, with_analog_gain
 from l3cli.simulation.sources import (
     IsetScenes,
@@ -51,7 +51,9 @@ class SensorSetting(Recipe):
 
 
 class TargetRecipe(Recipe):
-    outputs: str = "CIE 1931"  # or "CIE 1964", "luminance", "CIE 1931 + IR", "camera" (its bands), a CSV of functions
+    # or "CIE 1964", "luminance", "CIE 1931 + IR", "reflectance 31", "radiance 31" (400…700 nm), "camera" (its bands), a CSV
+    # of functions
+    outputs: str = "CIE 1931"
     illuminant: str | None = None  # another light than falls on the frame: illuminant correction
 
 
@@ -143,6 +145,9 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
         if recipe.illuminants != [SCENE_LIGHT] and not can_be_relit(source):
             message = f'{name} holds radiance without its light; give light, or illuminants = ["{SCENE_LIGHT}"]'
             yield fault(message, (*key, "light"), "illuminants")
+        elif recipe.target.outputs == UNLIT and not can_be_relit(source):
+            message = f"{name} holds radiance without its light, so its reflectance is not known; give light"
+            yield fault(message, (*key, "light"), "target.outputs")
     yield from _lens_faults(recipe.lens)
     if recipe.sensor.noise_model is not None:
         yield from _noise_faults(recipe.sensor, recipe.sensor.noise_model)
@@ -153,6 +158,9 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
     if outputs not in (*OUTPUTS, CAMERA) and not outputs.endswith(MEASURED):
         known = suggestion(outputs, (*OUTPUTS, CAMERA))
         yield fault(f'target.outputs "{outputs}" is unknown; {known} (or a CSV file)', "target.outputs")
+    if outputs == UNLIT and recipe.target.illuminant is not None:
+        message = f'target.outputs "{UNLIT}" is the same under every light; leave target.illuminant out'
+        yield fault(message, "target.illuminant")
     if recipe.target.illuminant == SCENE_LIGHT:
         yield fault(f'target.illuminant cannot be "{SCENE_LIGHT}"; leave it out', "target.illuminant")
     for number, pair in enumerate(recipe.pair):

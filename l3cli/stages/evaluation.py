@@ -34,7 +34,7 @@ from l3cli.rendering.conditions import FAR, Mix, at_gain, described, gain_of_fra
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
-from l3cli.simulation.frame import AtGain
+from l3cli.simulation.frame import AtGain, frames_like
 from l3cli.stages.standards import standard_figures
 from l3cli.system.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.system.console import Console, Silent
@@ -66,7 +66,9 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
             guard.hold_folder(pictures, "*.png")
         with open_training_set(frames) as reader, contextlib.ExitStack() as unfinished:
             at_own, _ = for_frames((table, transforms), (frames, reader.head.camera), console)
-            evaluation = Evaluation(at_own, reader.head, options.viewing, options.border, tuple(others))
+            evaluation = Evaluation(
+                at_own, reader.head, options.viewing, options.border, tuple(others), frames_like(reader.head)
+            )
             for path, files in others.values():
                 if len(files) != len(reader):
                     raise InputFileError(
@@ -146,7 +148,7 @@ def figures_by_gain(
     for gain in console.progress(gains, len(gains), "gains") if chosen else ():
         again = AtGain(reader, gain / gain_of_frames(table, reader.head.camera))
         transforms = at_gain(table, gain)
-        evaluation = Evaluation(transforms, again.head, viewing, border)
+        evaluation = Evaluation(transforms, again.head, viewing, border, drawn=frames_like(again.head))
         renderers = FrameRenderers(backend, transforms, Silent())
         for index in chosen:
             evaluate_frame(evaluation, renderers, again, index)

@@ -35,6 +35,7 @@ from l3cli.report.side_by_side import Side, shared_frame, side_by_side_section
 from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
 from l3cli.report.validation import patches_figure, patches_table
+from l3cli.simulation.frame import frames_like
 from l3cli.simulation.procedural import chart_places
 from l3cli.stages.check import CAMERA, Judgement
 from l3cli.stages.evaluation import FrameRenderers, document_of, evaluate_frame, figures_by_gain, for_frames
@@ -227,7 +228,7 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], backend: str, 
     transforms, warning = for_frames(table, (pair.frames.name, pair.head.camera), console)
     renderers = FrameRenderers(backend, transforms, console)
     with open_training_set(pair.frames.path, unchanged=True) as reader:
-        judgement = Evaluation(transforms, reader.head)
+        judgement = Evaluation(transforms, reader.head, drawn=frames_like(reader.head))
         pictures, chart, front = transforms.outputs == XYZ, None, None
         for index in console.progress(range(len(reader)), len(reader), "frames"):
             frame, planes = evaluate_frame(judgement, renderers, reader, index)

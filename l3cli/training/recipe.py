@@ -72,7 +72,7 @@ class LearningRecipe(Recipe):
     plain_surfaces: NotNegative = (
         0.3  # uniform areas of measured surfaces, a patch of a plain class (docs/method.md#plain-surfaces)
     )
-    # where the outputs are the camera's bands, the side in pixels, odd, of the neighbourhood whose mean spectrum a pixel
+    # where the outputs are a spectrum, the side in pixels, odd, of the neighbourhood whose mean spectrum a pixel
     # takes, keeping its brightness (docs/method.md#smoothed-spectra); 0: its spectrum is its own
     spectral_window: Annotated[int, msgspec.Meta(ge=0, le=WINDOWS[-1])] = 0
     # difference of brightness, a share of the pixel's own, from which a neighbour does not count

@@ -53,7 +53,7 @@ class ColourWeighting:
 
 @dataclass(frozen=True)
 class SpectralWeighting:
-    """Transforms of one site's classes from the first pass, in the camera's channels."""
+    """Transforms of one site's classes from the first pass, of outputs that are a spectrum."""
 
     weights: Floats  # (class, tap, output)
     squares: Floats  # (class, tap) of the weights, summed over the outputs: how noise of the taps adds up
@@ -82,7 +82,7 @@ RowWeighting = ColourWeighting | SpectralWeighting
 
 def row_weighting(table: TransformTable, site: int, power: float) -> RowWeighting:
     """Return the weighting of a canonical site from the first pass's table; its weights go with `power` of the squared
-    error. The outputs are X, Y, Z or the camera's channels."""
+    error. The outputs are X, Y, Z or a spectrum."""
     classes = table.first.rule.of_site(site)
     weights = np.ascontiguousarray(np.swapaxes(table.first.weights[classes], 1, 2))
     intercept = table.first.intercept[classes]

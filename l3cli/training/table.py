@@ -197,8 +197,8 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 
 
 def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | None:
-    """Return the smoothing of spectra of the camera's bands; None for other outputs, which are no spectra."""
-    if not recipe.spectral_window or head.outputs != head.camera.channels or len(head.outputs) == 1:
+    """Return the smoothing of spectra; None for other outputs."""
+    if not recipe.spectral_window or len(head.outputs) == 1 or not spectra.is_spectrum(head.outputs, head.camera.channels):
         return None
     return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)
 

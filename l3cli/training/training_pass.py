@@ -17,6 +17,7 @@ from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods
 from l3cli.physics.display import XYZ
+from l3cli.physics.spectra import is_spectrum
 from l3cli.training.goal import Goal, goal_of
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_noise
 from l3cli.training.sums import empty_sums
@@ -105,8 +106,8 @@ def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
 
 def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
     """Return whether a first pass weighs the rows of the last: errors are judged in Lab or as spectral angles, so for XYZ
-    and the camera's channels only."""
-    return recipe.first_draws > 0 and head.outputs in (XYZ, head.camera.channels)
+    and spectra only."""
+    return recipe.first_draws > 0 and (head.outputs == XYZ or is_spectrum(head.outputs, head.camera.channels))
 
 
 BATCH = 50_000  # patches that are sorted together: bounds memory, and makes a class's product large enough to be fast

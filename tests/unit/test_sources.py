@@ -282,6 +282,7 @@ def write(path: Path, cube: np.ndarray) -> str:
     return '[[scene]]\nsource = "cube"\nfile = "cube.npy"\n'
 
 
+SPECTRAL = 'illuminants = ["scene"]\ntarget.outputs = "reflectance 31"\n'
 BAD = {
     "no wavelengths": (lambda p: write(p, a_cube()), 3, "holds no wavelengths"),
     "out of order": (lambda p: write(p, a_cube()[..., :3]) + "wavelengths_nm = [500, 400, 600]\n", 2, "must increase"),
@@ -292,6 +293,9 @@ BAD = {
     "too large": (lambda p: write(p, a_cube((20, 300))) + RANGE, 3, "larger than the sensor"),
     "two axes": (lambda p: write(p, a_cube()[..., 0]) + RANGE, 3, "three axes"),
     "no relighting": (lambda p: write(p, a_cube()) + RANGE + 'holds = "radiance"\n', 2, "without its light"),
+    "no reflectance": (
+        lambda p: SPECTRAL + write(p, a_cube()) + RANGE + 'holds = "radiance"\n', 2, "its reflectance is not known"
+    ),
     "light of its own": (
         lambda p: write(p, a_cube()) + RANGE + 'holds = "radiance"\nlight = "scene"\n', 2, '"scene" is unknown'
     ),

@@ -14,6 +14,7 @@ from l3cli.io.pictures.icc import icc_profile
 from l3cli.io.pictures.registry import Label, Picture
 from l3cli.io.tags import SHOT
 from l3cli.physics.spaces import SRGB, Space
+from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 from l3cli.system.files import write_whole
 from l3cli.system.signals import uninterrupted
 
@@ -35,6 +36,8 @@ def encode(path: Path, picture: Picture) -> bytes:
     spec = _spec(pixels)
     if pixels.dtype.kind == "f":
         spec.channelnames, spec.alpha_channel = picture.names, -1
+    if suffix == EXR and picture.names in (REFLECTANCES, RADIANCES):
+        spec.attribute("spectralLayoutVersion", "1.0")
     if space is not None and suffix == EXR:
         chromaticities = [value for point in (*space.primaries, space.white) for value in point]
         spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), chromaticities)

@@ -1,0 +1,98 @@
+"""Reflectances from bands: how good they are, as spectra and as colours under lights, and two estimates that tables of
+reflectances stand beside (docs/measurement.md#reflectances)."""
+
+import functools
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingPair
+from l3cli.evaluation.basic import balance_of, balanced_bands, light_of, white_electrons
+from l3cli.evaluation.demosaic import best_of_bands
+from l3cli.evaluation.quality import BandQuality, cropped, judge_bands
+from l3cli.physics import spectra
+from l3cli.physics.display import delta_e_2000, lab
+
+Array = NDArray[np.floating]
+Drawn = Callable[
+    [TrainingPair, LightSpectrum], Iterable[TrainingFrame]
+]  # a frame and its light → frames, so lit and exposed
+LIGHTS = {"delta_e_a": "A", "delta_e_d65": "D65", "delta_e_f11": "F11"}  # by figure
+ESTIMATES = ("wiener", "pinv")
+
+
+@dataclass(frozen=True)
+class ReflectanceQuality(BandQuality):
+    """Figures of one frame of reflectances."""
+
+    delta_e_a: float  # mean CIEDE2000 of their colours under A, relative to its white
+    delta_e_d65: float
+    delta_e_f11: float
+
+
+def judge_reflectances(rendered: Array, target: Array, white: Array, border: int = 0) -> tuple[ReflectanceQuality, Array]:
+    """Return the figures of planes of spectra.REFLECTANCES and their spectral angle, as `judge_bands`."""
+    figures, angles = judge_bands(rendered, target, white, border)
+    shares = [cropped(planes, border) / white[:, None, None] for planes in (rendered, target)]
+    colours = {
+        figure: float(delta_e_2000(*(_lab(each, light) for each in shares)).mean()) for figure, light in LIGHTS.items()
+    }
+    return ReflectanceQuality(**asdict(figures), **colours), angles
+
+
+def _lab(reflectance: Array, light: str) -> Array:
+    """Return L*a*b* (row, col, 3) of reflectances (output, row, col) under a light, relative to its white."""
+    weights = _xyz_weights(light)
+    return lab(np.maximum(np.einsum("xo,ork->rkx", weights, reflectance), 0.0), weights.sum(axis=1))
+
+
+@functools.cache
+def _xyz_weights(light: str) -> Array:
+    """Return W (3, output): XYZ, Y = 1 of white, of reflectances at spectra.SAMPLED under a light."""
+    grid = np.arange(380.0, 781.0)
+    weights = spectra.xyz_weights(grid) * spectra.illuminant(light, grid)
+    return np.asarray(weights @ spectra.held_interpolation(spectra.SAMPLED, grid) / weights[1].sum())
+
+
+class Estimates:
+    """Linear estimates of spectra from the bands of each pixel as they are demosaicked, by `best_of_bands`; their statistics
+    are those of frames `drawn` as for training, once for each light and exposure.
+
+    With outputs Y and bands P of all pixels, without noise or mosaic, "pinv" is the pseudo-inverse Y P⁺, and "wiener" is
+    Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹, E being what noise adds to the bands as they are demosaicked.
+    """
+
+    def __init__(self, camera: CameraModel, drawn: Drawn) -> None:
+        self._camera, self._drawn, self._demosaic = camera, drawn, best_of_bands(camera.cfa)
+        self._fitted: dict[tuple[bytes, float], dict[str, Array]] = {}
+
+    def planes(self, frame: TrainingPair) -> dict[str, Array]:
+        """Return planes (output, row, col) in the target's unit of a frame's raw, by the estimate's name; InputFileError
+        if the camera sees nothing of its light."""
+        white = white_electrons(frame, self._camera)
+        key = white.tobytes(), frame.exposure
+        if key not in self._fitted:
+            self._fitted[key] = self._fit(frame)
+        bands = balanced_bands(frame, self._camera, white, self._demosaic)
+        unit = frame.white[:, None, None]
+        return {name: np.einsum("oc,crk->ork", matrix, bands) * unit for name, matrix in self._fitted[key].items()}
+
+    def _fit(self, like: TrainingPair) -> dict[str, Array]:
+        """Return M (output, channel) of each estimate: shares of white of the outputs from those of the bands."""
+        white = white_electrons(like, self._camera)
+        balance = balance_of(white, like.exposure, self._camera)[:, None, None]
+        squares, noises = np.zeros((2, white.size, white.size))
+        products = np.zeros((white.size, len(like.white)))
+        for frame in self._drawn(like, light_of(like, self._camera)):
+            wanted = frame.target / np.where(frame.white > 0, frame.white, 1.0)[:, None, None]
+            bands = frame.electrons * balance
+            mosaic = np.take_along_axis(bands, self._camera.channel_map(frame.raw.shape)[None], axis=0)[0]
+            noise = balanced_bands(frame, self._camera, white, self._demosaic) - self._demosaic(mosaic, self._camera.cfa)
+            squares += np.einsum("brk,crk->bc", bands, bands, optimize=True)
+            noises += np.einsum("brk,crk->bc", noise, noise, optimize=True)
+            products += np.einsum("brk,ork->bo", bands, wanted, optimize=True)
+        seen = {"wiener": squares + noises, "pinv": squares}
+        return {name: np.linalg.lstsq(seen[name], products)[0].T for name in ESTIMATES}
