@@ -143,7 +143,8 @@ def test_bands_are_judged_as_spectra(trained: Path, l3: L3, refused: Refused, tm
     assert code == 0
     document = json.loads(out)
     assert document["pipelines"] == ["ours"]
-    assert set(document["mean"]["ours"]) == {"mean_angle", "median_angle", "p95_angle", "psnr", "output_psnr", "ssim"}
+    angles = {"mean_angle", "median_angle", "p95_angle", "gfc"}
+    assert set(document["mean"]["ours"]) == angles | {"rmse", "psnr", "output_psnr", "ssim"}
     assert [entry["band"] for entry in document["by_band"]] == document["outputs"]
     assert 0 < document["mean"]["ours"]["mean_angle"] < 20
     assert l3("evaluate", tmp_path / "table.h5", tmp_path / "bands.h5")[0] == 0

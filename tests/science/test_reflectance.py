@@ -12,6 +12,7 @@ from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingPair, TrainingSet, write_training_set
+from l3cli.cli.evaluate import print_tables
 from l3cli.evaluation.reflectance import ESTIMATES, Estimates, judge_reflectances
 from l3cli.frames.scene import Scene
 from l3cli.io.images import read_image
@@ -179,7 +180,9 @@ def test_a_table_recovers_reflectances_of_its_model(bayer: CameraModel, tmp_path
 
 
 @pytest.mark.parametrize("outputs", ["reflectance 31", "radiance 31"])
-def test_estimates_stand_beside_a_table(outputs: str, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+def test_estimates_stand_beside_a_table(
+    outputs: str, bayer_recipe: Path, tmp_path: Path, l3: L3, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "scenes.toml").write_text(SCENES.format(outputs=outputs))
     (tmp_path / "classes.toml").write_text(CLASSES)
     training, table = tmp_path / "training.h5", tmp_path / "table.h5"
@@ -194,6 +197,10 @@ def test_estimates_stand_beside_a_table(outputs: str, bayer_recipe: Path, tmp_pa
     assert len(colours) == (3 if outputs == "reflectance 31" else 0)
     assert document["mean"]["ours"]["rmse"] < document["mean"]["wiener"]["rmse"] < 0.15
     assert set(document["standards"]["figures"]) == {"ours"}
+    print_tables(document)
+    out = capsys.readouterr().out
+    assert "wiener" in out
+    assert ("ΔE00 D65" in out) == (outputs == "reflectance 31")
 
 
 def test_what_cannot_be_is_refused(tmp_path: Path, refused: Refused) -> None:
