@@ -6,7 +6,7 @@ lose more or less than their mean is taken off the values themselves, and change
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +76,7 @@ def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shad
     return Shading(nodes, whole if np.abs(whole).max() >= LEAST_COLOUR_SHADING else None)
 
 
-def interpolation(lines: NDArray[np.float64], places: NDArray[np.integer]) -> NDArray[np.float64]:
+def interpolation(lines: NDArray[np.floating], places: NDArray[Any]) -> NDArray[Any]:
     """Return the weights (place, line) of linear interpolation; beyond the last line it goes on as before it."""
     above = np.clip(np.searchsorted(lines, places, side="right"), 1, lines.size - 1)
     part = (places - lines[above - 1]) / (lines[above] - lines[above - 1])
