@@ -144,7 +144,7 @@ study: ## calibration over 21 seeds, quality, time and memory of large inputs (t
 	$(call needs,test)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/studies/test_video_rate.py
 
-soak: ## every stage killed forty times, full disks, endurance (half an hour)
+soak: ## every stage killed forty times, full disks, endurance, sweeps of which `make test` has one of each kind (half an hour)
 	$(call needs,test)
 	$(BIN)/python -m pytest -m soak -s
 

@@ -174,7 +174,7 @@ def require_within_file(path: Path, dataset: h5py.Dataset) -> None:
     if dataset.is_virtual or dataset.external:
         raise InputFileError(f"{path}: dataset {where} lies in another file; give a file that holds it itself")
     claimed, stored = (dataset.size or 0) * dataset.dtype.itemsize, dataset.id.get_storage_size()
-    if filters_of(dataset) <= KNOWN_FILTERS and claimed > SMALL + LARGEST_RATIO * stored:
+    if claimed > SMALL + LARGEST_RATIO * stored and filters_of(dataset) <= KNOWN_FILTERS:
         raise InputFileError(f"{path}: dataset {where} claims more data than the file holds; make the file again")
 
 

@@ -2,6 +2,7 @@
 that commands print, with the whole of its account of the run and the keys of its results."""
 
 import ast
+import functools
 import inspect
 import io
 import textwrap
@@ -66,6 +67,7 @@ def _structures(recipes: Sequence[type[Recipe]]) -> dict[str, type[Recipe]]:
     return found
 
 
+@functools.cache
 def _comments(kind: type) -> dict[str, str]:
     """Return the comment of each key of a structure: above its declaration, or at the ends of the declaration's lines."""
     try:

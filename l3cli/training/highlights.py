@@ -50,7 +50,7 @@ def grey_patches(
         return {}
     same = np.array(filters or range(signal.size))[:, None] == np.unique(filters or range(signal.size))  # (channel, filter)
     relative = np.ones(signal.size) if sensitivity is None else sensitivity
-    rows: dict[int, list[Array]] = {}
+    rows: dict[tuple[int, int], list[Array]] = {}  # by level and saturation case
     threshold = (rule.saturation - black_level) / (white_level - black_level)
     for grey in np.exp(np.arange(np.log(DARKEST / signal.max()), np.log(BRIGHTEST / signal.min()), np.log(STEP))):
         clipped = np.minimum(grey * signal, 1.0)
@@ -67,10 +67,12 @@ def grey_patches(
             share = (saturated[:, None] | ~same).all(axis=0).mean() or NOTHING_LOST  # of the filters
             weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
             for neighbour in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
-                plain = 0, rule.kinds_of(case)
-                for index in rule.join(neighbour, *plain, further=np.arange(rule.further)).ravel().tolist():
-                    rows.setdefault(index, []).append(weight * row)
-    return {index: np.array(greys).T @ np.array(greys) / len(greys) for index, greys in rows.items()}
+                rows.setdefault((neighbour, case), []).append(weight * row)
+    taught: dict[int, Array] = {}
+    for (neighbour, case), greys in rows.items():
+        classes = rule.join(neighbour, 0, rule.kinds_of(case), further=np.arange(rule.further))
+        taught |= dict.fromkeys(classes.ravel().tolist(), np.array(greys).T @ np.array(greys) / len(greys))
+    return taught
 
 
 def steps_back(

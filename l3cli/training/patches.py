@@ -2,6 +2,7 @@
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -147,7 +148,7 @@ def sample_patches(
     unit: float,
     window: NDArray[np.int64],
     count: int,
-    orientations: list[NDArray[np.int64]],
+    orientations: Sequence[NDArray[np.int64]],
     rng: np.random.Generator,
 ) -> Patches:
     """Return `count` patches at random places and orientations of a frame, seen through the CFA `window` (tap).

@@ -104,15 +104,15 @@ SAME_WHITE = 0.005  # relative, for a coarse grid: outputs whose white is not th
 
 
 @functools.lru_cache(maxsize=4)
-def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, Array]:
-    """Return reflectances of surfaces (surface, wavelength), and of painted greys."""
+def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, int]:
+    """Return reflectances of surfaces (surface, wavelength), and how many of them, the last, are painted greys."""
     grid = np.array(wavelength)
     paler = np.concatenate([with_saturation(spectra.reflectance_library(grid), each) for each in SATURATIONS])
     paler = np.clip(paler, BLACKEST, WHITEST)
     painted = [with_titanium_white(paler, grid, edge, width) for edge in EDGES for width in WIDTHS]
     greys = np.repeat(GREYS[:, None], grid.size, axis=1)
     whites = [with_titanium_white(greys, grid, edge, width) for edge in EDGES for width in WIDTHS]
-    return np.concatenate([paler] * BARE + painted), np.concatenate(whites)
+    return np.concatenate([paler] * BARE + painted + whites), sum(map(len, whites))
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
     to_signals = electrons * (camera.output_unit / camera.full_scale)
     to_outputs = matching * (white / of_white)[:, None]
     surfaces, greys = cached_reflectances(tuple(grid))
-    signals, outputs = _seen(np.concatenate([surfaces, greys]), to_signals, to_outputs)
+    signals, outputs = _seen(surfaces, to_signals, to_outputs)
     if not signals.min() > 0:
         return None
     stripes = false_colours(camera, grid, lit)
@@ -204,7 +204,7 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
     vivid, vivid_outputs = _seen(optimal_reflectances(grid), to_signals, to_outputs)
     beyond = np.concatenate([modulated, vivid])
     beyond_outputs = np.concatenate([np.broadcast_to(white, (len(modulated), 3)), vivid_outputs])
-    return PlainSurfaces(signals, outputs, electrons.sum(axis=1), len(greys), beyond, beyond_outputs, len(modulated))
+    return PlainSurfaces(signals, outputs, electrons.sum(axis=1), greys, beyond, beyond_outputs, len(modulated))
 
 
 def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Array, Array]:

@@ -1,5 +1,6 @@
 """Symmetry of a colour filter array: sites whose neighbourhoods are rotations or mirror images share their training."""
 
+import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,10 +23,11 @@ class SiteMap:
     permutation: Indices  # (tap)
 
 
-def orientations(patch: int) -> list[Indices]:
+@functools.cache
+def orientations(patch: int) -> tuple[Indices, ...]:
     """Return tap permutations (tap) of the eight rotations and mirror images of a square patch, the identity first."""
     taps = np.arange(patch * patch).reshape(patch, patch)
-    return [np.rot90(side, turns).ravel() for side in (taps, taps.T) for turns in range(4)]
+    return tuple(np.rot90(side, turns).ravel() for side in (taps, taps.T) for turns in range(4))
 
 
 def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap]:
@@ -76,7 +78,7 @@ class Turn(NamedTuple):
 def turns_of(rule: ClassRule, window: Indices, shared: bool = True) -> list[Turn]:
     """Return the orientations that leave the layout of one window (tap) as it is, the identity first; it alone unless
     training is `shared`."""
-    every = stabilisers(window, rule.patch) if shared else orientations(rule.patch)[:1]
+    every = stabilisers(window, rule.patch) if shared else [orientations(rule.patch)[0]]
     return [Turn(turn, np.argsort(turned_classes(rule, turn))) for turn in every]
 
 

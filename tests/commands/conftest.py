@@ -7,8 +7,21 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.store import save
+from l3cli.calibration.draft import sorting
+from l3cli.calibration.photo import responsivity
+from l3cli.rendering.white import source
 from tests.helpers import raw_files, sequences, still_scene
 from tests.helpers.browser import CHROMIUM, Browser
+from tests.helpers.photos import locating_once
+
+
+@pytest.fixture(autouse=True, scope="session")
+def charts_located_once() -> Iterator[None]:
+    """A chart is searched for once in the same pixels, which takes most of a photo's or a draft's time."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (responsivity, sorting, source):
+            patch.setattr(module, "locate", locating_once())
+        yield
 
 
 @pytest.fixture

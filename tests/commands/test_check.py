@@ -455,7 +455,7 @@ def use(kind: str, path: Path, camera: CameraModel) -> None:
         make_rule(classes.classes, camera, np.zeros(8, np.uint16))
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), name=st.sampled_from(sorted(names())), number=st.integers(0, 2))
 def test_what_is_reported_is_what_is_refused(
     data: st.DataObject, name: str, number: int, bayer: CameraModel, tmp_path: Path

@@ -3,18 +3,15 @@
 import re
 import shutil
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
-from l3cli.calibration.draft import sorting
 from l3cli.cli import run
-from l3cli.frames.chart import locate
 from l3cli.io.curves import write_curves
 from l3cli.io.frames import read_capture
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
@@ -58,22 +55,6 @@ def by_kind(kind: str, capture: int, light: str, seconds: float, trial: int, fra
 def as_cameras(kind: str, capture: int, light: str, seconds: float, trial: int, frame: int) -> str:
     """No kind at all."""
     return f"IMG_{frame:04d}.TIF"
-
-
-@pytest.fixture(autouse=True, scope="module")
-def located_once() -> Iterator[None]:
-    """A chart is searched for once in the same pixels, which takes most of a draft's time."""
-    known: dict[tuple[bytes, ...], Any] = {}
-
-    def once(mosaic: np.ndarray, cfa: np.ndarray, *chart: Any) -> Any:
-        key = mosaic.tobytes(), cfa.tobytes()
-        if key not in known:
-            known[key] = locate(mosaic, cfa, *chart)
-        return known[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sorting, "locate", once)
-        yield
 
 
 @pytest.fixture(scope="module")

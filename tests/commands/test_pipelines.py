@@ -49,7 +49,7 @@ def made(workplace: Workplace, tmp_path_factory: pytest.TempPathFactory) -> tupl
     assert run(["init", "bayer", str(folder), "--quiet"]) == 0
     recipes = {
         **SMALL,
-        "classes": FEW_CLASSES.replace("first_draws = 0", "draws = 3\nfirst_draws = 2"),
+        "classes": FEW_CLASSES.replace("first_draws = 0", "draws = 2\nfirst_draws = 1").replace("levels = 4", "levels = 2"),
         "bands_scenes": SMALL["scenes"] + '[target]\noutputs = "camera"\n',
         "bands_classes": FEW_CLASSES,
         "camera": bayer_camera().replace("[400, 700, 10]", "[400, 700, 5]"),

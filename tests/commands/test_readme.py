@@ -79,10 +79,12 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "scenes/default.toml": {r"(?s)size = \[160, 160\]\ncount = 60.*": "size = [64, 64]\ncount = 4\n"},
         "scenes/demo_unseen.toml": {r"size = \[720, 1280\]": "size = [160, 240]"},
         "classes/default.toml": {
-            r"levels = 10 ": "levels = 4 ",
-            r"patches = 120000": "patches = 1000",
-            r"mosaics = 5400": "mosaics = 8",
-            r"rows = 900 ": "rows = 500 ",
+            r"levels = 10 ": "levels = 2 ",
+            r"chromas = 9": "chromas = 2",
+            r"max_cases = 12": "max_cases = 3",
+            r"patches = 120000": "patches = 300",
+            r"mosaics = 5400": "mosaics = 6",
+            r"rows = 900 ": "rows = 300 ",
         },
     }
     for name, changes in smaller.items():

@@ -115,9 +115,7 @@ def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: C
     return ended.code != 0
 
 
-@stages(
-    *("lab", "calibrate", "simulate", "train", "still", "sequence", "video", "train, two layers", "evaluate", "report"),
-)
+@stages("lab", "simulate", "train", "sequence", "video", "evaluate", "report")
 def test_a_killed_run_leaves_nothing_that_the_next_does_not_fix(stage: Stage, server: ForkServer, truth: Callable) -> None:
     kill_once(stage, signal.SIGKILL, 0, server, truth)
 
@@ -173,7 +171,7 @@ def is_held(lock: Path) -> bool:
     return False
 
 
-@stages("lab", "simulate", "train", "sequence", "pattern", "evaluate")
+@stages("lab", "simulate", "sequence", "pattern", "evaluate")
 def test_a_second_run_on_one_output_is_refused(
     stage: Stage, server: ForkServer, truth: Callable, monkeypatch: pytest.MonkeyPatch, l3: L3
 ) -> None:

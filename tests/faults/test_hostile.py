@@ -1,4 +1,5 @@
-"""Nobody's file harms: spoilt inputs of every kind are refused in one line, or read."""
+"""Nobody's file harms: spoilt inputs of every kind are refused in one line, or read. A few of each here; `make fuzz` has
+20 000 of them."""
 
 import dataclasses
 import io
@@ -28,9 +29,8 @@ from tests.helpers.hostile_special_files import SpecialFiles
 from tests.helpers.hostile_wavelengths import SOURCES, Grid, WavelengthGrids
 from tests.helpers.tables import random_table
 
-IDENTITIES = 12
-INPUTS = int(os.environ.get("L3_HOSTILE_INPUTS", "184"))  # of all subjects together
-PHYSICS = 2  # inputs of each physical mistake
+IDENTITIES = 6
+INPUTS = int(os.environ.get("L3_HOSTILE_INPUTS", "92"))  # of all subjects together
 EACH = settings(
     max_examples=-(-INPUTS // len(SUBJECTS)),
     deadline=None,
@@ -89,7 +89,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> hostile_physics.Lab:
     return hostile_physics.Lab(tmp_path_factory.mktemp("physics") / "lab")
 
 
-@pytest.mark.parametrize("seed", range(PHYSICS))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("mistake", hostile_physics.MISTAKES, ids=lambda mistake: mistake.__name__)
 def test_a_physical_mistake_is_named_or_undone(
     lab: hostile_physics.Lab, mistake: Callable[..., hostile_physics.Expected], seed: int
@@ -97,7 +97,7 @@ def test_a_physical_mistake_is_named_or_undone(
     assert lab.judge(mistake, Seeded(seed)) is None
 
 
-@pytest.mark.parametrize(("name", "trials"), [("options", 40), ("environment", 3), *((name, 6) for name in RECIPES)])
+@pytest.mark.parametrize(("name", "trials"), [("options", 20), ("environment", 3), *((name, 3) for name in RECIPES)])
 def test_a_number_that_nobody_meant_is_refused_or_taken(shop: Workshop, name: str, trials: int) -> None:
     subject = next(subject for subject in hostile_numbers.subjects(shop) if subject.name == name)
     for seed in range(trials):
@@ -105,7 +105,7 @@ def test_a_number_that_nobody_meant_is_refused_or_taken(shop: Workshop, name: st
         assert subject.judge(shop, call) is None, call
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(15))
 def test_a_place_that_is_no_file_is_refused_at_once(shop: Workshop, seed: int) -> None:
     trial = SpecialFiles().draw(Seeded(seed))
     assert SpecialFiles().judge(shop, trial) is None, trial
@@ -113,7 +113,7 @@ def test_a_place_that_is_no_file_is_refused_at_once(shop: Workshop, seed: int) -
 
 @pytest.mark.parametrize(
     "grid",
-    [*(Grid((first, 710, 10), SOURCES[0]) for first in (350, 390)), *(WavelengthGrids().draw(Seeded(n)) for n in range(4))],
+    [*(Grid((first, 710, 10), SOURCES[0]) for first in (350, 390)), *(WavelengthGrids().draw(Seeded(n)) for n in range(2))],
     ids=str,
 )
 def test_a_camera_of_any_wavelengths_is_shown_the_same(shop: Workshop, grid: Grid) -> None:
@@ -121,12 +121,12 @@ def test_a_camera_of_any_wavelengths_is_shown_the_same(shop: Workshop, grid: Gri
 
 
 def test_a_dng_is_read_to_the_pixels_that_its_tags_describe_or_refused(shop: Workshop) -> None:
-    for seed in range(60):
+    for seed in range(30):
         trial = DngTags().draw(Seeded(seed))
         assert DngTags().judge(shop, trial) is None, trial
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_frames_keep_their_times_or_it_is_reported(shop: Workshop, seed: int) -> None:
     clip = FrameTimes().draw(Seeded(seed))
     assert FrameTimes().judge(shop, clip) is None, clip

@@ -50,7 +50,7 @@ def artifacts(bayer: CameraModel, fiveband: CameraModel, tmp_path_factory: pytes
     return paths
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(data=st.data(), kind=st.sampled_from(list(READERS)), bit=st.integers(0, 7), how=st.sampled_from(["--verify", "read"]))
 def test_a_flipped_bit_anywhere_is_detected(
     data: st.DataObject, kind: str, bit: int, how: str, artifacts: dict[str, Path], tmp_path_factory: pytest.TempPathFactory

@@ -1,12 +1,17 @@
 """Simulated patches of a chart, from cameras drawn out of the curve statistics that come with l3 or given."""
 
+import functools
+import hashlib
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.calibration.photo import estimate
 from l3cli.calibration.photo.estimate import WAVELENGTH, Posterior, Shot
-from l3cli.frames.chart import corner_cells, homography, through
+from l3cli.frames.chart import corner_cells, homography, locate, through
 from l3cli.io.curves import shipped_statistics
 from l3cli.physics import charts, spectra
 
@@ -43,9 +48,25 @@ def chart_mosaic(camera: CameraModel, light: str, share: float = 0.8) -> np.ndar
     return np.rint(np.clip(camera.black_level + share * full * values + noise, 0, camera.white_level)).astype(np.uint16)
 
 
+known_cameras = functools.cache(shipped_statistics)
+
+
+def locating_once() -> Callable[..., Any]:
+    """Return `locate` of frames.chart, which searches the same pixels once."""
+    known: dict[str, Any] = {}
+
+    def once(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tuple[int, int]) -> Any:
+        key = hashlib.sha256(b"".join(each.tobytes() for each in (mosaic, cfa, reflectance, np.array(grid)))).hexdigest()
+        if key not in known:
+            known[key] = locate(mosaic, cfa, reflectance, grid)
+        return known[key]
+
+    return once
+
+
 def drawn(seed: int) -> Array:
     """The responsivities (channel, wavelength) per photon of a camera that resembles measured ones."""
-    known, rng = shipped_statistics(), np.random.default_rng([seed, 1])
+    known, rng = known_cameras(), np.random.default_rng([seed, 1])
     shape = known.mean + np.tensordot(rng.standard_normal(len(known.modes)), known.modes, axes=1)
     shape = np.maximum(shape, 0.0)
     return shape / shape.max(axis=1, keepdims=True) * np.exp(known.log_peak)[:, None]

@@ -107,7 +107,7 @@ class Workplace:
         """Output of a command that ends with `code`, and the calls of l3 that it made."""
         self.calls.clear()
         process = self.start(folder, command)
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=600)
         assert process.returncode == code, out + err
         return out, list(self.calls)
 

@@ -12,6 +12,8 @@ from scipy.ndimage import gaussian_filter
 from skimage.metrics import structural_similarity
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import save
 from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame
 from l3cli.errors import InputFileError
 from l3cli.evaluation.basic import develop, fit_colour, light_of, white_preserving_ridge
@@ -35,7 +37,7 @@ from l3cli.physics.figures import sign
 from l3cli.physics.spectra import colour_science
 from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
-from tests.helpers.recipes import FEW_CLASSES
+from tests.helpers.tables import random_table
 
 D65 = spectra.white_point("D65")
 
@@ -252,7 +254,7 @@ def test_every_bayer_phase_is_understood(pattern: list) -> None:
 
 @pytest.mark.parametrize("name", ["bilinear", "sd", "ppid"])
 def test_methods_for_bands_are_exact_on_known_pictures(name: str) -> None:
-    for period in ((4, 4), (5, 5), (2, 3)):
+    for period in ((4, 4), (3, 3), (2, 3)):
         cfa = np.random.default_rng(0).permutation(np.prod(period)).reshape(period).astype(np.uint8)
         method = band_baselines(cfa)[name]
         level = np.random.default_rng(1).random(cfa.size)[:, None, None]
@@ -374,7 +376,6 @@ def test_a_channel_that_sees_nothing_of_the_light_has_no_state(fiveband: CameraM
 
 
 CHART = '[[scene]]\nsource = "colorchecker"\nsize = [192, 288]\n'
-LEAVES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [48, 48]\ncount = 2\n'
 WAVELENGTH = np.arange(380, 781, 2)
 CENTRES = np.array([[455], [545], [615]])
 LINES = np.exp(-0.5 * ((WAVELENGTH - CENTRES) / 8.0) ** 2).sum(axis=0)  # a lamp of three narrow bands
@@ -385,16 +386,16 @@ def basic(tmp_path: Path, l3: L3) -> Callable[[str, str], list[dict]]:
     """`basic(camera, head)`: figures of the basic pipeline on ColorCheckers that a recipe's camera sees, frame by frame."""
     lamp = [f"{at},{power:.6f}" for at, power in zip(WAVELENGTH, LINES, strict=True)]
     (tmp_path / "lamp.csv").write_text("\n".join(lamp))
-    (tmp_path / "leaves.toml").write_text(LEAVES)
-    (tmp_path / "classes.toml").write_text(FEW_CLASSES)
 
     def judged(name: str, head: str) -> list[dict]:
         (tmp_path / "chart.toml").write_text(head + CHART)
-        camera = ("--camera", CONFIGS / f"cameras/{name}.toml", "--quiet", "--force")
-        assert l3("simulate", tmp_path / "leaves.toml", *camera, "-o", tmp_path / "training.h5")[0] == 0
-        assert l3("simulate", tmp_path / "chart.toml", *camera, "-o", tmp_path / "chart.h5")[0] == 0
-        train = ("train", tmp_path / "training.h5", "--classes", tmp_path / "classes.toml", "--quiet", "--force")
-        assert l3(*train, "-o", tmp_path / "table.h5")[0] == 0
+        camera = load_camera(CONFIGS / f"cameras/{name}.toml")
+        save(camera, tmp_path / "camera.h5")
+        simulate = ("simulate", tmp_path / "chart.toml", "--camera", tmp_path / "camera.h5", "-o", tmp_path / "chart.h5")
+        assert l3(*simulate, "--quiet")[0] == 0
+        table = random_table(camera.cfa, camera.bits, camera.black_level, contrasts=())  # what is ours is not asked
+        same = {key: getattr(camera, key) for key in ("rows", "cols", "channels", "white_level")}
+        save(dataclasses.replace(table, camera_name=camera.name, camera=camera, **same), tmp_path / "table.h5")
         code, out, _ = l3(
             "evaluate", tmp_path / "table.h5", tmp_path / "chart.h5", "--json", "--quiet", "--backend", "reference"
         )

@@ -24,7 +24,6 @@ from tests.helpers.tables import with_first
 LEAVES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [40, 40]\n'
 NO_NUMBER = re.compile(r"\b(nan|inf|infinity)\b", re.IGNORECASE)
 CAMERAS = {  # what is changed in a Bayer recipe
-    "to 1000 nm": ("[400, 700, 10]", "[400, 1000, 10]"),
     "in steps of 25 nm": ("[400, 700, 10]", "[400, 1000, 25]"),
     "a channel beyond the visible": ("centre_nm = 600, sigma_nm = 35", "centre_nm = 930, sigma_nm = 10"),
     "a single channel": ('["r", "g", "b"]\npattern = ["r g", "g b"]', '["g"]\npattern = ["g"]'),

@@ -189,17 +189,17 @@ luminances_cd_m2 = [1.0, 400.0]
 exposure_s = [0.0333]
 [[scene]]
 source = "composition"
-size = [160, 240]
+size = [120, 180]
 seed = 11
 """
 SCENES = """
 exposure_share = [0.9]
 [[scene]]
 source = "dead leaves"
-size = [128, 128]
-count = 6
+size = [96, 96]
+count = 4
 """
-FEW_CLASSES = "[classes]\npatch = 5\nlevels = 10\n[learning]\npatches = 4000\ndraws = 4\n"
+FEW_CLASSES = "[classes]\npatch = 5\nlevels = 8\nchromas = 3\n[learning]\npatches = 2000\ndraws = 4\nfirst_draws = 0\n"
 
 
 @pytest.fixture(scope="module")

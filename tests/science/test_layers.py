@@ -296,7 +296,8 @@ def test_greys_get_no_further_cast(bayer_recipe: Path, tmp_path: Path, l3: L3) -
     training = tmp_path / "training.h5"
     (tmp_path / "scenes.toml").write_text(LEAVES)
     assert l3("simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "-o", training)[0] == 0
-    (tmp_path / "classes.toml").write_text(LAYER + "mosaics = 40\nrows = 2000\n")
+    few = LAYER.replace("levels = 4", "levels = 4\nchromas = 3").replace("3000", "2000")
+    (tmp_path / "classes.toml").write_text(few + "mosaics = 24\nrows = 2000\n")
     assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
     table = load(TransformTable, tmp_path / "table.h5")
     assert table.camera is not None
@@ -326,11 +327,12 @@ def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: L3) -> None:
     """In two passes where they are the camera's channels, whose spectral angles weigh the rows of the second."""
     training = tmp_path / "training.h5"
     (tmp_path / "scenes.toml").write_text(
-        'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\n[target]\noutputs = "camera"\n'
+        'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [40, 40]\n[target]\noutputs = "camera"\n'
     )
     camera = CONFIGS / "cameras/fiveband.toml"
     assert l3("simulate", tmp_path / "scenes.toml", "--camera", camera, "-o", training)[0] == 0
-    recipe = LAYER.replace("patch = 3", "patch = 5").replace("first_draws = 0", "first_draws = 1").replace("3000", "500")
+    recipe = LAYER.replace("levels = 4", "levels = 2\nchromas = 2").replace("first_draws = 0", "first_draws = 1")
+    recipe = recipe.replace("patch = 3", "patch = 5").replace("3000", "300")
     (tmp_path / "classes.toml").write_text(recipe)
     run = ("train", training, "--classes", tmp_path / "classes.toml")
     whole, sums, first, table = (tmp_path / f"{name}.h5" for name in ("whole", "sums", "first", "table"))

@@ -28,8 +28,8 @@ from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import random_table, with_low_noise, with_refinement, with_tree
 
-LEAVES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\ncount = 4\n'
-CLASSES = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[classes.direction]\n[learning]\npatches = 2000\nfirst_draws = 1\n"
+LEAVES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [56, 56]\ncount = 3\n'
+CLASSES = "[classes]\npatch = 3\nlevels = 3\nchromas = 2\n[classes.direction]\n[learning]\npatches = 1200\nfirst_draws = 1\n"
 LAYER = "draws = 2\n[[layer]]\nside = 3\nmosaics = 8\nrows = 500\n"
 
 

@@ -16,6 +16,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.fit import PhotoFit
 from l3cli.artifacts.store import load
 from l3cli.calibration.photo import estimate as estimation
+from l3cli.calibration.photo import responsivity
 from l3cli.calibration.photo.estimate import WAVELENGTH, Posterior, Prior, camera_prior, estimate, smooth, terms
 from l3cli.frames import chart
 from l3cli.frames.chart import corner_cells, homography, through
@@ -28,7 +29,7 @@ from tests.helpers.calls import L3
 from tests.helpers.paths import ROOT
 from tests.helpers.photos import BAYER, GAIN, GRID, PLACE, READ, REFLECTANCE, UPRIGHT, photograph
 
-SEEDS = range(12)
+SEEDS = range(8)
 SURFACES = spectra.reflectance_library(WAVELENGTH)[::5]
 
 
@@ -44,6 +45,11 @@ def prior() -> Prior:
     return camera_prior(shipped_statistics())
 
 
+@pytest.fixture(scope="module")
+def plain(prior: Prior) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return figures(prior)
+
+
 def figures(prior: Prior, glare: float = 0.0, uneven: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors of responses under A from a chart under D65, and shares of these and of the curves within the band."""
     errors, shares, curves = [], [], []
@@ -57,17 +63,17 @@ def figures(prior: Prior, glare: float = 0.0, uneven: float = 0.0) -> tuple[np.n
     return np.concatenate(errors), np.concatenate(shares), np.concatenate(curves)
 
 
-def test_responses_under_another_light_and_the_band(prior: Prior) -> None:
-    errors, shares, curves = figures(prior)
+def test_responses_under_another_light_and_the_band(plain: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    errors, shares, curves = plain
     assert np.median(errors) < 0.0035
     assert np.percentile(errors, 95) < 0.01
     assert 0.9 <= shares.mean() <= 0.995
     assert 0.9 <= curves.mean() <= 0.995
 
 
-def test_glare_and_uneven_light_cost_little(prior: Prior) -> None:
-    plain, hard = figures(prior)[0], figures(prior, glare=0.02, uneven=0.2)
-    assert np.median(hard[0]) < 1.5 * max(np.median(plain), 0.0025)
+def test_glare_and_uneven_light_cost_little(prior: Prior, plain: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    hard = figures(prior, glare=0.02, uneven=0.2)
+    assert np.median(hard[0]) < 1.5 * max(np.median(plain[0]), 0.0025)
     assert hard[1].mean() >= 0.9
 
 
@@ -114,16 +120,22 @@ def test_a_clipped_patch_is_left_out(prior: Prior) -> None:
     assert photos.response_figures(camera, estimate([shot], prior), "A", SURFACES)[0].max() < 0.015
 
 
-@pytest.mark.parametrize(("true", "named"), [("A", "D65"), ("D65", "A"), ("F11", "D65"), ("D65", "F2"), ("LED-B3", "D50")])
-def test_a_wrong_light_is_noticed_and_the_right_one_not(prior: Prior, true: str, named: str) -> None:
+LIGHTS = [("A", "D65"), ("LED-B3", "D50"), ("D65", "A"), ("F11", "D65"), ("D65", "F2")]
+WRONG = [(seed, *each) for seed in range(2) for each in LIGHTS]
+
+
+@pytest.mark.parametrize(
+    ("seed", "true", "named"),
+    [each if at < 2 else pytest.param(*each, marks=pytest.mark.soak) for at, each in enumerate(WRONG)],
+)
+def test_a_wrong_light_is_noticed_and_the_right_one_not(prior: Prior, seed: int, true: str, named: str) -> None:
     names = ("A", "D50", "D65", "F2", "F11", "LED-B3", "4000K")
     candidates = {name: spectra.illuminant(name, WAVELENGTH) for name in names}
-    for seed in range(2):
-        camera, rng = photos.drawn(seed), np.random.default_rng(seed)
-        wrong = photos.shot(camera, true, rng, uneven=0.2, named=named)
-        assert estimation.compare([wrong], 0, prior, candidates)[1] > estimation.NOTICED
-        right = photos.shot(camera, true, rng, uneven=0.2)
-        assert estimation.compare([right], 0, prior, candidates)[1] <= estimation.NOTICED
+    camera, rng = photos.drawn(seed), np.random.default_rng(seed)
+    wrong = photos.shot(camera, true, rng, uneven=0.2, named=named)
+    assert estimation.compare([wrong], 0, prior, candidates)[1] > estimation.NOTICED
+    right = photos.shot(camera, true, rng, uneven=0.2)
+    assert estimation.compare([right], 0, prior, candidates)[1] <= estimation.NOTICED
 
 
 def test_a_light_that_is_only_guessed_widens_the_band(prior: Prior) -> None:
@@ -171,7 +183,7 @@ def test_the_table_is_that_of_the_measured_cameras() -> None:
     assert priors.TABLE.read_text() == priors.as_toml(priors.measured(Path(os.environ["L3_DATA"])))
 
 
-@pytest.mark.parametrize("turns", [0, 3])
+@pytest.mark.parametrize("turns", [pytest.param(0, marks=pytest.mark.soak), 3])
 def test_a_chart_is_found_however_it_lies(turns: int) -> None:
     mosaic = photograph(UPRIGHT, np.random.default_rng(0), turns=turns)
     located = chart.locate(mosaic, BAYER, REFLECTANCE, GRID)
@@ -256,7 +268,8 @@ def fit_of(camera: CameraModel) -> PhotoFit:
     return camera.fit.photo
 
 
-def test_the_chart_its_light_and_its_noise(photo: Path, tmp_path: Path, l3: L3) -> None:
+def test_the_chart_its_light_and_its_noise(photo: Path, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(responsivity, "locate", photos.locating_once())
     code, out, err = l3("calibrate", "--photo", photo, "-o", tmp_path / "camera.h5")
     assert code == 0, err
     camera = load(CameraModel, tmp_path / "camera.h5")

@@ -219,8 +219,14 @@ def mistype(folder: Path, frame: str, factor: float) -> None:
     edit(folder, rf'("{frame}".*\n)exposure_s = (\S+)', lambda match: f"{match[1]}exposure_s = {factor * float(match[2])}")
 
 
-@pytest.mark.parametrize("kind", ["mono", "chart", "white", "dark"])
-@pytest.mark.parametrize(("factor", "place"), [(1e3, 0.4), (1e-3, 0.7)])
+LONGER, SHORTER = (1e3, 0.4), (1e-3, 0.7)  # than it was, and which of the captures it is
+MISTYPED = [("mono", *LONGER), ("mono", *SHORTER), ("chart", *LONGER), ("white", *SHORTER), ("dark", *LONGER)]
+MORE = [("chart", *SHORTER), ("white", *LONGER), ("dark", *SHORTER)]  # by make soak
+
+
+@pytest.mark.parametrize(
+    ("kind", "factor", "place"), [*MISTYPED, *(pytest.param(*each, marks=pytest.mark.soak) for each in MORE)]
+)
 def test_a_mistyped_exposure_is_named(
     kind: str, factor: float, place: float, copied: Path, tmp_path: Path, refused: Refused
 ) -> None:

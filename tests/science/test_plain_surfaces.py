@@ -26,17 +26,17 @@ illuminants = {lights}
 exposure_share = [0.9]
 [[scene]]
 source = "dead leaves"
-size = [96, 96]
-count = 6
+size = [80, 80]
+count = 4
 """
 CLASSES = """
 [classes]
 patch = 5
-levels = 4
+levels = {levels}
 chromas = 6
 contrasts = []
 [learning]
-patches = 2000
+patches = 1500
 draws = 3
 first_draws = 0
 plain_surfaces = {weight}
@@ -118,11 +118,11 @@ def test_a_chroma_of_few_surfaces_is_left_to_its_patches(fiveband: CameraModel) 
     assert few.moments(rule, neighbourhoods(fiveband.cfa, 5, 5).channel[0]) == [None]
 
 
-def learned(lights: list[str], weight: float, folder: Path, l3: L3, more: str = "") -> TransformTable:
+def learned(lights: list[str], weight: float, folder: Path, l3: L3, more: str = "", levels: int = 2) -> TransformTable:
     """A small table of the five-band camera, of classes with `more` keys."""
     folder.mkdir(exist_ok=True)
     (folder / "scenes.toml").write_text(SCENES.format(lights=str(lights).replace("'", '"')))
-    (folder / "classes.toml").write_text(CLASSES.format(weight=weight) + more)
+    (folder / "classes.toml").write_text(CLASSES.format(weight=weight, levels=levels) + more)
     if not (folder / "scenes.h5").exists():
         camera = CONFIGS / "cameras/fiveband.toml"
         assert l3("simulate", folder / "scenes.toml", "--camera", camera, "-o", folder / "scenes.h5", "--quiet")[0] == 0
@@ -176,7 +176,7 @@ def change(one: TransformTable, other: TransformTable, level: int, white: bool =
 
 
 def test_plain_colours_of_an_unseen_chart_and_stripes_are_truer(fiveband: CameraModel, tmp_path: Path, l3: L3) -> None:
-    without, taught = (learned(["D65"], weight, tmp_path, l3) for weight in (0.0, 30.0))
+    without, taught = (learned(["D65"], weight, tmp_path, l3, levels=4) for weight in (0.0, 30.0))
     assert chart_error(taught, fiveband) < 0.8 * chart_error(without, fiveband)
     assert stripe_chroma(taught, fiveband) < 20 < 50 < stripe_chroma(without, fiveband)
     # Where noise hides what a surface is, it is hardly taught, and least what may be a grey.

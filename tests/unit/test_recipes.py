@@ -2,6 +2,7 @@
 once; the JSON schemas of recipes."""
 
 import copy
+import functools
 import json
 import tomllib
 from pathlib import Path
@@ -122,7 +123,7 @@ def damaged(content: Any, draw: Any) -> Any:
     return draw(st.sampled_from([content] * 40 + OTHERS))
 
 
-@settings(max_examples=70, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.data(), st.sampled_from(DAMAGED))
 def test_what_is_refused_first_is_among_all_that_is_refused(data: st.DataObject, kind: tuple[str, type[Recipe]]) -> None:
     name, recipe = kind
@@ -198,7 +199,7 @@ def texts(draw: st.DrawFn) -> str:
     return "".join(lines)
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(texts())
 def test_every_key_that_tomllib_reads_has_a_line(text: str) -> None:
     try:
@@ -209,7 +210,7 @@ def test_every_key_that_tomllib_reads_has_a_line(text: str) -> None:
     assert key_lines(text.replace("\n", "\r\n")) == key_lines(text)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(["k", "t", "a", "d"]), TEXTS, BREAKS), max_size=8))
 def test_a_key_is_in_the_line_where_it_is_written(parts: list[tuple[str, str, str]]) -> None:
     text, entries = "", 0
@@ -257,8 +258,7 @@ def test_what_is_missing_is_where_it_ought_to_be() -> None:
 
 
 jsonschema = pytest.importorskip("jsonschema")
-SCHEMAS = {kind: schema(kind) for kind in KINDS}
-VALIDATORS = {kind: jsonschema.Draft202012Validator(each) for kind, each in SCHEMAS.items()}
+schema_of = functools.cache(schema)
 RECIPES = sorted(path for path in CONFIGS.rglob("*.toml") if path.parent.name != "priors")
 MEASURED = bayer_camera().partition("[responsivity]")[0] + "[optics]\nfocal_length_mm = 25\nf_number = 2.8\n"
 MEASURED = MEASURED.replace("gain_dn_per_e = 0.25\nblack_level_dn = 64\nfixed_pattern_seed = 3\n", "")
@@ -280,15 +280,15 @@ layout = [4, 6]
 
 
 def problems(kind: str, content: Any) -> list[Any]:
-    return list(VALIDATORS[kind].iter_errors(content))
+    return list(jsonschema.Draft202012Validator(schema_of(kind)).iter_errors(content))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_is_a_schema(kind: str, l3: L3) -> None:
-    jsonschema.Draft202012Validator.check_schema(SCHEMAS[kind])
+    jsonschema.Draft202012Validator.check_schema(schema_of(kind))
     code, out, err = l3("schema", kind)
     assert (code, err) == (0, "")
-    assert json.loads(out) == SCHEMAS[kind]
+    assert json.loads(out) == schema_of(kind)
     assert "null" not in out
     assert "prefixItems" not in out  # which older dialects do not know
     assert out.isascii()
@@ -332,7 +332,7 @@ def test_a_wrong_recipe_does_not(kind: str, text: str, old: str, new: str) -> No
     assert problems(kind, tomllib.loads(text.replace(old, new)))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.data(), st.sampled_from([path for path in RECIPES if "benchmarks" not in path.parts]))
 def test_it_agrees_with_what_recipes_are_read_by(data: st.DataObject, path: Path) -> None:
     whole = tomllib.loads(path.read_text())
