@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
@@ -21,6 +22,8 @@ from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import CLASSES, SCENES, UNSEEN
 
 os.fsync = lambda fd: None  # nobody cuts the power, and to reach the disk takes as long as a small command
+settings.register_profile("shared machines", deadline=None, suppress_health_check=[HealthCheck.too_slow])  # not timed
+settings.load_profile("shared machines")
 gc.disable()  # until tests are collected: of the many objects that this makes none is garbage
 
 
