@@ -139,8 +139,8 @@ def test_figures_of_known_errors() -> None:
             (spectra.xyz_weights(fine) * spectra.illuminant("F11", fine)).sum(axis=1))
         for index in map(names.index, ("cyan", "foliage"))
     ]  # fmt: skip
-    pair = [target[:, [names.index(name)]] for name in ("cyan", "foliage")]
-    assert judge_reflectances(*pair, white)[0].delta_e_f11 == pytest.approx(delta_e_2000(*colours), rel=0.03)
+    cyan, foliage = (target[:, [names.index(name)]] for name in ("cyan", "foliage"))
+    assert judge_reflectances(cyan, foliage, white)[0].delta_e_f11 == pytest.approx(delta_e_2000(*colours), rel=0.03)
 
 
 SCENES = """
