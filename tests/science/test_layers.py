@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -148,7 +149,8 @@ def test_mosaics_are_seen_together_as_each_by_itself(bayer: CameraModel) -> None
 
 
 def test_noise_that_does_not_count_is_not_summed_up(bayer: CameraModel) -> None:
-    """The other sums are the same; where there is none, the layer learns from what rendering makes of the values."""
+    """The other sums are the same; where there is none and nothing is rescaled, the layer learns from what rendering makes
+    of the values."""
     frames, sums = [a_frame(bayer, seed, smooth=False) for seed in range(2)], []
     for weight in (1.0, 0.0):
         layer = a_pass(bayer, luminance_noise=weight, chroma_noise=weight)
@@ -157,7 +159,10 @@ def test_noise_that_does_not_count_is_not_summed_up(bayer: CameraModel) -> None:
         np.testing.assert_array_equal(one.moments, sums[1][site].moments)
         np.testing.assert_array_equal(one.count, sums[1][site].count)
         assert one.noise.any() > sums[1][site].noise.any()
+    unscaled = msgspec.structs.replace(layer.learning, rescale=False)
     exposed = dataclasses.replace(layer.exposed, noisy=False)
+    assert next(mosaics_of(frames[0], 1, exposed, np.random.default_rng(0))).clean is not None
+    exposed = dataclasses.replace(exposed, recipe=unscaled)
     for mosaic in sheets_of(mosaics_of(frames[0], 2, exposed, np.random.default_rng(0)), 2):
         seen = layer.seer()(mosaic)
         exact = layer.seer()(dataclasses.replace(mosaic, clean=mosaic.values.astype(np.float32)))

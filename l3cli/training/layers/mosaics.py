@@ -100,7 +100,8 @@ def _shown(
         )
         values = expose_patches(mosaic, camera, rng, None, exposed.dark, channel) if exposed.noisy else np.rint(clean)
         target = _turned(frame.target, piece) * np.float32(scale * frame.exposure / camera.output_unit)
-        yield Mosaics(1, values.astype(np.uint16), clean if exposed.noisy else None, target)
+        as_rounded = not (exposed.noisy or exposed.recipe.rescale)  # at dark levels rounding is noise, too
+        yield Mosaics(1, values.astype(np.uint16), None if as_rounded else clean, target)
 
 
 def sheets_of(mosaics: Iterable[Mosaics], period: int) -> Iterator[Mosaics]:
