@@ -35,7 +35,9 @@ class PhaseDoubt:
     by_grey: bool = False  # whether only the signals of a grey tell
 
 
-def phase_doubt(frame: RawFrame, cfa: NDArray[np.uint8], neutral: Sequence[float] | None = None) -> PhaseDoubt | None:
+def phase_doubt(
+    frame: RawFrame, cfa: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None = None
+) -> PhaseDoubt | None:
     """Return the doubt that the array `cfa` (row, col) of channels, from its site `frame.phase` on, lies where a frame says;
     None without. `neutral` (channel): signals of a grey; None: only sites of one channel are compared."""
     blocks = block_means(frame, cfa.shape)
@@ -85,7 +87,9 @@ def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
     return len(pairs) == len(np.unique(one))
 
 
-def _far_from_grey(blocks: NDArray[np.float64], array: NDArray[np.uint8], neutral: Sequence[float] | None) -> float:
+def _far_from_grey(
+    blocks: NDArray[np.float64], array: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None
+) -> float:
     """Return the distance of a frame's mean from a grey: of the natural logarithms of its channels over those of the grey,
     from the least to the most; 0 where no grey is stated."""
     if neutral is None or min(neutral) <= 0:

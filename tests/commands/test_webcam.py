@@ -6,6 +6,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,7 +46,7 @@ def write_raw(path: Path, values: np.ndarray, camera: CameraModel) -> None:
     write_dng(path, stored, camera, {"A": np.eye(3), "D65": np.eye(3)}, None, SECONDS)
 
 
-def algorithms(path: Path) -> dict[str, dict[str, object]]:
+def algorithms(path: Path) -> dict[str, dict[str, Any]]:
     return {name: parameters for each in json.loads(path.read_text())["algorithms"] for name, parameters in each.items()}
 
 

@@ -32,8 +32,8 @@ def test_reflectances_are_better_known_than_by_estimates(
     scenes |= {noise: f'{HEAD}sensor.noise = "{noise}"\n{hidden[1]}{hidden[2]}' for noise in LARGEST_RMSE}
     for name, text in scenes.items():
         (tmp_path / f"{name}.toml").write_text(text)
-        arguments = "--camera", "snapshot16", "-o", tmp_path / f"{name}.h5", "--jobs", 2, "--quiet"
-        assert l3("simulate", tmp_path / f"{name}.toml", *arguments)[0] == 0
+        made = "--camera", "snapshot16", "-o", tmp_path / f"{name}.h5", "--jobs", 2, "--quiet"
+        assert l3("simulate", tmp_path / f"{name}.toml", *made)[0] == 0
     classes = Path(__file__).parents[2].joinpath("configs/classes/bands.toml").read_text()
     (tmp_path / "classes.toml").write_text(classes.replace("patches = 120000", f"patches = {PATCHES}"))
     arguments = "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5", "--jobs", 2, "--quiet"

@@ -44,7 +44,7 @@ def test_the_right_phase_of_every_array(array: list[list[int]], grey: np.ndarray
     neutral = grey[: cfa.max() + 1]
     taken = frame(cfa, grey, 64.0)
     exchanged = np.array([2, 1, 0, 3], np.uint8)[cfa] if grey[0] == grey[2] else cfa
-    for phase in itertools.product(*map(range, cfa.shape)):
+    for phase in itertools.product(range(cfa.shape[0]), range(cfa.shape[1])):
         said = shifted_cfa(cfa, phase)
         doubt = phase_doubt(taken, said, neutral)
         if (said == cfa).all() or (said == exchanged).all():
