@@ -77,14 +77,14 @@ def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]
 
 def _sites_differ(blocks: NDArray[np.float64], array: NDArray[np.uint8]) -> float:
     """Return the mean difference between a site of a block and the mean of its channel's sites, over the signal."""
-    of_channels = (blocks[:, array == channel] for channel in np.unique(array))
+    of_channels = (blocks[:, array == channel] for channel in sorted(set(array.flat)))
     return float(sum(np.abs(each - each.mean(axis=1, keepdims=True)).sum() for each in of_channels) / blocks.sum())
 
 
 def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
     """Return whether two arrays have one channel at the same sites, be it by another name."""
     pairs = set(zip(one.flat, other.flat, strict=True))
-    return len(pairs) == len(np.unique(one))
+    return len(pairs) == len(set(one.flat))
 
 
 def _far_from_grey(

@@ -29,12 +29,10 @@ from l3cli.training.recipe import TrainingRecipe
 from l3cli.training.solve import Solution
 from l3cli.training.table import assemble, learn_site
 from l3cli.training.training_pass import TrainingPass
+from tests.helpers.bands import BORDER, unseen_scenes
 from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 
-DAYS, FACES = ("01", "06", "13"), (1, 2, 4, 5, 6)
-NANOMETRES = [405, 435, 450, 470, 505, 525, 570, 590, 630, 645, 660, 700, 780, 850, 870, 890, 910, 940, 970]
-BORDER = 10  # pixels
 LEAST_PSNR, LARGEST_ANGLE = 39.8, 2.0  # dB, degrees; noise-free faces alone had 2.2 before spectra were smoothed
 NOISE_DIFFERENCE = 0.1  # dB: smaller differences are chance
 ANGLE_DIFFERENCE = 0.02  # degrees: likewise
@@ -72,16 +70,6 @@ def measured(table: TransformTable, unseen: Path) -> Figures:
             psnr.append([band["psnr"] for band in band_figures(*judged)])
             angle.append(band_quality(*judged).mean_angle)
     return Figures(float(np.mean(psnr)), float(np.mean(angle)))
-
-
-def unseen_scenes(data: Path) -> str:
-    head = 'illuminants = ["D65"]\nexposure_share = [0.9]\n[target]\noutputs = "camera"\n'
-    cubes = [
-        f'[[scene]]\nsource = "cube"\nfile = "{data}/scenes/multispectral_day{day}.mat"\nwavelengths_nm = {NANOMETRES}\n'
-        for day in DAYS
-    ]
-    faces = [f'[[scene]]\nsource = "iset"\nfile = "{data}/scenes/people_small_{face}_scene.mat"\n' for face in FACES]
-    return head + "".join(cubes + faces)
 
 
 def solution(sums: Path, index: int, switches: dict[str, Any]) -> tuple[int, Solution]:

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from l3cli.evaluation.reflectance import ESTIMATES
+from tests.helpers.bands import BORDER, unseen_scenes
 from tests.helpers.calls import L3
-from tests.studies.test_bands_study import BORDER, unseen_scenes
 
 FRAMES, PATCHES = 50, 40000  # a third of what scenes and classes "bands" have
 SHOWN = ("rmse", "gfc", "mean_angle", "delta_e_a", "delta_e_d65", "delta_e_f11")
