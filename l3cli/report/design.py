@@ -119,7 +119,10 @@ def _truth(design: Design) -> Table:
     truth = design.truth
     assert truth is not None
     rows = [
-        (name, *(f"{value:.2f}" for pair in zip(expected, measured[:, 0], strict=True) for value in pair))
+        (
+            name.replace(" ", "\N{NO-BREAK SPACE}"),
+            *(f"{value:.2f}" for pair in zip(expected, measured[:, 0], strict=True) for value in pair),
+        )
         for name, expected, measured in zip(truth.trained, truth.expected, truth.measured, strict=True)
     ]
     ranks = "; ".join(f"{level} {truth.in_words(place)}" for place, level in enumerate(design.levels))
@@ -149,4 +152,4 @@ def _pictures(design: Design, truth: Truth, level: int, jpeg: Jpeg) -> Gallery:
         caption = f"{design.levels[level]}: {name}"
         rows, cols = large.shape[:2]
         pictures.append(Picture("data:image/jpeg;base64," + coded, rows, cols, caption, f"{caption}, at {ENLARGED}×"))
-    return Gallery(tuple(pictures))
+    return Gallery(tuple(pictures), wide=True)
