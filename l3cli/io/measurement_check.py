@@ -54,7 +54,7 @@ def _photo_faults(photo: PhotoRecipe, key: KeyPath, source: RecipeSource) -> Ite
 
 def _named_chart(name: str) -> None:
     """Raise RecipeError unless a chart has that name."""
-    charts.chart(name, spectra.VISIBLE)
+    charts.chart(name, spectra.SAMPLED)
 
 
 def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: RecipeSource) -> Iterator[Fault]:

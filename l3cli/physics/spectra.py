@@ -20,7 +20,6 @@ LUMINOUS_EFFICACY = 683.0  # lm/W
 BLACK_BODY = Quantity(500, 100_000, "K")  # below, nothing is seen by it
 DAYLIGHT = Quantity(4000, 25_000, "K")  # as far as CIE daylight goes
 UNSEEN = 1e-9  # luminous efficiency below which light is taken for invisible: less than rounding leaves beyond 830 nm
-VISIBLE = np.arange(400.0, 701.0, 10.0)  # nm, on which a name is tried
 SPRAGUE_STEP = 20.0  # nm between bands up to which a reflectance is taken as smooth
 Array = NDArray[np.floating]
 
@@ -234,7 +233,7 @@ def illuminant(name: str, wavelength: Array) -> Array:
 @functools.lru_cache(1000)
 def require_illuminant(name: str) -> None:
     """Raise RecipeError unless a light has that name."""
-    illuminant(name, VISIBLE)
+    illuminant(name, SAMPLED)
 
 
 def _tabulated(name: str, wavelength: Array) -> Array:

@@ -199,13 +199,14 @@ def test_the_best_array_becomes_a_folder_of_recipes(folder: Path, tmp_path: Path
 
 
 def test_pairs_are_in_order_beyond_ties() -> None:
-    crops, ideals = np.zeros((4, 1, 2, 2, 3), np.uint8), np.zeros((1, 2, 2, 3), np.uint8)
-    measured = np.array([[[3.0, 31.0]], [[3.03, 30.95]], [[4.0, 28.0]], [[3.5, 29.0]]])
-    expected = np.array([[1.0], [1.3], [2.0], [3.0]])
-    truth_of = Truth(("a", "b", "c", "d"), expected, ("mean_delta_e", "output_psnr"), measured, crops, ideals, "")
-    assert truth_of.in_order(0) == truth_of.in_order(0, 1) == 4 / 5  # a and b are a tie, c and d exchanged
-    assert truth_of.correlation(0) == truth_of.correlation(0, 1) == pytest.approx(0.8)
-    assert truth_of.in_words(0) == "0.80, 80% of the pairs beyond 2% in order"
+    crops, ideals = np.zeros((5, 1, 2, 2, 3), np.uint8), np.zeros((1, 2, 2, 3), np.uint8)
+    measured = np.array([[[3.0, 31.0]], [[3.03, 30.95]], [[4.0, 28.0]], [[3.5, 29.0]], [[3.3, 29.6]]])
+    expected = np.array([[1.0], [1.3], [2.0], [3.0], [3.01]])
+    truth_of = Truth(tuple("abcde"), expected, ("mean_delta_e", "output_psnr"), measured, crops, ideals, "")
+    # Ties: a and b as measured, d and e as predicted. c is exchanged with d and e.
+    assert truth_of.in_order(0) == truth_of.in_order(0, 1) == 6 / 8
+    assert truth_of.correlation(0) == truth_of.correlation(0, 1) == pytest.approx(0.6)
+    assert truth_of.in_words(0) == "0.60, 75% of the pairs beyond 2% in order"
 
 
 WRONG = """
