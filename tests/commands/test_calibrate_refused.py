@@ -92,16 +92,15 @@ def no_picture(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    ("kind", "spoil", "words"),
     [
-        (Path.unlink, "does not exist"),
-        (truncate, "not an image that can be read"),
-        (too_small, "100×100 pixels, the sensor 192×256"),
-        (too_deep, "more than 12 bits"),
-        (no_picture, "not an image"),
+        ("mono", Path.unlink, "does not exist"),
+        ("chart", truncate, "not an image that can be read"),
+        ("white", too_small, "100×100 pixels, the sensor 192×256"),
+        ("dark", too_deep, "more than 12 bits"),
+        ("mono", no_picture, "not an image"),
     ],
 )
-@pytest.mark.parametrize("kind", ["mono", "chart", "white", "dark"])
 def test_bad_frames_are_named(
     kind: str, spoil: Callable[[Path], None], words: str, copied: Path, tmp_path: Path, refused: Refused
 ) -> None:
@@ -121,10 +120,13 @@ def test_an_8_bit_frame_is_no_raw_frame(copied: Path, tmp_path: Path, refused: R
 
 
 @pytest.mark.parametrize(
-    ("column", "words"),
-    [("dark, as it were", "not a row of numbers"), ("nan", "increase"), ("", "not a row of numbers")],
+    ("name", "column", "words"),
+    [
+        ("mono.csv", "dark, as it were", "not a row of numbers"),
+        ("mono.csv", "nan", "increase"),
+        ("chart_*_A.csv", "", "not a row of numbers"),
+    ],
 )
-@pytest.mark.parametrize("name", ["mono.csv", "chart_*_A.csv"])
 def test_bad_spectra_are_named(name: str, column: str, words: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
     (path,) = (copied / "spectra").glob(name)
     lines = path.read_text().splitlines()

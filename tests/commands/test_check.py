@@ -81,8 +81,11 @@ strengths = [2, 1]  # each 0.001 above the last
 LAB = """falloff = 2  # falloff in 0…1
 [mono]
 step_nm = 0  # mono needs step_nm above 0
+overexposed = -1  # the least is 0
+[chart]
+illuminants = ["D99"]  # illuminant "D99" is unknown
 [white]
-illuminant = "D6"  # illuminant "D6" is unknown
+levels = [0.1, -1.0]  # levels and exposures must be given and above 0
 trials = 1  # two trials or more
 [defects]
 dust_radius_px = -1  # must not be negative

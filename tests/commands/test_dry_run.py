@@ -88,17 +88,6 @@ def test_a_dry_run_refuses_what_is_there(sentence: str, pipeline: Path, tmp_path
     assert dry == real
 
 
-def test_a_dry_run_refuses_wrong_inputs(pipeline: Path, tmp_path: Path, refused: Refused) -> None:
-    for call, code, what in (
-        (("train", pipeline / "table.h5", "-o", tmp_path / "t.h5"), 3, "table.h5"),
-        (("render", pipeline / "table.h5", pipeline / "none.tif", "-o", tmp_path / "p.png"), 3, "none.tif"),
-        (("simulate", pipeline / "classes.toml", "--camera", "bayer", "-o", tmp_path / "t.h5"), 2, "classes.toml"),
-        (("calibrate", pipeline / "camera.toml", "-o", tmp_path / "c.h5"), 2, "camera.toml"),
-        (("report", pipeline / "scenes.toml", "-o", tmp_path / "r.html"), 3, "scenes.toml"),
-    ):
-        assert what in refused(code, *call, "--dry-run")
-
-
 def test_a_dry_run_respects_another_run(pipeline: Path, tmp_path: Path, l3: L3) -> None:
     """It is refused what another run writes, and leaves that run's lock."""
     output = tmp_path / "t.h5"

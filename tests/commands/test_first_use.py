@@ -1,4 +1,4 @@
-"""What a first-time user meets: l3 alone, recipes by name, recipes that explain themselves, pictures of any size."""
+"""What a first-time user meets: l3 alone, recipes by name, pictures of any size."""
 
 import shutil
 from pathlib import Path
@@ -103,9 +103,6 @@ def test_the_shell_is_offered_names_next_to_files(tmp_path: Path, monkeypatch: p
     (tmp_path / "cameras").mkdir()
     assert offered("simulate", "s.toml", "--camera", "c") == ["cmy", "camera.toml", "cameras/"]
     assert offered("simulate", "s.toml", "--camera", "ca") == ["ca"]  # no name begins so: the shell's own files
-
-
-# ---------------------------------------------------------------------------------------- recipes explain themselves
 
 
 # ------------------------------------------------------------------------------------------------- pictures of any size

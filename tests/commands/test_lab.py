@@ -110,47 +110,6 @@ def test_the_default_recipe_is_the_built_in_one() -> None:
     assert load_recipe(CONFIGS / "lab/default.toml", LabRecipe) == LabRecipe()
 
 
-def test_an_existing_lab_is_kept_without_force(
-    bayer_recipe: Path, quick: Path, tmp_path: Path, refused: Refused, l3: L3
-) -> None:
-    (tmp_path / "lab").mkdir()
-    file = tmp_path / "lab/MEASUREMENTS.toml"
-    file.write_text("mine")
-    assert "--force" in refused(1, "lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", quick)
-    assert file.read_text() == "mine"
-    assert l3("lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", quick, "--force")[0] == 0
-    assert file.read_text() != "mine"
-
-
-@pytest.mark.parametrize(
-    ("recipe", "words"),
-    [
-        ("[mono]\nstep = 10", "unknown key `step` in [mono]"),
-        ('[chart]\nilluminants = ["D99"]', 'illuminant "D99" is unknown'),
-        ("[white]\ntrials = 1", "two trials"),
-        ("[white]\nlevels = [0.1, -1.0]", "above 0"),
-        ("[mono]\nbandwidth_nm = 0.5", "bandwidth_nm"),
-        ("[mono]\nfirst_nm = 690", "three steps"),
-        ("[dark]\nexposures_s = []", "levels and exposures"),
-        ("[mono]\noverexposed = -1", "the least is 0"),
-        ("[mono]\nstray_light = 0.5", "stray_light"),
-        ("falloff = 1.0", "falloff"),
-        ("monitor_error = -0.1", "not be negative"),
-        ("[defects]\ndust_depth = -1", "the least is 0"),
-    ],
-)
-def test_a_recipe_that_cannot_be_is_refused(
-    recipe: str, words: str, bayer_recipe: Path, tmp_path: Path, refused: Refused
-) -> None:
-    (tmp_path / "lab.toml").write_text(recipe)
-    assert words in refused(2, "lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", tmp_path / "lab.toml")
-
-
-def test_missing_inputs_are_named(bayer_recipe: Path, tmp_path: Path, refused: Refused) -> None:
-    assert "none.toml" in refused(3, "lab", tmp_path / "none.toml", "-o", tmp_path / "lab")
-    assert "none.toml" in refused(3, "lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", tmp_path / "none.toml")
-
-
 def test_a_sensor_too_small_for_a_chart_is_refused(bayer_recipe: Path, tmp_path: Path, refused: Refused) -> None:
     tiny = tmp_path / "tiny.toml"
     tiny.write_text(bayer_recipe.read_text().replace("rows = 192", "rows = 32"))

@@ -194,12 +194,3 @@ def test_fixed_exposure_needs_an_absolute_camera(refused: Refused, bayer: Camera
     (tmp_path / "scenes.toml").write_text("exposure_s = [0.01]\n" + LEAVES)
     arguments = (tmp_path / "scenes.toml", "--camera", tmp_path / "relative.h5", "-o", tmp_path / "out.h5")
     assert "exposure_share" in refused(2, "simulate", *arguments)
-
-
-def test_existing_output_and_filled_folder_are_refused(refused: Refused, bayer_recipe: Path, tmp_path: Path) -> None:
-    (tmp_path / "out.h5").write_text("mine")
-    recipe = CONFIGS / "scenes/small.toml"
-    assert "--force" in refused(1, "simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
-    arguments = ("--camera", bayer_recipe, "-o", tmp_path / "new.h5", "--pictures", tmp_path)
-    assert "not empty" in refused(1, "simulate", recipe, *arguments)
-    assert (tmp_path / "out.h5").read_text() == "mine"

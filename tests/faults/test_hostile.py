@@ -21,12 +21,10 @@ from tests.helpers import hostile_forks, hostile_numbers, hostile_physics
 from tests.helpers.fuzz import Seeded
 from tests.helpers.hostile import SUBJECTS, Subject, Workshop, confined, watched
 from tests.helpers.hostile_dng import DngTags
-from tests.helpers.hostile_frame_times import FrameTimes
 from tests.helpers.hostile_identities import Identities
 from tests.helpers.hostile_large_recipes import SHAPES, LargeRecipes
 from tests.helpers.hostile_numbers import OPTIONS, RECIPES, Call
 from tests.helpers.hostile_special_files import SpecialFiles
-from tests.helpers.hostile_wavelengths import SOURCES, Grid, WavelengthGrids
 from tests.helpers.tables import random_table
 
 IDENTITIES = 6
@@ -111,25 +109,10 @@ def test_a_place_that_is_no_file_is_refused_at_once(shop: Workshop, seed: int) -
     assert SpecialFiles().judge(shop, trial) is None, trial
 
 
-@pytest.mark.parametrize(
-    "grid",
-    [*(Grid((first, 710, 10), SOURCES[0]) for first in (350, 390)), *(WavelengthGrids().draw(Seeded(n)) for n in range(2))],
-    ids=str,
-)
-def test_a_camera_of_any_wavelengths_is_shown_the_same(shop: Workshop, grid: Grid) -> None:
-    assert WavelengthGrids().judge(shop, grid) is None, str(grid)
-
-
 def test_a_dng_is_read_to_the_pixels_that_its_tags_describe_or_refused(shop: Workshop) -> None:
     for seed in range(30):
         trial = DngTags().draw(Seeded(seed))
         assert DngTags().judge(shop, trial) is None, trial
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_frames_keep_their_times_or_it_is_reported(shop: Workshop, seed: int) -> None:
-    clip = FrameTimes().draw(Seeded(seed))
-    assert FrameTimes().judge(shop, clip) is None, clip
 
 
 SAVED_NUMBERS = [

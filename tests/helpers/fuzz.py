@@ -1,8 +1,7 @@
 """python -m tests.helpers.fuzz: many hostile inputs, in processes whose crash is seen; what fails leaves its input behind.
 
-Choices come from seeds, so that `--first SEED --inputs 1 --batch` repeats one; with --guided from a fuzzer that prefers
-inputs which reach new lines of l3cli (atheris, pip install "l3cli[fuzz]"). With --environments it is whole commands in so
-many places that none was made for: `--first SEED --environments 1` repeats one.
+Choices come from seeds, so that `--first SEED --inputs 1 --batch` repeats one. With --environments it is whole commands in
+so many places that none was made for: `--first SEED --environments 1` repeats one.
 """
 
 import argparse
@@ -35,16 +34,6 @@ class Seeded:
         return self._random.randint(least, most)
 
 
-class Guided:
-    """Choices of the coverage-guided fuzzer's bytes."""
-
-    def __init__(self, provider: Any) -> None:
-        self._provider = provider
-
-    def integer(self, least: int, most: int) -> int:
-        return self._provider.ConsumeIntInRange(least, most)
-
-
 class Court:
     """Judges inputs, and keeps those that fail."""
 
@@ -52,14 +41,12 @@ class Court:
         from tests.helpers import hostile_numbers
         from tests.helpers.hostile import SUBJECTS
         from tests.helpers.hostile_dng import DngTags
-        from tests.helpers.hostile_frame_times import FrameTimes
         from tests.helpers.hostile_identities import Identities
         from tests.helpers.hostile_large_recipes import LargeRecipes
         from tests.helpers.hostile_special_files import SpecialFiles
-        from tests.helpers.hostile_wavelengths import WavelengthGrids
 
         self._identities = Identities(shop)
-        further = SpecialFiles(), WavelengthGrids(), DngTags(), FrameTimes(), LargeRecipes()
+        further = SpecialFiles(), DngTags(), LargeRecipes()
         every: tuple[Any, ...] = (*SUBJECTS, *hostile_numbers.subjects(shop), *further)
         chosen = [subject for subject in every if only is None or subject.name == only]
         self.subjects = [subject for turn in range(3) for subject in chosen if only or subject.often > turn]
@@ -163,35 +150,6 @@ def names(seeds: list[int]) -> int:
     return failed
 
 
-def guided(chosen: argparse.Namespace) -> None:
-    """Judge inputs that the coverage of those before has led to; the first failure ends it."""
-    import atheris  # type: ignore[import-not-found, import-untyped, unused-ignore]
-
-    with atheris.instrument_imports(include=["l3cli"]):
-        import l3cli.cli.calibrate
-        import l3cli.cli.info
-        import l3cli.cli.render
-        import l3cli.cli.simulate
-        import l3cli.cli.train  # noqa: F401
-        from tests.helpers.hostile_spoiling import one_of
-    corpus = chosen.kept / "corpus"
-    corpus.mkdir(exist_ok=True)
-    flags = [f"-runs={chosen.inputs}", f"-artifact_prefix={chosen.kept}/", "-timeout=0", "-rss_limit_mb=0", "-len_control=0"]
-    with court(chosen.kept, chosen.only) as judges:
-        number = 0
-
-        def one(content: bytes) -> None:
-            nonlocal number
-            number += 1
-            choices = Guided(atheris.FuzzedDataProvider(content))
-            verdict = judges.judge(number, one_of(choices, judges.subjects), choices)
-            if verdict is not None:
-                raise AssertionError(verdict)
-
-        atheris.Setup([sys.argv[0], *flags, "-max_len=256", str(corpus)], one)
-        atheris.Fuzz()
-
-
 def environments(chosen: argparse.Namespace) -> int:
     """Judge whole commands in hostile environments of some seeds; how many failed."""
     from tests.helpers.hostile_environments import Place, judge, make_desk
@@ -219,14 +177,11 @@ def main() -> int:
     parser.add_argument("--only", help="one subject, such as camera.h5")
     parser.add_argument("--kept", type=Path, default=Path("build/fuzz"), help="folder for inputs that failed")
     parser.add_argument("--batch", action="store_true", help="judge in this process")
-    parser.add_argument("--guided", action="store_true", help="by coverage, in this process")
     parser.add_argument("--environments", type=int, default=0, help="places to run whole commands in, and no inputs")
     chosen = parser.parse_args()
     chosen.kept.mkdir(parents=True, exist_ok=True)
     if chosen.environments:
         return environments(chosen)
-    if chosen.guided:
-        guided(chosen)
     if chosen.batch:
         return min(batch(chosen), 100)
     command = [sys.executable, "-m", "tests.helpers.fuzz", "--batch", "--kept", str(chosen.kept)]

@@ -12,19 +12,17 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, TypeVar
 
 import numpy as np
 
 from l3cli.artifacts.store import save
 from l3cli.cli import run
 from l3cli.io.pictures.openimageio import write_mosaic
+from tests.helpers.hostile_spoiling import Choices, one_of
 from tests.helpers.paths import ROOT
 
-T = TypeVar("T")
 RUN = [sys.executable, "-m", "l3cli"]
 SECONDS = 60
 PLACES = int(os.environ.get("L3_HOSTILE_PLACES", "3"))  # that the test suite draws
@@ -51,14 +49,6 @@ NAMES = (
 )
 UMASKS = (0o000, 0o022, 0o027, 0o077)
 COMMANDS = ("render", "opencl", "info", "json", "compare", "missing", "verify")
-
-
-class Choices(Protocol):
-    def integer(self, least: int, most: int) -> int: ...
-
-
-def one_of(choices: Choices, items: Sequence[T]) -> T:
-    return items[choices.integer(0, len(items) - 1)]
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """What spoils a file: bytes, words of a text, members of HDF5.
 
-Choices come from whoever drives: Hypothesis (test_hostile.py), a seed or a coverage-guided fuzzer (fuzz.py).
+Choices come from whoever drives: Hypothesis (test_hostile.py) or a seed (fuzz.py).
 """
 
 import io

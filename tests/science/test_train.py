@@ -362,22 +362,6 @@ def _camera_of(training: Path, tmp_path: Path) -> Path:
     return tmp_path / "camera.h5"
 
 
-def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
-    """Trained on noise, where every site learns something else, flat patches of any colour come out alike at all sites."""
-    training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
-    (tmp_path / "classes.toml").write_text(SMALL)
-    assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
-    table = load(TransformTable, tmp_path / "table.h5")
-    close = neighbourhoods(bayer.cfa, 5, 3)
-    member = close.channel[:, :, None] == np.arange(3)
-    weights = table.first.weights.reshape(4, -1, 3, 25).astype(np.float64)
-    response = np.einsum("skot,stc->skoc", weights, member)
-    trained = table.first.samples.reshape(4, -1).min(axis=0) > 0  # classes that every site has seen
-    assert trained.sum() > 5
-    spread = np.ptp(response[:, trained], axis=0)
-    assert spread.max() < 2e-3 * np.abs(response[:, trained]).max()
-
-
 def test_a_parent_of_few_patches_leans_on_its_case(bayer: CameraModel) -> None:
     """A handful of patches cannot stand for all colours of a level, as they did for pixels near highlights."""
     rule = make_rule(ClassRecipe(patch=3, levels=6), bayer, np.arange(8).astype(np.uint16))

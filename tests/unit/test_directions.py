@@ -47,7 +47,7 @@ def directions(values: np.ndarray, rule: ClassRule, camera: CameraModel) -> np.n
 
 
 @pytest.mark.parametrize("name", ["bayer", "fiveband"])
-@pytest.mark.parametrize("degrees", range(0, 180, 5))
+@pytest.mark.parametrize("degrees", range(0, 180, 15))
 def test_a_ramp_varies_along_its_angle(name: str, degrees: int, request: pytest.FixtureRequest) -> None:
     """Of both signs; the share of the angle that is off is at most half a step of the orientations."""
     camera = request.getfixturevalue(name)

@@ -295,15 +295,6 @@ def test_the_grid_covers_what_the_camera_sees() -> None:
     assert procedural.grid(np.array([362.0, 1003.0]))[[0, -1]].tolist() == [360.0, 1010.0]
 
 
-@pytest.mark.parametrize("name", ["default", "demo_unseen", "small"])
-def test_recipes_in_configs_are_right(name: str, fiveband: object) -> None:
-    from l3cli.recipes.toml import load_recipe
-    from l3cli.simulation.recipe import SceneRecipe, scene_faults
-
-    recipe = load_recipe(CONFIGS / f"scenes/{name}.toml", SceneRecipe)
-    assert not list(scene_faults(recipe, fiveband))  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(("illuminant", "value"), [(np.ones(3), 2e6), (None, 2e26)])
 def test_more_light_than_can_be_is_refused(illuminant: np.ndarray | None, value: float) -> None:
     bands = np.array([400.0, 500.0, 600.0])
