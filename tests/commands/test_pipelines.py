@@ -86,6 +86,13 @@ def test_a_second_make_has_nothing_to_do(workplace: Workplace, folder: Path) -> 
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
+def test_a_white_is_asked_for_once(workplace: Workplace, folder: Path) -> None:
+    """Another white renders the picture again, the same white does not; no white is another."""
+    for call in ("make picture.png WHITE=D50", "make picture.png"):
+        assert workplace.do(folder, call)[1] == ["render picture.png"]
+        assert workplace.do(folder, call)[1] == []
+
+
 @pytest.mark.parametrize(
     ("changed", "again"),
     [
