@@ -18,7 +18,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.browser import Browser
-from tests.helpers.dng_files import LONG, RATIONAL, SHORT, Tags, opcode_list, packed, write_dng
+from tests.helpers.dng_files import LONG, RATIONAL, SHORT, Tags, lossless_jpeg, opcode_list, packed, write_dng
 from tests.helpers.tables import random_table, with_refinement
 
 pytestmark = pytest.mark.skipif(
@@ -152,19 +152,31 @@ FORMS: dict[str, dict[str, Any]] = {
     "a curve": {"bits": 8, "tags": {50712: (SHORT, [16 * n for n in range(256)])}},
     "three strips": {"strips": 3},
     "tiles": {"tiles": True, "tags": TILES, "drop": STRIPS},
+    "lossless JPEG": {"jpeg": (1, 1)},
+    **{f"lossless JPEG of two, predictor {n}": {"jpeg": (2, n)} for n in range(1, 8)},
+    "lossless JPEG of four, 12 bits, in tiles": {"jpeg": (4, 1), "bits": 12, "tiles": True, "tags": TILES, "drop": STRIPS},
     "a gain map": {"tags": {51009: opcode_list((1, 1, b"\0\0\0\0"))}},
 }  # fmt: skip
 
 
-def form(path: Path, bits: int = 16, order: str = "<", strips: int = 1, tiles: bool = False, **more: Any) -> Path:
+def form(
+    path: Path, bits: int = 16, order: str = "<", strips: int = 1, tiles: bool = False, jpeg: tuple[int, int] | None = None,
+    **more: Any,
+) -> Path:  # fmt: skip
     values = textured((64, 96), min(2**bits - 1, 4095 if bits != 14 else 16383))
-    parts = [packed(each, bits, order) for each in np.array_split(values, strips)]
+
+    def coded(part: NDArray[np.uint16]) -> bytes:
+        return lossless_jpeg(part, *jpeg, bits) if jpeg else packed(part, bits, order)
+
+    parts = [coded(each) for each in np.array_split(values, strips)]
     if strips == 3:
         more["tags"] = {278: (LONG, [22])}  # of the first two
-        parts = [packed(values[at : at + 22], bits, order) for at in (0, 22, 44)]
+        parts = [coded(values[at : at + 22]) for at in (0, 22, 44)]
     if tiles:
-        parts = [packed(values[row : row + 32, col : col + 48], bits, order) for row in (0, 32) for col in (0, 48)]
-        more["tags"] = {**more["tags"], 324: (LONG, [0] * 4), 325: (LONG, [48 * 32 * 2] * 4)}
+        parts = [coded(values[row : row + 32, col : col + 48]) for row in (0, 32) for col in (0, 48)]
+        more["tags"] = {**more["tags"], 324: (LONG, [0] * 4), 325: (LONG, [len(each) for each in parts])}
+    if jpeg:
+        more["tags"] = {**more.get("tags", {}), 259: (SHORT, [7])}
     return write_dng(path, values, RGGB[::-1], bits, order, strips=parts, **more)
 
 
@@ -203,8 +215,9 @@ def test_the_white_that_a_file_states_is_shown_neutral(pipeline: Path, tmp_path:
 @pytest.mark.parametrize(
     ("tags", "words"),
     [
-        ({259: (SHORT, [7])}, "it is compressed (lossless JPEG); convert it to an uncompressed DNG"),
-        ({259: (SHORT, [5])}, "it is compressed (5); convert it to an uncompressed DNG"),
+        ({259: (SHORT, [8])}, "it is compressed (Deflate); convert it to a DNG of lossless JPEG or none"),
+        ({259: (SHORT, [5])}, "it is compressed (5); convert it to a DNG of lossless JPEG or none"),
+        ({259: (SHORT, [7])}, "it is damaged or no DNG"),
         ({262: (SHORT, [2])}, "it holds no mosaic of a camera"),
         ({277: (SHORT, [3])}, "it is already demosaicked (linear); give the raw file the camera wrote"),
         ({266: (SHORT, [2])}, "its FillOrder is 2, which is not read here"),
@@ -221,6 +234,10 @@ def test_what_cannot_be_read_is_named_in_a_line(tags: Tags, words: str, page: Pa
         dng.write_bytes(dng.read_bytes()[:-100])
     assert dropped(tab, dng) == f"a.dng: {words}"
     assert tab.run("[canvas.hidden, save.hidden]") == [True, True]
+    cut = lossless_jpeg(textured((64, 96)))[:-1000]
+    assert dropped(tab, write_dng(dng, textured((64, 96)), RGGB, strips=[cut], tags={259: (SHORT, [7])})) == (
+        "a.dng: its pixels are damaged"
+    )
     for content in (b"", b"II*\0", b"PNG" * 100):
         dng.write_bytes(content)
         assert dropped(tab, dng) in ("a.dng: it is damaged or no DNG", "a.dng: it is no DNG")

@@ -20,23 +20,29 @@ def packed(values: np.ndarray, bits: int, order: str) -> bytes:
     return np.packbits(ones.reshape(len(values), -1).astype(np.uint8), axis=1).tobytes()
 
 
-def lossless_jpeg(values: np.ndarray) -> bytes:
-    """One component of 16 bits, each value predicted by its left one (ITU-T T.81, process 14); all codes have 5 bits."""
+def lossless_jpeg(values: np.ndarray, components: int = 1, predictor: int = 1, bits: int = 16) -> bytes:
+    """`components` values a pixel (ITU-T T.81, process 14); the smallest three differences have codes of 2 bits, others of 6."""
     rows, cols = values.shape
     wanted = values.astype(np.int64)
-    before = np.hstack([np.zeros((rows, 1), np.int64), wanted[:, :-1]])
-    before[1:, 0], before[0, 0] = wanted[:-1, 0], 1 << 15
+    left, above, beyond = (np.roll(wanted, by, (0, 1)) for by in ((0, components), (1, 0), (1, components)))
+    guesses = [left, above, beyond, left + above - beyond, left + (above - beyond >> 1), above + (left - beyond >> 1)]
+    before = [*guesses, left + above >> 1][predictor - 1]
+    before[0], before[1:, :components] = left[0], above[1:, :components]
+    before[0, :components] = 1 << bits - 1
+    codes = [f"{size:02b}" if size < 3 else f"{48 + size - 3:06b}" for size in range(17)]
     text = []
     for difference in (((wanted - before + 32768) % 65536) - 32768).ravel().tolist():
         size = abs(difference).bit_length()
         rest = difference if difference > 0 else difference + (1 << size) - 1
-        text.append(f"{size:05b}" + (f"{rest:0{size}b}" if 0 < size < 16 else ""))
+        text.append(codes[size] + (f"{rest:0{size}b}" if 0 < size < 16 else ""))
     joined = "".join(text)
     joined += "1" * (-len(joined) % 8)
     scan = int(joined, 2).to_bytes(len(joined) // 8, "big").replace(b"\xff", b"\xff\0")
-    frame = struct.pack(">BHHB3B", 16, rows, cols, 1, 1, 0x11, 0)
-    table = bytes([0, 0, 0, 0, 0, 17]) + bytes(11) + bytes(range(17))
-    segments = ((0xC3, frame), (0xC4, table), (0xDA, bytes([1, 1, 0, 1, 0, 0])))
+    numbers = range(components)
+    frame = struct.pack(">BHHB", bits, rows, cols // components, components) + b"".join(bytes([n, 0x11, 0]) for n in numbers)
+    table = bytes([0, 0, 3, 0, 0, 0, 14]) + bytes(10) + bytes(range(17))
+    start = bytes([components, *(each for n in numbers for each in (n, 0)), predictor, 0, 0])
+    segments = ((0xC3, frame), (0xC4, table), (0xDA, start))
     head = b"".join(struct.pack(">BBH", 0xFF, kind, len(body) + 2) + body for kind, body in segments)
     return b"\xff\xd8" + head + scan + b"\xff\xd9"
 
