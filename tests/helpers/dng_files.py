@@ -21,7 +21,7 @@ def packed(values: np.ndarray, bits: int, order: str) -> bytes:
 
 
 def lossless_jpeg(values: np.ndarray, components: int = 1, predictor: int = 1, bits: int = 16) -> bytes:
-    """`components` values a pixel (ITU-T T.81, process 14); the smallest three differences have codes of 2 bits, others of 6."""
+    """`components` values a pixel (ITU-T T.81, process 14); small differences have codes of 2 bits, others of 6."""
     rows, cols = values.shape
     wanted = values.astype(np.int64)
     left, above, beyond = (np.roll(wanted, by, (0, 1)) for by in ((0, components), (1, 0), (1, components)))
