@@ -19,9 +19,9 @@ FRONT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "
 AS_THEY_ARE = ("LICENSE", "CITATION.cff")
 CONTENTS = {
     "Start": ["tutorial", "own-lab", "arrays"],
-    "Use": ["raw-files", "webcam", "video", "jobs", "python", "programs", "browser"],
+    "Use": ["raw-files", "video", "python", "programs"],
     "Reference": ["commands", "reference/commands", "reference/recipes", "artifacts", "reference/artifacts"],
-    "What to expect": ["gallery", "benchmarks", "measurement", "peers", "limits", "robustness", "method", "notebook"],
+    "What to expect": ["gallery", "benchmarks", "measurement", "peers", "limits", "method", "notebook"],
     "Project": ["architecture", "contributing", "changelog", "security", "reference/licences"],
 }
 
@@ -52,7 +52,7 @@ def gather(folder: Path) -> None:
 def _left_out(folder: str, names: list[str]) -> set[str]:
     """What no page is made of, sites that were built inside docs/ among it."""
     built = {name for name in names if Path(folder, name, BUILT).is_dir()}
-    return built | shutil.ignore_patterns("site", "Dockerfile*", "meta.yaml", "paper.*", "__pycache__")(folder, names)
+    return built | shutil.ignore_patterns("site", "paper", "Dockerfile*", "meta.yaml", "__pycache__")(folder, names)
 
 
 def relinked(text: str) -> str:
@@ -69,7 +69,7 @@ def with_demo(readme: str) -> str:
         return readme
     words = '<a href="demo.html">Render a raw file in this browser</a>: a Bayer DNG, <a href="demo.dng">this one</a>'
     head, after, rest = readme.partition("\n\nOne frame of")
-    return f"{head}\n\n{words} or yours; it is sent nowhere ([how](browser.md)).{after}{rest}"
+    return f"{head}\n\n{words} or yours; it is sent nowhere ([how](programs.md#a-browser)).{after}{rest}"
 
 
 def contents(pages: set[str]) -> str:

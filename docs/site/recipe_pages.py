@@ -6,6 +6,7 @@ from typing import Any
 
 from markup import code, page, plain, table
 
+from l3cli.physics.spectra import illuminant_names
 from l3cli.stages.check import KINDS, schema
 
 INTRO = (
@@ -18,7 +19,11 @@ def recipe_pages() -> dict[str, str]:
     schemas = {kind: (f"{KINDS[kind].title.removeprefix('a ')}s", schema(kind)) for kind in KINDS}
     pages = {f"{kind}.md": recipe_page(*each) for kind, each in schemas.items()}
     tree = "\n".join(["```{toctree}", *schemas, "```"])
-    return pages | {"recipes.md": page("# Recipes by key", INTRO, tree)}
+    return pages | {"recipes.md": page("# Recipes by key", INTRO, tree, "## Lights", lights())}
+
+
+def lights() -> str:
+    return f"By name: {', '.join(code(name) for name in illuminant_names())}."
 
 
 def recipe_page(kinds: str, whole: dict[str, Any]) -> str:

@@ -200,7 +200,7 @@ def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: flo
 
 def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array, Array]:
     """Return the absolute quantum efficiency alpha · r / K (channel, wavelength) and the half width of its 95 % band, in
-    which the errors of alpha and K are contained (docs/method.md#quantum-efficiency)."""
+    which the errors of alpha and K are contained (docs/method.md#gain-and-offset)."""
     assert fit.chart is not None
     assert fit.noise is not None
     scale = (fit.chart.alpha / (gain * body.channel_gains * body.channel_exposures))[:, None]

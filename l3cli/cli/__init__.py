@@ -101,7 +101,7 @@ def l3(context: click.Context) -> None:
 
 
 def main() -> None:
-    """Run the command line; every failure ends as one line on stderr and its exit code (docs/robustness.md#exit-codes)."""
+    """Run the command line; every failure ends as one line on stderr and its exit code (docs/limits.md#exit-codes)."""
     prepare()
     heed()
     one_blas_thread()

@@ -1,6 +1,6 @@
 """Hostile numbers: in every option, variable and recipe key that takes one, what nobody meant and Python half understands.
 
-Whatever the number, a call ends soon: done, or refused in one line with the exit code that docs/robustness.md names.
+Whatever the number, a call ends soon: done, or refused in one line with the exit code that docs/limits.md names.
 """
 
 import contextlib

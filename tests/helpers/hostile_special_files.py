@@ -1,6 +1,6 @@
 """Hostile places: pipes, sockets, devices, folders and broken links where a file is read or written.
 
-A call ends within seconds, in one line with the exit code that docs/robustness.md names; nobody waits for a writer that
+A call ends within seconds, in one line with the exit code that docs/limits.md names; nobody waits for a writer that
 never comes.
 """
 

@@ -40,8 +40,8 @@ def test_the_container_copies_what_a_wheel_is_built_from_and_drops_rights() -> N
 
 
 def test_the_paper_is_short_cites_what_it_lists_and_has_the_figures_of_the_comparison() -> None:
-    _, head, text = (ROOT / "docs/paper.md").read_text(encoding="utf-8").split("---\n", 2)
-    about, listed = yaml.safe_load(head), (ROOT / "docs/paper.bib").read_text(encoding="utf-8")
+    _, head, text = (ROOT / "docs/paper/paper.md").read_text(encoding="utf-8").split("---\n", 2)
+    about, listed = yaml.safe_load(head), (ROOT / "docs/paper/paper.bib").read_text(encoding="utf-8")
     assert about["bibliography"] == "paper.bib"
     assert about["title"] == yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["title"]
     assert 250 <= len(text.split()) <= 1000
