@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, FlatField
 from l3cli.artifacts.fit import Fit, SeriesFit
-from l3cli.calibration import agreement, gain, noise, responsivity
+from l3cli.calibration import agreement, noise, responsivity
 from l3cli.calibration.responsivity import COVERAGE, Curves, light_centre
 from l3cli.calibration.statistics import (
     Defects,
@@ -136,10 +136,10 @@ def measure_charts(captures: Sequence[ChartCapture], nodes: Array, body: Body, s
                 f"{capture.name}: the radiances of {first:g}…{last:g} nm do not cover the responsivity's "
                 f"{nodes[0]:g}…{nodes[-1]:g} nm; measure a wider range"
             )
-    read = functools.partial(gain.unsaturated_values, body=body, limit=sensor.saturation, defects=sensor.defects)
+    read = functools.partial(responsivity.unsaturated_values, body=body, limit=sensor.saturation, defects=sensor.defects)
     dark = [sensor.dark.slope * capture.exposure for capture in captures]
     values = [mean - signal for mean, signal in zip(each(read, captures), dark, strict=True)]
-    light = [gain.patch_illumination(capture, body, sensor.defects) for capture in captures]
+    light = [responsivity.patch_illumination(capture, body, sensor.defects) for capture in captures]
     photons = [share * photons_on_pixel(capture, nodes, body) for share, capture in zip(light, captures, strict=True)]
     return Charts(tuple(capture.illuminant for capture in captures), np.array(values), np.array(photons))
 
@@ -312,7 +312,7 @@ def measure_series(
     names = list(dict.fromkeys(capture.illuminant for capture in captures))
     names.sort(key=lambda name: next(band_centre(capture) for capture in captures if capture.illuminant == name))
     dark = dark_levels([capture.exposure for capture in captures], darks, body, black_level)
-    readings = [gain.patch_values(capture, body, limit, no_defects()) for capture in captures]
+    readings = [responsivity.patch_values(capture, body, limit, no_defects()) for capture in captures]
     return Series(
         lights=tuple(names),
         light=np.array([names.index(capture.illuminant) for capture in captures]),

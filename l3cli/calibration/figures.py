@@ -7,7 +7,7 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel, sensitivity_threshold
 from l3cli.artifacts.camera_curves import full_width
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, PhotoFit, SeriesFit
-from l3cli.calibration import gain
+from l3cli.calibration import responsivity
 from l3cli.calibration.captures import corner_falloff
 from l3cli.calibration.photo.estimate import NOTICED, terms
 from l3cli.calibration.responsivity import likely_mistake
@@ -122,8 +122,8 @@ def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]
     rows = {}
     for index, light in enumerate(chart.illuminants):
         measured, predicted = chart.measured[index][None], chart.predicted[index][None]
-        rmse = 100.0 * gain.relative_rmse(measured, predicted, camera.black_level)
-        fits = gain.r_squared(measured, predicted)
+        rmse = 100.0 * responsivity.relative_rmse(measured, predicted, camera.black_level)
+        fits = responsivity.r_squared(measured, predicted)
         cells = {f"RMSE {name} (%)": float(value) for name, value in zip(camera.channels, rmse, strict=True)}
         rows[f"{index + 1} {light}"] = cells | {f"R² {n}": float(v) for n, v in zip(camera.channels, fits, strict=True)}
     return rows

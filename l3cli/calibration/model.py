@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import AnalogGains, CameraModel, Noise, Readout
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
-from l3cli.calibration import agreement, gain, responsivity
+from l3cli.calibration import agreement, responsivity
 from l3cli.calibration.captures import (
     Charts,
     Sensor,
@@ -139,7 +139,9 @@ def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, b
     """Return the cross-validated relative RMSE over the charts, mean over channels."""
     photons = charts.photons @ responsivity.solve_channels(sweep, delta).T
     channels = range(len(black_level))
-    return float(np.mean([gain.cross_validate(photons[..., c], charts.values[..., c], black_level[c]) for c in channels]))
+    return float(
+        np.mean([responsivity.cross_validate(photons[..., c], charts.values[..., c], black_level[c]) for c in channels])
+    )
 
 
 def check_charts(
@@ -162,11 +164,11 @@ def fit_charts(
     fits = []
     for channel, level in enumerate(black_level):
         seen, values = photons[..., channel], charts.values[..., channel]
-        alpha, beta = gain.fit_gain(seen.ravel(), values.ravel(), level)
-        fits.append((alpha, beta, gain.gain_error(seen, values, level, alpha, beta, drift)))
+        alpha, beta = responsivity.fit_gain(seen.ravel(), values.ravel(), level)
+        fits.append((alpha, beta, responsivity.gain_error(seen, values, level, alpha, beta, drift)))
     alphas, betas, errors = np.array(fits).T
     predicted = alphas * photons + betas
-    r_squared = gain.r_squared(charts.values, predicted)
+    r_squared = responsivity.r_squared(charts.values, predicted)
     worst = int(r_squared.argmin())
     if r_squared[worst] < LEAST_R_SQUARED:
         cure = f"check {odd[0]}" if odd else "check the order of corners and radiances, exposures and cfa.pattern"
@@ -178,7 +180,7 @@ def fit_charts(
         alpha_error=errors,
         beta=betas,
         r_squared=r_squared,
-        relative_rmse=gain.relative_rmse(charts.values, predicted, black_level),
+        relative_rmse=responsivity.relative_rmse(charts.values, predicted, black_level),
         illuminants=charts.illuminants,
         measured=charts.values,
         predicted=predicted,

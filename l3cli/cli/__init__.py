@@ -15,7 +15,7 @@ from l3cli.cli.terminal import drop, prepare, show, to_stderr
 from l3cli.errors import L3Error, suggestion
 from l3cli.parallel import one_blas_thread, without_plots
 from l3cli.system.console import Logged
-from l3cli.system.ledger import close_ledger
+from l3cli.system.files import close_ledger
 from l3cli.system.limits import require_address_space, require_settings
 from l3cli.system.plan import Planned
 from l3cli.system.signals import Terminated, heed, leave_to_python

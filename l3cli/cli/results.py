@@ -10,8 +10,7 @@ from l3cli import __version__
 from l3cli.cli.terminal import Terminal, finite, show_json, with_options
 from l3cli.errors import InputFileError, L3Error
 from l3cli.system.console import Console, Passing
-from l3cli.system.files import require_regular, sha256
-from l3cli.system.ledger import Dated, Ledger, close_ledger, dated, open_ledger, outputs_of
+from l3cli.system.files import Dated, Ledger, close_ledger, dated, open_ledger, outputs_of, require_regular, sha256
 
 T = TypeVar("T")
 FORMAT = 1  # of "run", raised when its keys change

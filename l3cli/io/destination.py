@@ -10,7 +10,7 @@ from typing import Any
 
 from l3cli.errors import RecipeError
 from l3cli.io.file_names import PATTERN, last_number, numbered_files, numbered_name
-from l3cli.io.pictures.pages import PAGED, new_pages
+from l3cli.io.pictures.openimageio import PAGED, new_pages
 from l3cli.io.pictures.registry import format_of, holds_linear, holds_raw, picture_file
 from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.io.video import Y4M, Pacing, VideoChoice, check_video, is_video, new_video, new_y4m

@@ -6,19 +6,28 @@ from pathlib import Path
 from typing import Any, Literal
 
 from l3cli.errors import shortened
-from l3cli.options.option import Choice, Given, Name, Number, Options, Output, Reader, Recipe, option, options
-from l3cli.options.shared import (
+from l3cli.options.option import (
     LEVEL,
     PAIR,
     SITE,
     BackendOptions,
+    Choice,
     DeviceOptions,
     ForceOptions,
+    Given,
     JobsOptions,
+    Name,
+    Number,
     OnePath,
+    Options,
+    Output,
+    Reader,
+    Recipe,
     SeedOptions,
     Shard,
     WorkerOptions,
+    option,
+    options,
 )
 
 Paths = Given[Name | Sequence[Name], tuple[Path, ...]]

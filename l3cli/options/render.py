@@ -7,18 +7,24 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 from l3cli.errors import RecipeError, shortened
-from l3cli.options.option import Given, Name, Number, Output, Reader, option, options
-from l3cli.options.shared import (
+from l3cli.options.option import (
     LEVEL,
     PAIR,
     SITE,
     BackendOptions,
     DeviceOptions,
     ForceOptions,
+    Given,
+    Name,
+    Number,
     OnePath,
+    Output,
     Pair,
+    Reader,
     SchedulerOptions,
     Shard,
+    option,
+    options,
 )
 
 Preset = Literal["ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow"]

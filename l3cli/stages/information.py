@@ -18,8 +18,7 @@ from l3cli.io.decoder_process import LANDLOCK, SECCOMP, measures
 from l3cli.options.commands import BenchOptions
 from l3cli.rendering import benchmark
 from l3cli.rendering.opencl.devices import cache_warning, survey
-from l3cli.system.files import sha256
-from l3cli.system.ledger import note_inputs
+from l3cli.system.files import note_inputs, sha256
 from l3cli.system.limits import trusted
 
 

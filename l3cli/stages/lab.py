@@ -18,8 +18,7 @@ from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.lab import FOLDERS, LabCapture, LabRecipe, chart_corners, plan, take
 from l3cli.simulation.sensor import DefectRecipe
 from l3cli.spectra.units import PHOTON_RADIANCE
-from l3cli.system.files import refuse_existing, refuse_protected
-from l3cli.system.ledger import note_output
+from l3cli.system.files import note_output, refuse_existing, refuse_protected
 from l3cli.system.locks import sole_writer_of_folder
 from l3cli.system.output_guard import OutputGuard, refuse_unwritable
 from l3cli.system.plan import Made, before_work

@@ -40,8 +40,7 @@ from l3cli.simulation.procedural import chart_places
 from l3cli.stages.check import CAMERA, Judgement
 from l3cli.stages.evaluation import FrameRenderers, document_of, evaluate_frame, figures_by_gain, for_frames
 from l3cli.system.console import Console, Silent
-from l3cli.system.files import sha256, write_whole
-from l3cli.system.ledger import note_places
+from l3cli.system.files import note_places, sha256, write_whole
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
 from l3cli.system.text import short_names

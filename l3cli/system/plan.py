@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from l3cli.errors import listed
-from l3cli.system.ledger import note_inputs, note_places
+from l3cli.system.files import note_inputs, note_places
 from l3cli.system.locks import without_writing
 
 _DRY: ContextVar[bool] = ContextVar("dry run", default=False)

@@ -14,8 +14,7 @@ from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, open_traini
 from l3cli.classes.chroma import chroma_centres
 from l3cli.classes.decide import label_mosaic
 from l3cli.cli import run
-from l3cli.evaluation.classes import ClassErrors
-from l3cli.evaluation.evaluation import Evaluation
+from l3cli.evaluation.evaluation import ClassErrors, Evaluation
 from l3cli.io.images import read_image
 from tests.helpers.calls import L3, Refused
 

@@ -19,7 +19,7 @@ import pytest
 
 from l3cli.cli import run
 from l3cli.errors import DeviceError, L3Error
-from l3cli.io.clips import name_of
+from l3cli.io.file_names import name_of
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.options.render import RenderOptions
 from l3cli.rendering.renderer import make_renderer

@@ -12,7 +12,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
-from l3cli.calibration import gain, noise, responsivity
+from l3cli.calibration import noise, responsivity
 from l3cli.calibration.captures import Sensor, fit_series, measure_charts, measure_sweep
 from l3cli.calibration.model import from_data_sheet
 from l3cli.calibration.statistics import mean_value, measure_level, no_defects
@@ -239,10 +239,10 @@ def test_bands_cover_what_noise_does() -> None:
 
 def test_eq2_is_exact_without_noise_and_never_negative() -> None:
     photons = np.linspace(10.0, 90.0, 24)
-    alpha, beta = gain.fit_gain(photons, 3.5 * photons + 70.0, 64.0)
+    alpha, beta = responsivity.fit_gain(photons, 3.5 * photons + 70.0, 64.0)
     assert alpha == pytest.approx(3.5, rel=1e-9)
     assert beta == pytest.approx(70.0, rel=1e-9)
-    assert gain.fit_gain(photons, 500.0 - photons, 64.0)[0] == pytest.approx(0.0, abs=1e-6)
+    assert responsivity.fit_gain(photons, 500.0 - photons, 64.0)[0] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_eq2_trusts_the_dark_patches() -> None:
@@ -250,21 +250,21 @@ def test_eq2_trusts_the_dark_patches() -> None:
     photons = np.geomspace(3.0, 100.0, 24)
     values = 20.0 * photons + 64.0
     values[-1] *= 1.02
-    assert abs(gain.fit_gain(photons, values, 64.0)[1] - 64.0) < 0.3
+    assert abs(responsivity.fit_gain(photons, values, 64.0)[1] - 64.0) < 0.3
     assert abs(np.polyfit(photons, values, 1)[1] - 64.0) > 1.0
 
 
 def test_cross_validation_predicts_a_chart_from_the_others() -> None:
     photons = np.random.default_rng(0).uniform(10, 100, (3, 24))
     values = 5.0 * photons + 64.0
-    assert gain.cross_validate(photons, values, 64.0) < 1e-9
+    assert responsivity.cross_validate(photons, values, 64.0) < 1e-9
     values[0] = 5.5 * photons[0] + 64.0
-    assert 0.03 < gain.cross_validate(photons, values, 64.0) < 0.15
+    assert 0.03 < responsivity.cross_validate(photons, values, 64.0) < 0.15
 
 
 def test_patches_are_located_in_a_turned_chart_in_perspective() -> None:
     corners = np.array([[30.0, 40.0], [280.0, 20.0], [260.0, 190.0], [50.0, 170.0]])
-    patches = gain.patch_map(corners, 220, 320)
+    patches = responsivity.patch_map(corners, 220, 320)
 
     def along(x: float, y: float) -> tuple[int, int]:
         """Pixel of chart position 0…1 by intersecting lines through the corners' diagonals, patch by patch."""
@@ -376,10 +376,9 @@ def test_a_saturated_patch_is_named(body: Body) -> None:
     wavelength, radiance = np.arange(400.0, 701.0), np.ones((24, 301))
     chart = ChartCapture("chart.tif", 0.1, [frame], "A", corners, wavelength, radiance)
     with pytest.raises(InputFileError, match=r"chart\.tif: patch 19 is saturated in channel r"):
-        gain.unsaturated_values(chart, body, 3900.0, no_defects())
-    assert (
-        gain.unsaturated_values(replace(chart, frames=[np.minimum(frame, 1000)]), body, 3900.0, no_defects())[18, 0] == 1000
-    )
+        responsivity.unsaturated_values(chart, body, 3900.0, no_defects())
+    dark = replace(chart, frames=[np.minimum(frame, 1000)])
+    assert responsivity.unsaturated_values(dark, body, 3900.0, no_defects())[18, 0] == 1000
 
 
 WHITE, BLACK = 3800.0, 100.0

@@ -11,7 +11,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
-from l3cli.calibration import gain, statistics
+from l3cli.calibration import responsivity, statistics
 from l3cli.calibration.responsivity import Curves, efficiency
 from l3cli.cli import run
 from l3cli.frames.measurement import Body
@@ -126,9 +126,9 @@ def test_the_table_is_that_of_emva_1288(lab_folder: Path, fine_bayer_recipe: Pat
 def test_the_error_of_alpha_comes_from_the_charts() -> None:
     photons = np.tile(np.linspace(10.0, 100.0, 24), (4, 1))
     values = 64.0 + np.array([0.99, 1.01, 0.99, 1.01])[:, None] * 20.0 * photons
-    error = gain.gain_error(photons, values, 64.0, 20.0, 64.0, 0.0)
+    error = responsivity.gain_error(photons, values, 64.0, 20.0, 64.0, 0.0)
     assert error == pytest.approx(20.0 * np.std([0.99, 1.01, 0.99, 1.01], ddof=1) / 2.0, rel=1e-6)
-    assert gain.gain_error(photons, 64.0 + 20.0 * photons, 64.0, 20.0, 64.0, 0.02) == pytest.approx(0.2)
+    assert responsivity.gain_error(photons, 64.0 + 20.0 * photons, 64.0, 20.0, 64.0, 0.02) == pytest.approx(0.2)
 
 
 def test_defects_are_patched_by_their_channel() -> None:

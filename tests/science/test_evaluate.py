@@ -18,12 +18,14 @@ from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame
 from l3cli.errors import InputFileError
 from l3cli.evaluation.basic import develop, fit_colour, light_of, white_preserving_ridge
 from l3cli.evaluation.demosaic import band_baselines, baselines, bayer_roles, interpolate
-from l3cli.evaluation.mottle import BLUR, PlainPatches, mottle
 from l3cli.evaluation.pictures import error_map
 from l3cli.evaluation.quality import (
+    BLUR,
     OPPONENT_FROM_XYZ,
+    PlainPatches,
     band_figures,
     band_quality,
+    mottle,
     psnr,
     quality,
     scielab,

@@ -22,11 +22,10 @@ from l3cli.physics.display import lab
 from l3cli.recipes.toml import load_recipe
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.training.layers.coarse_chroma import measured_noise
-from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
+from l3cli.training.layers.learn import FADING, LayerPass, add_sums, learn_layer, no_sums, sum_layer
 from l3cli.training.layers.mosaics import Seen, mosaics_of, sheets_of
 from l3cli.training.layers.rows import GatheredRows, require_exact, row_weights
 from l3cli.training.layers.rules import gradient_scale, structure_rule
-from l3cli.training.layers.solve import FADING
 from l3cli.training.patches import white_signal
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
 from l3cli.training.row_weighting import TARGET_FLOOR

@@ -8,11 +8,11 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.evaluation import standards
-from l3cli.evaluation.edge import EdgeError, edge_sharpness
-from l3cli.evaluation.mottle import PlainPatches
+from l3cli.evaluation.quality import PlainPatches
+from l3cli.evaluation.standards import EdgeError, edge_sharpness
 from l3cli.physics.display import XYZ
 from l3cli.simulation.light import electron_weights, make_light
-from l3cli.stages.standards import BANDS, edge_frame, standard_figures
+from l3cli.stages.evaluation import BANDS, edge_frame, standard_figures
 
 
 def stopped_down(camera: CameraModel, f_number: float) -> CameraModel:

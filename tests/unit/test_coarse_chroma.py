@@ -16,7 +16,7 @@ from l3cli.classes.coarse_chroma import BLOCK, REACH, SPACINGS, coarse_change, e
 from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import mirrored, window_means
 from l3cli.errors import RecipeError
-from l3cli.evaluation.mottle import BLUR
+from l3cli.evaluation.quality import BLUR
 from l3cli.recipes.faults import refuse_first
 from l3cli.rendering.conditions import with_edges_for
 from l3cli.rendering.opencl.renderer import OpenCLRenderer

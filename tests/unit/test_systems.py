@@ -10,7 +10,7 @@ from l3cli.classes.rule import ClassRecipe, make_rule
 from l3cli.evaluation.quality import spectral_angle
 from l3cli.training import systems
 from l3cli.training.goal import Goal
-from l3cli.training.layers.solve import LayerGoal, solve_layer
+from l3cli.training.layers.learn import LayerGoal, solve_layer
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.row_weighting import DARKEST, ERROR_FLOOR, SpectralWeighting
 from l3cli.training.solve import Solution, equal_responses, solve

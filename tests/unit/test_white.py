@@ -16,8 +16,15 @@ from l3cli.physics import correlated_lights, spectra
 from l3cli.physics.display import daylight, delta_e_2000, display_white, lab, scene_white
 from l3cli.rendering.raw_checks import other_camera
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.rendering.white.grey import GreyRenderer, Square
-from l3cli.rendering.white.scene_white import SteadyWhite, WhiteBalance, Whites, balanced, plain_balance
+from l3cli.rendering.white.scene_white import (
+    GreyRenderer,
+    Square,
+    SteadyWhite,
+    WhiteBalance,
+    Whites,
+    balanced,
+    plain_balance,
+)
 from l3cli.rendering.white.source import AUTO, CAMERA, AutoWhite, CameraWhite, SquareWhite, given_white, white_source
 from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.tables import colorimetric_table, random_table, with_refinement

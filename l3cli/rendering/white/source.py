@@ -17,8 +17,7 @@ from l3cli.physics import charts, correlated_lights, spectra
 from l3cli.physics.display import scene_white
 from l3cli.physics.spaces import BRADFORD
 from l3cli.rendering.exposure import SpreadSamples
-from l3cli.rendering.white.grey import Grey, Square
-from l3cli.rendering.white.scene_white import GREY_LEVEL, SceneWhite, WhiteBalance, Whites, plain_balance
+from l3cli.rendering.white.scene_white import GREY_LEVEL, Grey, SceneWhite, Square, WhiteBalance, Whites, plain_balance
 from l3cli.system.text import NoSuchNumber, Quantity
 
 Array = NDArray[np.floating]

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from l3cli.parallel import WorkerPool
 from l3cli.system.checkpoint import PartsFolder
 from l3cli.system.console import Console
-from l3cli.system.files import write_whole
-from l3cli.system.ledger import dated
+from l3cli.system.files import dated, write_whole
 
 T = TypeVar("T")
 Arrays = Mapping[str, NDArray]

@@ -24,8 +24,7 @@ from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.options.render import GAIN, RenderOptions
 from l3cli.rendering.temporal.chunks import CHUNK
 from l3cli.system.checkpoint import Checkpoint, key_in
-from l3cli.system.files import require_regular, sha256
-from l3cli.system.ledger import fingerprint, is_noting
+from l3cli.system.files import fingerprint, is_noting, require_regular, sha256
 from l3cli.system.limits import read_bounded
 from l3cli.system.plan import Made, before_work, is_dry
 

@@ -19,9 +19,8 @@ from typing import Any
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError
-from l3cli.io.clips import clips_in, name_of, refuse_one_name
 from l3cli.io.destination import Destination, destination_of
-from l3cli.io.file_names import PATTERN
+from l3cli.io.file_names import PATTERN, clips_in, name_of, refuse_one_name
 from l3cli.io.sequences import frame_files, is_one_file, is_still
 from l3cli.io.video import is_video
 from l3cli.options.render import RenderOptions
@@ -35,13 +34,14 @@ from l3cli.system.files import (
     FULL,
     STDIN,
     UNFINISHED,
+    dated,
+    fingerprint,
     is_ours,
     refuse_existing,
     refuse_filled_folder,
     refuse_protected,
     sha256,
 )
-from l3cli.system.ledger import dated, fingerprint
 from l3cli.system.locks import sole_writer_of_folder
 from l3cli.system.output_guard import OutputGuard, refuse_unwritable
 from l3cli.system.plan import Planned, is_dry

@@ -33,8 +33,7 @@ from l3cli.stages.simulation.units import (
 )
 from l3cli.system.checkpoint import incomplete_folder, parts_folder, refuse_other_run
 from l3cli.system.console import Console
-from l3cli.system.files import refuse_existing
-from l3cli.system.ledger import note_inputs, note_places
+from l3cli.system.files import note_inputs, note_places, refuse_existing
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work, is_dry
 

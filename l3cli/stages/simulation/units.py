@@ -23,8 +23,7 @@ from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.recipe import Pair, Shot
 from l3cli.stages.simulation.preparation import files_of, scene_over_time
 from l3cli.system.checkpoint import RUN, PartsFolder, key_in, parts_folder, remove_parts
-from l3cli.system.files import require_same, write_whole
-from l3cli.system.ledger import dated
+from l3cli.system.files import dated, require_same, write_whole
 
 
 def key_of(stage: Stage) -> str:
