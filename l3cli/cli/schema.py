@@ -7,7 +7,7 @@ from l3cli.cli.results import Result
 from l3cli.cli.terminal import show_json
 from l3cli.options.option import Options
 
-KINDS = ("camera", "lab", "scenes", "classes", "design", "measurements", "output")
+KINDS = ("camera", "lab", "scenes", "classes", "design", "measurements")
 
 
 @click.command()
@@ -16,8 +16,6 @@ KINDS = ("camera", "lab", "scenes", "classes", "design", "measurements", "output
 def schema(kind: str, options: Options) -> Result:
     """Print the JSON schema of a KIND of recipe: camera, lab, scenes, classes, design or measurements. With it editors
     (taplo, Even Better TOML) check a recipe whose first line is "#:schema camera.schema.json", the file that holds it.
-
-    With output as KIND, print the schema of what commands print with --json.
 
     \b
     Example: l3 schema camera

@@ -25,7 +25,7 @@ from l3cli.io.measurement_check import measurement_faults, measurement_lines, me
 from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
 from l3cli.recipes.builtin import known_benchmarks, known_recipes
 from l3cli.recipes.faults import LISTED, Fault, about_others, fault, typed
-from l3cli.recipes.schema import output_schema, schema_of
+from l3cli.recipes.schema import schema_of
 from l3cli.recipes.toml import KIND_KEYS, KeyPath, Recipe, key_lines, line_of, parse_toml, read_text
 from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.lab import LabRecipe, lab_recipe_faults
@@ -165,7 +165,6 @@ KINDS = {
     )
 }
 FEATURES = {"ClassRecipe": tuple(feature.Options for feature in (level, contrast, saturation, chroma))}
-OUTPUT = "output"
 
 
 def kind_of(content: Mapping[str, Any]) -> Kind | None:
@@ -202,8 +201,8 @@ def names() -> dict[str, list[tuple[Kind, Path]]]:
 
 
 def schema(kind: str) -> dict[str, Any]:
-    """Return the JSON schema of a kind of recipe, or of the JSON that commands print (OUTPUT)."""
-    return output_schema() if kind == OUTPUT else schema_of(KINDS[kind].recipes, KINDS[kind].title, FEATURES)
+    """Return the JSON schema of a kind of recipe."""
+    return schema_of(KINDS[kind].recipes, KINDS[kind].title, FEATURES)
 
 
 class Judge(NamedTuple):

@@ -346,7 +346,7 @@ def test_it_agrees_with_what_recipes_are_read_by(data: st.DataObject, path: Path
 
 
 def test_the_command_offers_every_kind(refused: Refused) -> None:
-    assert [*OFFERED] == [*KINDS, "output"]
+    assert [*OFFERED] == [*KINDS]
     assert 'did you mean "camera"?' in refused(2, "schema", "camra")
 
 
