@@ -71,11 +71,11 @@ def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> R
 WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
 NOT_SHOWN = ("visual_noise", "gfc", "delta_e_a", "delta_e_f11")  # JSON and report hold them
-BAND_FIGURES = ("psnr", "output_psnr", "ssim")
 
 
 def print_tables(document: dict[str, Any]) -> None:
-    """Print frames, means, light levels, illuminants, classes, the worst of them; with the main figure of each baseline."""
+    """Print frames, means, light levels, illuminants and standards, with the main figure of each baseline. Classes, patches,
+    bands and gains are in JSON and report."""
     width = terminal.width()
     wide = width is None or width >= WIDE
     figures = [
@@ -98,28 +98,10 @@ def print_tables(document: dict[str, Any]) -> None:
     if len(document["by_illuminant"]) > 1:
         lights = [[g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_illuminant"]]
         show_table(["", "by illuminant"], ["light", "frames", *named], lights)
-    gains = [[f"{g['gain']:g}", g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_gain"]]
-    if gains:
-        show_table(["", "by analog gain over the camera's"], ["gain", "light", "frames", *named], gains)
-    _print_patches(document)
     _print_standards(document["standards"]["figures"])
-    _print_bands(document)
-    _print_classes(document, figures[0])
     for baseline, counts in document["better"].items():
         shares = ", ".join(f"{FIGURES[figure].short} {counts[figure]}" for figure in main)
         show(f"better than {baseline} in so many of {len(document['frames'])} frames: {shares}")
-
-
-def _print_patches(document: dict[str, Any]) -> None:
-    """Print blotches in plain patches, by their kind and the level of their frames."""
-    named = ["level", "kind", "patches", *(f"{owner}\nmottle" for owner in document["pipelines"])]
-    rows = [
-        [f"{e['from']:.3f}–{e['to']:.3f}", e["kind"], str(e["patches"])]
-        + [figure_text("mottle", e[owner]["mottle"]) for owner in document["pipelines"]]
-        for e in document["by_patch"]
-    ]
-    if rows:
-        show_table(["", "mottle of plain patches"], named, rows)
 
 
 def _print_standards(figures: dict[str, dict[str, float | None]]) -> None:
@@ -127,37 +109,6 @@ def _print_standards(figures: dict[str, dict[str, float | None]]) -> None:
     names = list(next(iter(figures.values())))
     rows = [[owner, *(figure_text(name, of[name]) for name in names)] for owner, of in figures.items()]
     show_table(["", "by standards"], ["pipeline", *(FIGURES[name].short for name in names)], rows)
-
-
-def _print_bands(document: dict[str, Any]) -> None:
-    """Print outputs that are not XYZ, one by one."""
-    if not document["by_band"]:
-        return
-    owners = document["pipelines"]
-    shown = [("ours", figure) for figure in BAND_FIGURES] + [(owner, "psnr") for owner in owners[1:]]
-    named = [FIGURES[figure].short if owner == "ours" else f"{owner}\n{FIGURES[figure].short}" for owner, figure in shown]
-    rows = [[e["band"], *(figure_text(figure, e[owner][figure]) for owner, figure in shown)] for e in document["by_band"]]
-    show_table(["", "by band"], ["band", *named], rows)
-
-
-def _print_classes(document: dict[str, Any], figure: str) -> None:
-    from l3cli.classes.names import further_headings, heading
-
-    owners = document["pipelines"]
-    named = ["class", "pixels", *(f"{owner}\n{FIGURES[figure].short}" for owner in owners)]
-
-    def row(name: str, entry: dict[str, Any]) -> list[str]:
-        return [name, str(entry["pixels"]), *(figure_text(figure, entry[owner][figure]) for owner in owners)]
-
-    for axis, entries in document["by_class"].items():
-        if len(entries) > 1:
-            show_table(["", f"by class: {axis}"], named, [row(heading(axis, entry), entry) for entry in entries])
-    worst = []
-    for entry in document["worst_classes"]:
-        kind = f"case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
-        parts = [heading("level", entry), f"contrast {entry['contrast']}", *further_headings(entry), kind]
-        worst.append(row(" · ".join(parts), entry))
-    show_table(["", "worst classes"], named, worst)
 
 
 def print_sequence(figures: "SequenceFigures") -> None:

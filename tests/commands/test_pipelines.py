@@ -302,7 +302,6 @@ def test_a_benchmark_learns_from_pictures_and_judges_on_others(workplace: Workpl
     assert sorted(calls) == ["evaluate", "simulate test.h5", "simulate training.h5", "train table.h5"]
     assert out.endswith((folder / "quality.txt").read_text())
     assert "bilinear" in out
-    assert "by band" in out
     assert workplace.do(folder, make)[1] == []
 
 
