@@ -140,10 +140,9 @@ ODD: dict[str, tuple[Callable[[Path], object], str]] = {
 def test_pages_of_another_kind_are_refused_not_dropped(refused: Refused, tmp_path: Path, table: Path, kind: str) -> None:
     make, words = ODD[kind]
     make(tmp_path / "a.tif")
-    for output in ("a.png", "out", "a.mp4"):
-        line = refused(3, "render", table, tmp_path / "a.tif", "-o", tmp_path / output, "--skip-bad", *FAST)
-        assert "a.tif" in line
-        assert words in line
+    line = refused(3, "render", table, tmp_path / "a.tif", "-o", tmp_path / "out", "--skip-bad", *FAST)
+    assert "a.tif" in line
+    assert words in line
 
 
 def test_a_smaller_copy_below_a_frame_is_no_frame(l3: L3, tmp_path: Path, table: Path) -> None:

@@ -16,32 +16,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.table import TransformTable
 from l3cli.evaluation.demosaic import menon
-from l3cli.frames.frame import RawFrame, mirrored_indices
 from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics import spectra
 from l3cli.rendering.benchmark import CFAS, FULL, WARM_UP, Case, synthetic_frame, synthetic_table
 from l3cli.rendering.display import make_display
-from l3cli.rendering.opencl.devices import choose_device, pyopencl
-from l3cli.rendering.opencl.programs import BUILD_OPTIONS
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
-from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.simulation import light
 from l3cli.simulation.frame import simulate
 from l3cli.simulation.recipe import Lens
-from tests.helpers.cameras import BAYER
-from tests.helpers.tables import XYZ, frame_of_all_levels, random_table
 from tests.helpers.training_speed import measure
 
 FRAMES = 40  # timed frames of each case
-NAIVE_FRAMES = 7  # a naive kernel takes its time
 SIMULATED = 5  # frames, of which the fastest counts
 BANDS = np.arange(400.0, 701.0, 10.0)  # nm
-PEER = Case(1280, 720, 9, "five-band", "fast")
 FOLDER_HERE = Path(__file__).parent
 pytestmark = pytest.mark.slow
 
@@ -101,65 +91,6 @@ def test_frames_next_to_bare_multiply_adds(tmp_path: Path) -> None:
     for case, ours in fastest.items():
         if case.patch == 5 and (nine := fastest.get(replace(case, patch=9))):
             print(f"{case.width}×{case.height} {case.cfa} {case.classes}: 5×5 {nine / ours:.2f} times as fast as 9×9")
-
-
-class NaiveTransforms:
-    """The first layer of a table by a plain kernel, a work-item a pixel (naive.cl)."""
-
-    def __init__(self, table: TransformTable, frame: RawFrame, labels: NDArray[np.integer]) -> None:
-        cl = pyopencl()
-        (rows, cols), rule, period = frame.values.shape, table.first.rule, table.cfa.shape
-        arrays = (
-            frame.values,
-            mirrored_indices(rows, rule.radius, period[0]),
-            mirrored_indices(cols, rule.radius, period[1]),
-            labels.astype(np.uint32),
-            table.first.weights / np.float32(table.white_level - table.black_level),
-            table.first.intercept,
-        )
-        context = cl.Context([choose_device("")])
-        self._queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-        options = [*BUILD_OPTIONS, f"-DPATCH={rule.patch}", f"-DOUTPUTS={len(table.outputs)}"]
-        self._kernel = cl.Kernel(cl.Program(context, (FOLDER_HERE / "naive.cl").read_text()).build(options), "naive")
-        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        buffers = [cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(array)) for array in arrays]
-        self._outputs = np.empty((len(table.outputs), rows, cols), np.float32)
-        self._result = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, self._outputs.nbytes)
-        self._arguments = (*buffers, self._result, np.float32(frame.black_level), np.int32(rows), np.int32(cols))
-
-    def milliseconds(self) -> float:
-        """Run the kernel; return the milliseconds that the device spends in it."""
-        event = self._kernel(self._queue, self._outputs.shape[:0:-1], None, *self._arguments)
-        event.wait()
-        return float((event.profile.end - event.profile.start) * 1e-6)
-
-    def outputs(self) -> NDArray[np.float32]:
-        """Return what the kernel has made, (output, row, col)."""
-        pyopencl().enqueue_copy(self._queue, self._outputs, self._result)
-        return self._outputs
-
-
-@pytest.mark.parametrize(("phase", "outputs"), [((0, 0), XYZ), ((1, 0), ("a", "b"))])
-def test_the_naive_kernel_computes_the_same(phase: tuple[int, int], outputs: tuple[str, ...]) -> None:
-    table = random_table(BAYER, bits=12, black_level=64.0, outputs=outputs)
-    frame = frame_of_all_levels(table, np.random.default_rng(0), (37, 51), phase)
-    reference = ReferenceRenderer(table)
-    naive = NaiveTransforms(table, frame, reference.labels(frame))
-    assert naive.milliseconds() > 0
-    np.testing.assert_allclose(naive.outputs(), reference.outputs(frame), atol=1e-5)
-
-
-def test_transforms_next_to_a_naive_kernel() -> None:
-    rng = np.random.default_rng(0)
-    table, frame = synthetic_table(PEER, rng), synthetic_frame(PEER, rng)
-    renderer = OpenCLRenderer(table)
-    naive = NaiveTransforms(table, frame, renderer.labels(frame))
-    renderer.stage_times(frame, None)
-    naive.milliseconds()
-    turns = [(naive.milliseconds(), renderer.stage_times(frame, None)["transforms"]) for _ in range(NAIVE_FRAMES)]
-    theirs, ours = (float(np.median(times)) for times in zip(*turns, strict=True))
-    print(f"naive kernel {theirs:.1f} ms, classes and transforms {ours:.2f} ms: {theirs / ours:.1f} times as long")
-    assert theirs > ours
 
 
 def test_a_frame_next_to_menon() -> None:

@@ -1,7 +1,6 @@
 """How training is divided: patches over training sets by their shares, work over processes and shards. The same bytes come
 out whatever made them."""
 
-import cProfile
 import dataclasses
 import os
 import subprocess
@@ -38,12 +37,12 @@ from l3cli.system.console import Silent
 from l3cli.training import training_pass
 from l3cli.training.layers import learn
 from l3cli.training.patches import colourless_frame
-from l3cli.training.recipe import LearningRecipe, TrainingRecipe
+from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import empty_sums
 from l3cli.training.training_pass import BATCH, LAST, SUM_BYTES, TrainingPass, frame_blocks, spread_patches, work_shares
 from tests.helpers.calls import L3, Refused
 from tests.helpers.training_sets import a_frame, a_set, in_shards
-from tests.helpers.training_speed import stage_shares, synthetic_frame, train
+from tests.helpers.training_speed import synthetic_frame
 
 SMALL = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"
 
@@ -278,26 +277,6 @@ def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: L3) 
     assert alone.history[-1].inputs == table.history[-1].inputs
 
 
-@pytest.mark.usefixtures("same_workers")
-def test_shares_give_the_same_bytes_in_shards(bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused) -> None:
-    sets = [a_set(tmp_path / f"{count}.h5", bayer, count, smooth=False) for count in (3, 1)]
-    text = SMALL.replace("2100", "52000").replace("draws = 2", "draws = 1")  # more than are sorted together
-    (tmp_path / "classes.toml").write_text(text)
-    run = (*sets, "--classes", tmp_path / "classes.toml", "--shares", "1,0.7", "--seed", 5)
-    assert l3("train", *run, "-o", tmp_path / "whole.h5", "--jobs", 2)[0] == 0
-    first: tuple = ()
-    for name in ("first", "last"):
-        shards = [tmp_path / f"{name}{index}.h5" for index in (1, 2)]
-        for index, path in enumerate(shards, start=1):
-            code, _, err = l3("train", *run, "--shard", f"{index}/2", *first, "-o", path)
-            assert code == 0, err
-        assert l3("train", "--merge", *shards, "-o", tmp_path / f"{name}.h5")[0] == 0
-        first = ("--first", tmp_path / "first.h5")
-    assert (tmp_path / "last.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
-    other = (*run[:-3], "1,0.8", "--seed", 5, "--shard", "1/2")
-    assert "is not the first pass of this run" in refused(3, "train", *other, *first, "-o", tmp_path / "no.h5")
-
-
 @pytest.mark.parametrize(
     ("shares", "why"),
     [
@@ -318,17 +297,6 @@ def test_wrong_shares_are_one_line(shares: str, why: str, bayer: CameraModel, tm
 
 def test_shares_do_not_go_with_merge(tmp_path: Path, refused: Refused) -> None:
     assert "--merge takes shards alone" in refused(2, "train", "--merge", "a.h5", "--shares", "1", "-o", tmp_path / "no.h5")
-
-
-def test_the_benchmark_accounts_for_its_time(fiveband: CameraModel) -> None:
-    few = ClassRecipe(patch=5, levels=4, chromas=2)
-    frames = [synthetic_frame(fiveband, seed) for seed in range(2)]
-    with cProfile.Profile() as profile:
-        rows = train(frames, fiveband, TrainingRecipe(classes=few, learning=LearningRecipe(patches=500, darkest=0.003)))
-    assert rows == (500 + 4 * 250) * (3 + 8)  # four sites of four turns
-    shares = stage_shares(profile)
-    assert sum(shares.values()) == pytest.approx(1.0)
-    assert min(shares.values()) > 0
 
 
 @pytest.mark.slow
