@@ -14,6 +14,7 @@ from l3cli.cli.results import Record, Result, begin
 from l3cli.cli.terminal import drop, prepare, show, to_stderr
 from l3cli.errors import L3Error, suggestion
 from l3cli.parallel import one_blas_thread, without_plots
+from l3cli.system.console import Logged
 from l3cli.system.files import close_ledger
 from l3cli.system.limits import require_address_space, require_settings
 from l3cli.system.plan import Planned
@@ -112,7 +113,7 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Return exit code of `l3 ARGUMENTS`, after printing its results and messages."""
-    record = begin(arguments)
+    Logged.current, record = None, begin(arguments)
     results: list[Result] = []
     try:
         code = _guarded(lambda: _called(arguments, record, results))
@@ -195,4 +196,6 @@ def _fail(message: str, code: int) -> int:
     to_stderr(f"l3: {line}")
     if Record.current is not None:
         Record.current.fail(line, code)
+    if Logged.current is not None:
+        Logged.current.heard("error", line)
     return code

@@ -109,7 +109,7 @@ def _option(name: str, declared: Declaration) -> Callable[[F], F]:
 
 def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]:
     """Add all options of a command as its parameter `options`: the declared ones, `modes`, and how the command speaks
-    (--quiet, --json)."""
+    (--quiet, --log FILE, --json)."""
     declared = declarations(options)
 
     def decorated(command: Callable[..., Any]) -> Any:
@@ -118,7 +118,7 @@ def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]
             chosen = {name: given.pop(name) for name in [*declared, "console"]}
             return command(**given, options=options(**chosen))
 
-        decorators = [*(_option(name, each) for name, each in declared.items()), *modes, _QUIET, _JSON]
+        decorators = [*(_option(name, each) for name, each in declared.items()), *modes, _LOG, _QUIET, _JSON]
         return functools.reduce(lambda made, each: each(made), reversed(decorators), called)
 
     return decorated
@@ -129,12 +129,28 @@ def output(what: str, required: bool = True, metavar: str = "FILE") -> Callable[
     return click.option("-o", "--output", type=FILE, required=required, metavar=metavar, help=f"{what}.")
 
 
+LOG = "l3cli.log"  # in a context's meta: the path of --log
+
+
+def _log(context: click.Context, parameter: click.Parameter, path: Path | None) -> None:
+    context.meta[LOG] = path
+
+
 def _console(context: click.Context, parameter: click.Parameter, quiet: bool) -> "Console":
-    return recorded(ErrorsOnly() if quiet else Terminal())
+    console: Console = ErrorsOnly() if quiet else Terminal()
+    if context.meta[LOG] is not None:
+        from l3cli.system.console import Logged
+
+        console = Logged(console, context.meta[LOG], context.info_name or "l3", with_options)
+    return recorded(console)
 
 
 _QUIET = click.option(
     "--quiet", "console", is_flag=True, callback=_console, help="Print no messages on stderr but errors.",
+)  # fmt: skip
+_LOG = click.option(
+    "--log", type=FILE, metavar="FILE", is_eager=True, expose_value=False, callback=_log,
+    help="Also append all messages to FILE, with time, level and command.",
 )  # fmt: skip
 _JSON = click.option(  # results.begin has seen it already
     JSON, "as_json", is_flag=True, expose_value=False,

@@ -177,7 +177,7 @@ _SILENT = Silent()
 class Options:
     """Options of a command. RecipeError if one has a value that cannot be."""
 
-    console: Given[Console | None, Console] = _NOT_GIVEN  # on the command line by --quiet and --json
+    console: Given[Console | None, Console] = _NOT_GIVEN  # on the command line by --quiet, --log and --json
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "console", self.console or _SILENT)

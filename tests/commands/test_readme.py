@@ -43,7 +43,7 @@ def command(name: str) -> click.Command:
 
 @pytest.mark.parametrize("line", LINES)
 def test_every_command_shown_is_complete(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(tmp_path)  # where a --log may lie
     calls = commands(line)
     assert calls, line
     for name, *arguments in calls:
