@@ -140,6 +140,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     space: Literal["srgb", "display-p3", "rec2020", "acescg", "xyz"] | None = option(
         None, "Colour space [default: srgb; of .exr and 32 bits the table's outputs as they are]."
     )
+    remosaic: Literal["bayer"] | None = option(None, "Mosaic of a .dng [default: all three channels at every pixel].")
     bits: Literal[8, 16, 32] = option(8, "Bits a value of a picture; 32: linear, floating point (.tif).")
     black_level: float | None = option(
         None, "Black level of the inputs [default: the file's or the table's].", LEVEL, metavar="DN"

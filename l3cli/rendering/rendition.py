@@ -36,6 +36,7 @@ class Rendition:
     bits: int
     space: Space | None = SRGB  # of the values; without a curve they are linear, in floating point. None: no colours
     raw: bool = False  # for raw developers: the exposure is stated, not carried out
+    mosaic: str | None = None  # with `raw` a mosaic of the pixels, as their format names it
     stops: float = 0.0  # EV by which pictures are brighter than their exposure says
     stated_exposure: bool = False  # the exposure is times that which the file of each frame states
     tone: Tone | None = None  # curve of what is shown

@@ -108,7 +108,7 @@ def made(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("train", folder / "training.h5", "--classes", folder / "classes.toml", "-o", folder / "table.h5"),
         ("render", *frames(folder), "--exposure", 1, "-o", folder / "pictures"),
         ("render", *frames(folder), "-o", folder / "video.y4m"),
-        ("render", *frames(folder), "-o", folder / "raw/####.dng"),
+        ("render", *frames(folder), "-o", folder / "raw/####.dng", "--remosaic", "bayer"),
         ("render", *frames(folder), "-o", folder / "pages.tif", "--bits", 32, "--space", "acescg"),
     ):
         assert run([*map(str, command), "--quiet"]) == 0
@@ -171,7 +171,7 @@ def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Pat
         assert l3("render", *frames(made), "--exposure", 1, "--white", white, "-o", tmp_path / name, *there)[0] == 0
     assert _content(tmp_path / "place") == _content(tmp_path / "there") != _content(made / "pictures")
     assert _content(tmp_path / "named") == _content(tmp_path / "sent")
-    assert l3("render", *frames(made), "-o", tmp_path / "raw/####.dng", *where)[0] == 0
+    assert l3("render", *frames(made), "-o", tmp_path / "raw/####.dng", "--remosaic", "bayer", *where)[0] == 0
     assert _content(tmp_path / "raw") == _content(made / "raw")
     pages = ("-o", tmp_path / "pages.tif", "--bits", 32, "--space", "acescg")
     assert l3("render", *frames(made), *pages, *where)[0] == 0

@@ -16,6 +16,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.io.pictures.dng import HEADROOM, WHITE_LEVEL
+from l3cli.io.raw.files import read_raw
 from l3cli.physics.display import daylight, delta_e_2000, displayed_xyz, lab, scene_white, srgb_decoded
 from l3cli.physics.spaces import REC2020, SRGB, adaptation_matrix
 from l3cli.rendering.reference import ReferenceRenderer
@@ -86,11 +87,12 @@ def test_any_array_opens_with_our_colours(l3: L3, tmp_path: Path, recipe: str) -
     save(mixing_table(cfa), tmp_path / "table.h5")
     np.save(tmp_path / "frame.npy", patches(cfa))
     options = ("--backend", "reference", "--quiet")
-    for name, further in (("a.png", ("--bits", 16)), ("a.dng", ())):
+    for name, further in (("a.png", ("--bits", 16)), ("a.dng", ()), ("b.dng", ("--remosaic", "bayer"))):
         assert l3("render", tmp_path / "table.h5", tmp_path / "frame.npy", "-o", tmp_path / name, *further, *options)[0] == 0
     ours = centres(srgb_decoded(read_image(tmp_path / "a.png")[0] / 65535))
     assert np.ptp(ours, axis=0).min() > 0.3  # they are colours
-    assert difference(centres(developed(tmp_path / "a.dng")), ours).max() < 0.2
+    for name, most in (("a.dng", 0.2), ("b.dng", 0.5)):
+        assert difference(centres(developed(tmp_path / name)), ours).max() < most
 
 
 @pytest.fixture(scope="module")
@@ -105,17 +107,24 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_values_are_linear_and_exposure_is_stated(l3: L3, desk: Path) -> None:
     options = ("--backend", "reference", "--white", "A", "--exposure", 3)
     assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "l.dng", *options)[0] == 0
+    assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "m.dng", "--remosaic", "bayer", *options)[0] == 0
     table = random_table(BAYER, bits=12, black_level=64.0, patch=5)
     outputs = ReferenceRenderer(table).exact_outputs(RawFrame("f", np.load(desk / "frame.npy"), 64.0, 4095.0))
     matrix = REC2020.from_xyz @ adaptation_matrix(scene_white("A"), REC2020.neutral_xyz)
     wanted = np.einsum("po,orc->rcp", matrix, outputs) / HEADROOM * WHITE_LEVEL
-    values = tifffile.imread(desk / "l.dng")
+    values, mosaic = tifffile.imread(desk / "l.dng"), tifffile.imread(desk / "m.dng")
     assert np.abs(values - np.clip(wanted, 0, WHITE_LEVEL)).max() < 0.6
+    for row, col, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        np.testing.assert_array_equal(mosaic[row::2, col::2], values[row::2, col::2, channel])
     assert stated(desk / "l.dng", BASELINE_EXPOSURE) == pytest.approx(np.log2(3 * HEADROOM))
 
 
-def test_a_developed_frame_is_no_raw_frame(l3: L3, refused: Refused, desk: Path) -> None:
-    assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "c.dng", "--backend", "reference")[0] == 0
+def test_a_mosaic_is_a_raw_frame_and_a_developed_one_is_none(l3: L3, refused: Refused, desk: Path) -> None:
+    for name, further in (("c.dng", ()), ("d.dng", ("--remosaic", "bayer"))):
+        call = ("render", desk / "table.h5", desk / "frame.npy", "-o", desk / name, "--backend", "reference", *further)
+        assert l3(*call)[0] == 0
+    frame = read_raw(desk / "d.dng", random_table(BAYER, bits=12, patch=5))
+    assert (frame.black_level, frame.white_level, frame.phase, frame.values.shape) == (0, 65535, (0, 0), (33, 41))
     assert "already demosaicked" in refused(3, "render", desk / "table.h5", desk / "c.dng", "-o", desk / "e.png")
 
 
@@ -144,6 +153,9 @@ def test_a_developed_frame_names_its_makers_not_its_camera(l3: L3, desk: Path) -
     [
         ("x.dng", ("--space", "srgb"), "leave --space out"),
         ("x.dng", ("--bits", 32), "leave --bits out"),
+        ("x.png", ("--remosaic", "bayer"), "name a .dng"),
+        ("x.mp4", ("--remosaic", "bayer"), "name a .dng"),
+        ("x.dng", ("--remosaic", "xtrans"), "bayer"),
     ],
 )
 def test_what_a_dng_cannot_hold_is_refused(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel
-from l3cli.frames.frame import Shot
+from l3cli.frames.frame import Shot, tiled
 from l3cli.io.pictures.icc import D50
 from l3cli.io.pictures.registry import Label, Picture
 from l3cli.io.raw.cfa_codes import channel_codes
@@ -88,29 +88,35 @@ def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[En
 
 # ------------------------------------------------------------------------------------------------ rendered frames
 
+MOSAICS = ("bayer",)
+RGGB = np.array([[0, 1], [1, 2]])
 BLACK_LEVEL, WHITE_LEVEL = 0, 65535  # DN; LibRaw takes another black level off pixels of three channels, but not off white
 HEADROOM = 2.0  # value at white level: clipped areas are estimated to be brighter than 1, which is full scale of the sensor
 D65_CODE = 21  # of CalibrationIlluminant
 CAMERA = "linear Rec. 2020"
 
 
-def raw_values(linear: NDArray[np.floating]) -> NDArray[np.uint16]:
-    """Return DN (row, col, 3) of linear Rec. 2020 values (row, col, 3)."""
+def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.uint16]:
+    """Return DN (row, col, 3) of linear Rec. 2020 values (row, col, 3), or (row, col) of a `mosaic` of them."""
+    if mosaic is not None:
+        linear = np.take_along_axis(linear, tiled(RGGB, linear.shape)[..., None], axis=2)[..., 0]
     return np.clip(np.rint(linear * (WHITE_LEVEL / HEADROOM)), BLACK_LEVEL, WHITE_LEVEL).astype(np.uint16)
 
 
 def encode(path: Path, picture: Picture) -> bytes:
     """Return the file of `raw_values`."""
     values = picture.pixels
+    channels = 1 if values.ndim == 2 else values.shape[2]
     to_connection_space = adaptation_matrix(REC2020.neutral_xyz, D50) @ REC2020.to_xyz
     tags = [
-        entry("BlackLevel", LONG, [BLACK_LEVEL] * 3),
-        entry("WhiteLevel", LONG, [WHITE_LEVEL] * 3),
+        entry("BlackLevel", LONG, [BLACK_LEVEL] * channels),
+        entry("WhiteLevel", LONG, [WHITE_LEVEL] * channels),
         entry("ColorMatrix1", SRATIONAL, REC2020.from_xyz.ravel()),
         entry("ForwardMatrix1", SRATIONAL, to_connection_space.ravel()),
         entry("CalibrationIlluminant1", SHORT, [D65_CODE]),
         entry("AsShotNeutral", RATIONAL, [1, 1, 1]),
         entry("BaselineExposure", SRATIONAL, [log2(picture.exposure_scale * HEADROOM)]),
+        *(_mosaic_tags(RGGB, range(3)) if values.ndim == 2 else []),
         *_label_tags(picture.label),
     ]
     return _file(values, picture.label.software, tags, f"l3cli {CAMERA}")

@@ -57,7 +57,7 @@ def values_identity(digest: str) -> str:
 class Picture:
     """Content of a picture's file, upright."""
 
-    pixels: NDArray[Any]  # (row, col, value): codes, uint8 or uint16; linear values, float32
+    pixels: NDArray[Any]  # (row, col, value): codes, uint8 or uint16; linear values, float32; of a raw mosaic (row, col) DN
     space: Space | None = SRGB  # of the values; None: they are no colours
     label: Label = NOTHING
     names: tuple[str, ...] = ()  # of linear values
@@ -71,7 +71,7 @@ class PictureFormat:
     suffixes: tuple[str, ...]  # in lower case
     module: str  # of this folder
     bits: tuple[int, ...] = ()  # that a code may have; FLOAT_BITS: it may hold linear values, too
-    holds: str = "codes"  # "linear": always linear values; "raw": DN of a linear picture, for raw developers
+    holds: str = "codes"  # "linear": always linear values; "raw": DN of a linear mosaic or picture, for raw developers
 
     def encode(self, path: Path, picture: Picture) -> bytes:
         """Return the bytes of a file; L3Error if the picture cannot be encoded."""

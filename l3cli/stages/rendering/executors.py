@@ -147,7 +147,7 @@ def picture_of(
     """Return the content of a frame's file from what was `rendered` of it; `outputs`: names of the table's."""
     (pixels, scale), rendition = made, setup.rendition
     names = outputs if rendition.balance is None else rendition.names
-    pixels = raw_values(pixels) if rendition.raw else pixels
+    pixels = raw_values(pixels, rendition.mosaic) if rendition.raw else pixels
     return Picture(pixels, rendition.space, Label(frame.shot, frame.exposure, setup.digest, identity), names, scale)
 
 

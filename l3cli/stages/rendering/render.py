@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError
+from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError, suggestion
 from l3cli.frames.correction import CameraFile, correction_in, hot_test
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.gain_estimate import estimate_gain
 from l3cli.io.destination import Destination, destination_of, guard_outputs, paged
+from l3cli.io.pictures.dng import MOSAICS
 from l3cli.io.pictures.registry import write_picture
 from l3cli.io.raw.files import are_photos
 from l3cli.io.sequences import STDIN_NAME, FrameSequence, find_frames, read_dark
@@ -167,6 +168,8 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
         raise RecipeError("videos are sRGB; leave ‹space› out, or name pictures")
     if space is not None and destination.raw:
         raise RecipeError("a DNG file has channels of its own; leave ‹space› out")
+    if options.remosaic is not None and not destination.raw:
+        raise RecipeError("‹remosaic› is for raw developers; name a .dng")
     if options.uncertainty is not None and (options.uncertainty.suffix.lower() != ".exr" or options.temporal):
         raise RecipeError("‹uncertainty› is written as .exr, without ‹temporal›; name such a file")
 
@@ -205,7 +208,9 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
     )  # fmt: skip
     if not destination.raw:
         return rendition
-    return replace(rendition, space=replace(REC2020, curve=None), raw=True)
+    if options.remosaic not in (None, *MOSAICS):
+        raise RecipeError(f'mosaic "{options.remosaic}" is unknown; {suggestion(options.remosaic, MOSAICS)}')
+    return replace(rendition, space=replace(REC2020, curve=None), raw=True, mosaic=options.remosaic)
 
 
 Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for or nearest_for
