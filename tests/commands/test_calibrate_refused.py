@@ -371,14 +371,8 @@ def test_saturated_captures_are_refused(copied: Path, bayer: CameraModel, tmp_pa
     assert "the white frames hold no noise" in refused(*command)
 
 
-def test_outputs_and_truth_are_checked_first(folder: Path, tmp_path: Path, refused: Refused) -> None:
-    taken = tmp_path / "camera.h5"
-    taken.write_text("mine")
-    assert "--force" in refused(1, "calibrate", folder / "MEASUREMENTS.toml", "-o", taken)
-    assert taken.read_text() == "mine"
+def test_the_truth_is_checked_first(folder: Path, tmp_path: Path, refused: Refused) -> None:
     fiveband = CONFIGS / "cameras/fiveband.toml"
     command = ("calibrate", folder / "MEASUREMENTS.toml", "-o", tmp_path / "new.h5", "--truth")
     assert "r g b o c" in refused(3, *command, fiveband)
     assert "none.h5" in refused(3, *command, tmp_path / "none.h5")
-    assert "none.toml" in refused(3, "calibrate", tmp_path / "none.toml", "-o", tmp_path / "new.h5")
-    assert refused(2, "calibrate", folder / "MEASUREMENTS.toml")

@@ -216,12 +216,9 @@ def test_wrong_calls_are_one_line(trained: Path, refused: Refused, l3: L3, tmp_p
         return dataclasses.replace(frame, **parts)
 
     rewritten(frames, tmp_path / "small.h5", ("X", "Y", "Z"), small)
-    (tmp_path / "file").write_text("")
     assert "another CFA" in refused(3, "evaluate", tmp_path / "other.h5", frames)
     assert "holds no frames" in refused(3, "evaluate", table, tmp_path / "empty.h5")
     assert "4×40 pixels" in refused(3, "evaluate", table, tmp_path / "small.h5")
-    assert "holds a training set" in refused(3, "evaluate", frames, frames)
-    assert "is a file" in refused(1, "evaluate", table, frames, "--pictures", tmp_path / "file")
     code, out, err = l3("evaluate", table, frames, "--border", "24")
     assert (code, out) == (3, "")
     assert "48×56 pixels, none inside a border of 24" in err

@@ -67,7 +67,7 @@ class Place:
     @staticmethod
     def drawn(choices: Choices) -> "Place":
         kinds = (COMMANDS, CLOSED, LOCALES, HOMES, TERMS, COLUMNS, NAMES, UMASKS)
-        return Place(*(one_of(choices, kind) for kind in kinds))  # type: ignore[arg-type]
+        return Place(*(one_of(choices, kind) for kind in kinds))
 
 
 def make_desk(folder: Path) -> None:

@@ -341,25 +341,10 @@ def test_wrong_calls_are_one_line(bayer: CameraModel, fiveband: CameraModel, tmp
     assert "smaller than the 9×9 patch" in refused(3, "train", good, tiny, "--shard", "1/2", "-o", out)
     assert "smaller than the 9×9 patch" in refused(3, "train", tiny, "-o", out)
     assert "holds no frames" in refused(3, "train", empty, "-o", out)
-    assert "does not exist" in refused(3, "train", tmp_path / "no.h5", "-o", out)
-    assert "Missing option '-o'" in refused(2, "train", good)
     (tmp_path / "classes.toml").write_text("[classes]\nlevel = 3\n")
     assert "unknown key `level` in [classes]" in refused(2, "train", good, "--classes", tmp_path / "classes.toml", "-o", out)
     (tmp_path / "few.toml").write_text("[classes]\nlevels = 50000\n")
     assert "more levels than values" in refused(2, "train", good, "--classes", tmp_path / "few.toml", "-o", out)
-    assert "exists; add --force" in refused(1, "train", good, "-o", other)
-    camera = _camera_of(other, tmp_path)
-    assert "holds a camera model; give the file written by" in refused(3, "train", camera, "-o", out)
-
-
-def _camera_of(training: Path, tmp_path: Path) -> Path:
-    """A file of another kind: the training set's camera alone."""
-    from l3cli.artifacts.store import save
-    from l3cli.artifacts.training_set import open_training_set
-
-    with open_training_set(training) as reader:
-        save(reader.head.camera, tmp_path / "camera.h5")
-    return tmp_path / "camera.h5"
 
 
 def test_a_parent_of_few_patches_leans_on_its_case(bayer: CameraModel) -> None:
