@@ -193,6 +193,15 @@ def test_the_matrix_meets_white_and_surfaces(recipe: str) -> None:
         assert np.abs(xyz @ matrix.T - channels).mean() < 0.02
 
 
+def test_what_exists_already_is_refused(refused: Refused, made: Path, tmp_path: Path) -> None:
+    call = ("simulate", made / "scenes.toml", "--camera", made / "camera.toml", "-o", tmp_path / "t.h5", "--dng")
+    (tmp_path / "file").write_bytes(b"")
+    assert "name a folder" in refused(1, *call, tmp_path / "file")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/mine.dng").write_bytes(b"")
+    assert "not empty" in refused(1, *call, tmp_path / "full")
+
+
 def _colour(camera: CameraModel) -> dict[str, np.ndarray]:
     return {name: colour_matrix(camera, make_light(name, {}, camera.wavelength)) for name in LIGHT_CODES}
 

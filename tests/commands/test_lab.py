@@ -110,6 +110,11 @@ def test_the_default_recipe_is_the_built_in_one() -> None:
     assert load_recipe(CONFIGS / "lab/default.toml", LabRecipe) == LabRecipe()
 
 
+def test_a_sweep_of_too_few_steps_is_refused(bayer_recipe: Path, tmp_path: Path, refused: Refused) -> None:
+    (tmp_path / "lab.toml").write_text("[mono]\nfirst_nm = 690")
+    assert "three steps" in refused(2, "lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", tmp_path / "lab.toml")
+
+
 def test_a_sensor_too_small_for_a_chart_is_refused(bayer_recipe: Path, tmp_path: Path, refused: Refused) -> None:
     tiny = tmp_path / "tiny.toml"
     tiny.write_text(bayer_recipe.read_text().replace("rows = 192", "rows = 32"))
