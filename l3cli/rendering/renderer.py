@@ -101,6 +101,10 @@ class NoiseRenderer:
         by_pixel = frame.noise_left is not None and bool(noise_limits(self._table(gain)))
         return gain, None if by_pixel else frame.noise_share
 
+    def of_frame(self, frame: RawFrame) -> Renderer:
+        """Return the renderer by the one set of transforms for the gain and the mean share of noise of a frame."""
+        return self._of((nearest_step(frame.gain), frame.noise_share))
+
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
         return self._of(self._noise(frame)).labels(frame, layer)
 

@@ -1,87 +1,50 @@
-"""Uncertainty of rendered outputs: the noise of the camera through the transforms of each pixel's classes, in closed form
-(docs/measurement.md#uncertainty).
+"""Uncertainty of rendered outputs (docs/measurement.md#uncertainty): the noise of the camera through all that a table does,
+the choice of classes included, by the parametric bootstrap.
 
-    σ² = Σ t² λ        t: transform of the raw values about a pixel, through all layers; λ: noise variance of those values
+    σ(p) = G(class) · K(kind) · s(p)      s: standard deviation of a raw value as bright as the output of the pixel p
 
-Transforms are composed for each combination of classes that a frame has, at every site, as if the classes of a pixel were
-those of its neighbours too; noise is that of each channel's mean about the pixel.
+The picture is taken for a scene, which the camera sees again and again with new noise. Gains G of the classes of the last
+layer, and factors K of the kinds of the first, make the mean σ of each the standard deviation of those renderings.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, TransformTable
-from l3cli.classes.clipping import clipping_maps
-from l3cli.classes.coarse_chroma import BLOCK, blocks_of, own_shares, scales_of
-from l3cli.classes.planes import CHROMA, LUMINANCE, opponent_basis
-from l3cli.classes.refinement import RATIO_DARKEST, mirrored, window_means
-from l3cli.classes.windows import window_channels
+from l3cli.artifacts.camera import QUANTISATION, CameraModel
+from l3cli.artifacts.table import MosaicLayer, TransformTable
+from l3cli.classes.clipping import KEPT, block_maps, block_means, block_sides
 from l3cli.errors import RecipeError
-from l3cli.frames.frame import RawFrame, as_taken, mirrored_indices, upright
-from l3cli.rendering.conditions import at_gain, nearest_step, with_edges_for
+from l3cli.frames.frame import RawFrame, shifted_cfa, tiled, upright
 from l3cli.rendering.reference import at_table_levels, mosaic_of
 from l3cli.rendering.renderer import Renderer
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
+Labels = NDArray[np.integer]
 # Bits of a mask: clipped values decide the class or the result; a class without training patches of its own.
 CLIPPED, UNTRAINED = 1, 2
-SHARES = 8  # steps in which shares of coarse chroma are distinguished
-MOST_LAYERS = 1  # of refinement: what follows has classes that mirrored sites name in another way
-# Weights by distance of what blocks of four pixels, interpolated, are of a row of pixels, wherever these begin.
-BLOCKS_READ = np.array([0.07, 0.14, 0.19, 0.20, 0.19, 0.14, 0.07])
-AT_ONCE = 64  # combinations of classes that are composed together
+PIECE, PIECES, SEAM = 96, 4, 8  # pixels, side of a piece of a large frame; pieces a side; pixels at edges, not counted
+BUDGET, DRAWS = 1 << 18, (5, 40)  # pixels that all renderings have, unless that makes fewer or more renderings
+SMOOTHED = 0.5  # pixels, of a Gaussian: noise that is left in a picture would count twice
+ROUNDS = 4  # in which gains and factors settle
+PRIOR = 50  # pixels for which a class follows the classes that it is one of
+TILES = (1, 2, 4, 8, 16)  # pixels, sides of regions whose means are compared; pieces hold whole ones
+FEWEST = 9  # tiles of a frame
+LEAST = 32  # pixels, side of a frame
+SEED = 20
 
 
 @dataclass(frozen=True)
-class _Slopes:
-    """Dependence of colour ratios and coarse chroma on the planes that a last layer reads, about their values: each (…)."""
+class NoiseGains:
+    """Noise of outputs over that of raw values, as a scene has it; serves other frames of the scene."""
 
-    ratio: Array  # ρ of the luminance
-    colour: Array  # (…, chroma) chroma over luminance, means of the window; 0 where ρ is clamped
-    share: Array  # of coarse chroma
-
-
-@dataclass(frozen=True)
-class _Kernels:
-    """Transforms of the raw values about every pixel of a frame."""
-
-    table: TransformTable
-    within: tuple[NDArray[np.int64], ...]  # by layer (combination) class within its site
-    slopes: _Slopes | None  # (combination)
-    combination: NDArray[np.int64]  # (row, col)
-    site: NDArray[np.int64]  # (row, col)
-    noise: Array  # (channel, row, col) variance of raw values about each pixel, in squares of full scale
-
-    def variance(self) -> Array:
-        """Return the variance (output, row, col) of outputs."""
-        energies, variance = _energies(self), np.zeros((len(self.table.outputs), *self.site.shape))
-        for output, each in enumerate(variance):
-            for channel, of_channel in enumerate(self.noise):
-                each += energies[self.combination, self.site, output, channel] * of_channel
-        return variance
-
-    def variance_of_mean(self, inside: NDArray[np.bool_]) -> Array:
-        """Return the variance (output) of the mean over pixels (row, col) that are `inside`: of the sum of their kernels,
-        since neighbours read the same raw values."""
-        rows, cols = np.nonzero(inside)
-        combination, site = self.combination[rows, cols], self.site[rows, cols]
-        total = np.zeros((len(self.table.outputs), *inside.shape))
-        period = self.table.cfa.shape
-        for chosen in _batches(np.unique(combination)):
-            there = np.isin(combination, chosen)
-            kernels = composed(self, chosen)[np.searchsorted(chosen, combination[there]), site[there]]
-            reach = kernels.shape[-1] // 2
-            down, across = (mirrored_indices(n, reach, p) for n, p in zip(inside.shape, period, strict=True))
-            for row, col in np.ndindex(kernels.shape[-2:]):
-                at = down[rows[there] + row], across[cols[there] + col]
-                for output, plane in enumerate(total):
-                    np.add.at(plane, at, kernels[:, output, row, col])
-        own = self.table.cfa.ravel()[self.site]
-        noise = np.take_along_axis(self.noise, own[None].astype(np.intp), axis=0)[0]
-        return np.asarray((total**2 * noise).sum(axis=(1, 2)) / rows.size**2)
+    by_class: NDArray[np.float32]  # (class of the last layer, output)
+    by_kind: NDArray[np.float32]  # (class of the first layer, output) factor of its kind
+    area: Array  # (tile, output) variance of the mean over a tile times its pixels, over that of a pixel
+    unit: float  # DN of a raw value where the brightness of the outputs is 1
 
 
 @dataclass(frozen=True)
@@ -90,52 +53,41 @@ class Uncertainty:
 
     sigma: NDArray[np.float32]  # (row, col, output) standard deviation left by the camera's noise
     mask: NDArray[np.uint8]  # (row, col) CLIPPED, UNTRAINED or both; 0: as trained
-    orientation: int
-    kernels: _Kernels
-    scale: Array  # (row, col) as the sensor lies: what outputs are multiplied by after the transforms
+    gains: NoiseGains
 
     def of_mean(self, inside: NDArray[np.bool_]) -> Array:
         """Return the standard deviation (output) of the mean over the pixels (row, col) that are `inside`, whose noise is
-        correlated as the transforms make it."""
-        there = as_taken(inside, self.orientation)
-        return np.asarray(np.sqrt(self.kernels.variance_of_mean(there)) * float(self.scale[there].mean()))
+        correlated as that of a square of as many pixels."""
+        pixels = int(inside.sum())
+        sides = np.log2(TILES[: len(self.gains.area)])
+        area = np.array([np.interp(math.log2(pixels) / 2, sides, each) for each in self.gains.area.T])
+        return np.sqrt(np.square(self.sigma[inside].astype(np.float64)).mean(axis=0) * area / pixels)
 
 
-def require_closed_form(table: TransformTable) -> None:
-    """Raise RecipeError if the table does not know its camera's noise, has too many layers, or smooths spectra, of which no
-    closed form is known."""
+def require_known_noise(table: TransformTable) -> None:
+    """Raise RecipeError if the table does not know its camera's noise."""
     if table.camera is None:
         raise RecipeError("the table does not hold its camera, whose noise is needed; train it again")
-    if table.spectra is not None:
-        raise RecipeError("the table smooths spectra, whose noise has no closed form; train it with spectral_window = 0")
-    if len(table.later) > MOST_LAYERS:
-        raise RecipeError(
-            f"the table has {len(table.later)} refinement layers; noise is known through {MOST_LAYERS}, as of default"
-        )
 
 
-def uncertainty(table: TransformTable, frame: RawFrame, make: Callable[[TransformTable], Renderer]) -> Uncertainty:
-    """Return the uncertainty of a frame's outputs by a table of one light; `make`: renderers of tables.
-
-    RecipeError as `require_closed_form`.
-    """
-    require_closed_form(table)
-    table = at_gain(table, nearest_step(frame.gain))
-    table = replace(with_edges_for(table, frame.noise_share) if frame.noise_share < 1 else table, conditions=())
-    renderer = make(table)
-    labels = [renderer.labels(frame, number).astype(np.int64) for number in range(len(table.layers))]
-    key, slopes = _keys(table, labels, frame, make)
-    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
-    inverse = inverse.reshape(key.shape)
-    within = tuple(_within(layer, each.ravel()[first]) for layer, each in zip(table.layers, labels, strict=True))
-    site = np.asarray(table.first.rule.split(labels[0]).site, np.int64)
-    means = slopes and _means(slopes, inverse, len(first))
-    kernels = _Kernels(table, within, means, inverse, site, channel_noise(frame, table, site))
+def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = None) -> Uncertainty:
+    """Return the uncertainty of a frame's outputs by a renderer of one set of transforms, those for the frame's gain and
+    noise; `like`: that of a frame of the same scene, whose gains serve. RecipeError as `require_known_noise`, and for a
+    frame that is too small."""
+    table = renderer.table
+    require_known_noise(table)
+    outputs = renderer.outputs(frame)
+    labels = [renderer.labels(frame, number) for number in sorted({0, len(table.later)})]
     gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
-    scale = np.broadcast_to(np.asarray(frame.light_share * gain, np.float64), key.shape)
-    sigma = np.moveaxis(scale * np.sqrt(np.maximum(kernels.variance(), 0.0)), 0, -1).astype(np.float32)
+    scale = np.asarray(frame.light_share * gain, np.float32)
+    gains = like.gains if like else _noise_gains(renderer, frame, outputs / scale)
+    spread = scale * _raw_sigma(table, frame, gains.unit, outputs, scale)
+    sigma = gains.by_class.take(labels[-1], axis=0)
+    sigma *= spread[..., None]
+    if table.later:
+        sigma *= gains.by_kind.take(labels[0], axis=0)
     turn = frame.orientation
-    return Uncertainty(upright(sigma, turn), upright(_mask(table, labels, frame), turn), turn, kernels, scale)
+    return Uncertainty(upright(sigma, turn), upright(_mask(table, labels, frame), turn), gains)
 
 
 @dataclass(frozen=True)
@@ -174,161 +126,170 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
     return inside
 
 
-def _mask(table: TransformTable, labels: Sequence[NDArray[np.int64]], frame: RawFrame) -> NDArray[np.uint8]:
-    """Return the mask (row, col) of pixels by their classes in each layer, and where the clipped area about them takes the
-    place of their transforms, whose noise is not that of the result."""
+def _mask(table: TransformTable, labels: Sequence[Labels], frame: RawFrame) -> NDArray[np.uint8]:
+    """Return the mask (row, col) of pixels by their classes, and where the clipped area about them takes the place of their
+    transforms."""
     rule = table.first.rule
-    mask = np.where(rule.case(rule.split(labels[0]).kind) > 0, CLIPPED, 0).astype(np.uint8)
-    for layer, label in zip(table.layers, labels, strict=True):
-        mask |= np.where(layer.samples[label] > 0, 0, UNTRAINED).astype(np.uint8)
-    if table.later and (clipping := table.later[-1].clipping):
-        mosaic = mosaic_of(at_table_levels(frame, table), table)
-        mask |= np.where(clipping_maps(mosaic, clipping.response, clipping.white)[0] > 0, CLIPPED, 0).astype(np.uint8)
+    clipped = rule.case(rule.split(np.arange(len(table.first.weights))).kind) > 0
+    flags = np.where(clipped, CLIPPED, 0).astype(np.uint8)
+    flags[table.first.samples == 0] |= UNTRAINED
+    mask = flags.take(labels[0])
+    if not table.later:
+        return mask
+    mask |= np.where(table.later[-1].samples > 0, 0, UNTRAINED).astype(np.uint8).take(labels[-1])
+    mosaic = mosaic_of(at_table_levels(frame, table), table)
+    clipping = table.later[-1].clipping
+    if clipping and mosaic.values.max() - mosaic.black_level >= KEPT * (mosaic.white_level - mosaic.black_level):
+        means = block_means(mosaic, len(table.channels))
+        replaced = np.pad(block_maps(*means, clipping.response, clipping.white)[0] > 0, 1, mode="edge")
+        for axis, (length, side) in enumerate(zip(mask.shape, block_sides(mosaic.cfa), strict=True)):
+            low = (np.arange(length) + side // 2) // side  # of the blocks on either side of a pixel, counted from the margin
+            replaced = replaced.take(low, axis) | replaced.take(low + 1, axis)
+        mask |= np.where(replaced, CLIPPED, 0).astype(np.uint8)
     return mask
 
 
-def channel_noise(frame: RawFrame, table: TransformTable, site: NDArray[np.int64]) -> Array:
-    """Return the noise variance (channel, row, col) of raw values about each pixel, in squares of full scale, by the mean of
-    each channel over a patch; `site` (row, col): of the pixels."""
-    from scipy.ndimage import uniform_filter
+def _raw_sigma(table: TransformTable, frame: RawFrame, unit: float, outputs: Array, scale: Array) -> Array:
+    """Return the standard deviation (row, col), as a share of full scale, of raw values as bright as outputs (output, row,
+    col), those of transforms times `scale`; mean over the channels."""
+    constant, linear, quadratic = map(np.mean, _noise_terms(table, frame))
+    signal = np.maximum(_brightness(table, outputs), 0) * (np.float32(unit) / scale)
+    variance = (np.float32(quadratic) * signal + np.float32(linear)) * signal + np.float32(constant)
+    return np.sqrt(variance, out=variance) / np.float32(table.white_level - table.black_level)
 
-    camera = table.camera
-    assert camera is not None
-    levelled, camera = at_table_levels(frame, table), replace(camera, noise_left=frame.noise_share)
+
+def _brightness(table: TransformTable, outputs: Array) -> Array:
+    return np.asarray(outputs[table.outputs.index("Y")] if "Y" in table.outputs else outputs.mean(axis=0))
+
+
+def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, float]:
+    """Return the terms (channel) of the noise of a frame at the table's levels."""
+    assert table.camera is not None
     every = np.arange(len(table.channels))
+    camera: CameraModel = replace(table.camera, noise_left=frame.noise_share)
     constant, linear, quadratic = camera.noise_terms(frame.dark, every)
-    constant, linear = (np.broadcast_to(each, every.size) for each in (constant, linear))
-    channels, signal = table.cfa.ravel()[site], levelled.values - levelled.black_level
-    side = max(table.first.rule.patch, *table.cfa.shape) | 1  # every window holds every channel
-    noise = np.empty((every.size, *channels.shape))
-    for channel, of_channel in enumerate(noise):
-        there = (channels == channel).astype(np.float64)
-        seen = uniform_filter(there, side, mode="mirror")
-        mean = np.maximum(uniform_filter(there * signal, side, mode="mirror") / np.maximum(seen, 1e-9), 0.0)
-        of_channel[:] = constant[channel] + (linear[channel] + quadratic * mean) * mean
-    return noise / (table.white_level - table.black_level) ** 2
+    return np.broadcast_to(constant, every.size), np.broadcast_to(linear, every.size), quadratic
 
 
-# --------------------------------------------------------------------------------------------- combinations of classes
+# ----------------------------------------------------------------------------------------------------------- bootstrap
 
 
-def _within(layer: MosaicLayer | PlaneLayer, label: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the classes within their site."""
-    within = layer.rule.within_site(label)
-    return np.asarray(within if isinstance(layer, MosaicLayer) else within[1], np.int64)
+def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array) -> NoiseGains:
+    """Return the gains of the scene that a frame's outputs (output, row, col) show, before they are scaled."""
+    from scipy.ndimage import gaussian_filter
+
+    table = renderer.table
+    if min(frame.values.shape) < LEAST:
+        raise RecipeError(f"the frame is smaller than {LEAST}×{LEAST} pixels; too few to tell what noise does")
+    matrix, unit = _back(table, at_table_levels(frame, table), outputs)
+    rows, cols = (_sampled(length) for length in outputs.shape[1:])
+    scene = gaussian_filter(outputs[:, rows[:, None], cols].astype(np.float64), (0, SMOOTHED, SMOOTHED))
+    channel = tiled(table.cfa, scene.shape[1:])
+    span = table.white_level - table.black_level
+    signal = np.einsum("rco,orc->rc", matrix[channel], scene).clip(0, span)
+    constant, linear, quadratic = _noise_terms(table, frame)
+    sigma = np.sqrt(np.maximum(constant[channel] + (linear[channel] + quadratic * signal) * signal - QUANTISATION, 0))
+    rng = np.random.default_rng(SEED)
+    made, first, last, spread = [], [], [], []
+    draws = int(np.clip(BUDGET // signal.size, *DRAWS))
+    inner = np.ix_(_counts(rows), _counts(cols))
+    for _ in range(draws):
+        values = np.rint(table.black_level + signal + sigma * rng.standard_normal(signal.shape, np.float32))
+        values = np.clip(values, 0, 2**table.bits - 1).astype(np.uint16)
+        again = RawFrame("again", values, table.black_level, table.white_level)
+        made.append(renderer.outputs(again))
+        first.append(renderer.labels(again)[inner])
+        last.append(renderer.labels(again, len(table.later))[inner])
+        spread.append(_raw_sigma(table, frame, unit, made[-1], np.float32(1))[inner])
+    deviations = np.asarray(made) - np.mean(made, axis=0)
+    # Without the bias of a root of few squares.
+    chi = math.exp(math.lgamma(draws / 2) - math.lgamma((draws - 1) / 2)) * math.sqrt(2 / draws)
+    measured = np.moveaxis(np.sqrt(np.square(deviations).mean(axis=0)) / chi, 0, -1)[inner]
+    by_class, by_kind = _raked(table, np.array(first), np.array(last), np.array(spread), measured)
+    return NoiseGains(by_class.astype(np.float32), by_kind.astype(np.float32), _areas(deviations[..., *inner]), unit)
 
 
-def _keys(
-    table: TransformTable, labels: Sequence[NDArray[np.int64]], frame: RawFrame, make: Callable[[TransformTable], Renderer]
-) -> tuple[NDArray[np.int64], _Slopes | None]:
-    """Return the combination of classes (row, col), numbers in no order, and the slopes of the last layer, if it has any."""
-    key = np.zeros(labels[0].shape, np.int64)
-    for layer, label in zip(table.layers, labels, strict=True):
-        _, numbers = np.unique(key * len(layer.weights) + _within(layer, label), return_inverse=True)
-        key = numbers.reshape(label.shape)
-    last = table.later[-1] if table.later else None
-    if last is None or not (last.ratio_taps or last.coarse_chroma):
-        return key, None
-    before = replace(table, later=table.later[:-1])
-    basis = opponent_basis(table.white_point)
-    planes = np.einsum("orc,op->prc", make(before).outputs(frame).astype(np.float64) / frame.light_share, basis) / PLANE_STEP
-    slopes = _slopes(planes, last)
-    return key * (SHARES + 1) + np.rint(slopes.share * SHARES).astype(np.int64), slopes
+def _back(table: TransformTable, levelled: RawFrame, outputs: Array) -> tuple[Array, float]:
+    """Return the signals (channel, output), in DN, that outputs (output, row, col) stand for, by least squares over blocks
+    of a frame at the table's levels, relative to their brightness; and mean DN over mean brightness."""
+    sides = block_sides(table.cfa)
+    cut = tuple(length // side * side for length, side in zip(levelled.values.shape, sides, strict=True))
+    inside = np.s_[..., : cut[0], : cut[1]]
+
+    def means(planes: Array) -> Array:
+        parts = planes[inside].reshape(len(planes), cut[0] // sides[0], sides[0], cut[1] // sides[1], sides[1])
+        return parts.mean(axis=(2, 4)).reshape(len(planes), -1)
+
+    channel = tiled(shifted_cfa(table.cfa, levelled.phase), levelled.values.shape)
+    there = channel == np.arange(len(table.channels))[:, None, None]
+    signal = means(there * (levelled.values - levelled.black_level)) / np.maximum(means(there), 1e-9)
+    wanted = means(outputs.astype(np.float64))
+    weight = 1 / np.maximum(signal.mean(axis=0), 1.0)
+    matrix = np.linalg.lstsq((wanted * weight).T, (signal * weight).T, rcond=1e-3)[0].T
+    unit = signal.mean() / max(float(_brightness(table, wanted).mean()), 1e-9)
+    return matrix, float(max(unit, 0.0))
 
 
-def _slopes(planes: Array, layer: PlaneLayer) -> _Slopes:
-    """Return the slopes (row, col) of planes (plane, row, col), in their steps."""
-    means = window_means(mirrored(planes, layer.radius), layer.side)
-    luminance = np.maximum(means[LUMINANCE], RATIO_DARKEST)
-    ratio = (planes[LUMINANCE] - means[LUMINANCE]) / luminance
-    colour = np.where((np.abs(ratio) < 1) & (means[LUMINANCE] > RATIO_DARKEST), means[CHROMA] / luminance, 0.0)
-    share = np.zeros_like(ratio)
-    if layer.coarse_chroma:
-        changed = 1.0 - own_shares(blocks_of(planes), scales_of(layer.coarse_chroma))
-        rows, cols = (np.arange(length) // BLOCK for length in share.shape)
-        share = changed[rows[:, None], cols]
-    return _Slopes(np.clip(ratio, -1, 1), np.moveaxis(colour, 0, -1), share)
+def _sampled(length: int) -> NDArray[np.int64]:
+    """Return indices along a side of a frame: all, or those of a few pieces spread evenly."""
+    if length <= PIECE * PIECES:
+        return np.arange(length)
+    starts = np.linspace(0, length - PIECE, PIECES).astype(np.int64)
+    return (starts[:, None] + np.arange(PIECE)).ravel()
 
 
-def _means(slopes: _Slopes, inverse: NDArray[np.int64], count: int) -> _Slopes:
-    """Return the mean slopes of each of so many combinations of classes; `inverse` (row, col): that of each pixel."""
-    pixels = np.bincount(inverse.ravel(), minlength=count)
-
-    def mean(values: Array) -> Array:
-        return np.asarray(np.bincount(inverse.ravel(), values.ravel(), count) / pixels)
-
-    colour = np.stack([mean(slopes.colour[..., each]) for each in range(slopes.colour.shape[-1])], axis=-1)
-    return _Slopes(mean(slopes.ratio), colour, mean(slopes.share))
+def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which of `_sampled` indices lie away from seams of pieces and from the ends, where mirrored neighbours make
+    noise larger."""
+    seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
+    return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM)
 
 
-# -------------------------------------------------------------------------------------------------------- composition
+def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, measured: Array) -> tuple[Array, Array]:
+    """Return gains (class of the last layer, output) and factors (class of the first, output) by which, over the pixels of
+    each level, class within its site and class of the last layer, and of each kind of the first, the mean over the draws of
+    what classes (draw, row, col) and `spread` (draw, row, col) predict is what was `measured` (row, col, output)."""
+    layer, rule = table.layers[-1], table.first.rule
+    place, every = layer.rule.split(np.arange(len(layer.weights))), np.arange(len(layer.weights))
+    within = layer.rule.within_site(every)
+    kind = np.asarray(rule.split(np.arange(len(table.first.weights))).kind)
+    axes = [np.asarray(place.level), np.asarray(within if isinstance(layer, MosaicLayer) else within[1]), every]
+    cells = [each[last].reshape(len(last), -1) for each in axes]
+    if table.later:
+        cells.append(kind[first].reshape(len(first), -1))
+    spread, measured = spread.reshape(len(spread), -1, 1), measured.reshape(-1, measured.shape[-1]).astype(np.float64)
+    factors = [np.ones((int(cell.max()) + 1, measured.shape[1])) for cell in cells]
+    factors[0] *= measured.sum(axis=0) / spread.mean(axis=0).sum()
+    seen = [_summed(cell, np.broadcast_to(measured, (len(cell), *measured.shape))) for cell in cells]
+    prior = PRIOR * len(last) * measured.mean(axis=0)
+    predicted = spread * math.prod(factor[cell] for factor, cell in zip(factors, cells, strict=True))
+    for _ in range(ROUNDS):
+        for factor, cell, wanted in zip(factors, cells, seen, strict=True):
+            mean = np.broadcast_to(predicted.mean(axis=0), predicted.shape)
+            change = (wanted + prior) / (_summed(cell, mean) + prior)
+            factor *= change
+            predicted = predicted * change[cell]
+    gains = math.prod(_filled(factor, axis) for factor, axis in zip(factors, axes, strict=False))
+    return np.asarray(gains), _filled(factors[3], kind) if table.later else np.ones((1, 1))
 
 
-def _energies(kernels: _Kernels) -> Array:
-    """Return Σ t² over the taps of each channel, (combination, site, output, channel)."""
-    table, count = kernels.table, kernels.within[0].size
-    energies = np.empty((count, table.cfa.size, len(table.outputs), len(table.channels)))
-    for chosen in _batches(np.arange(count)):
-        made = composed(kernels, chosen)
-        window = window_channels(table.cfa, made.shape[-1])
-        member = (window[..., None] == np.arange(len(table.channels))).astype(np.float64)  # (site, tap, channel)
-        energies[chosen] = np.square(made).reshape(*made.shape[:3], -1) @ member[None]
-    return energies
+def _summed(cell: Labels, values: Array) -> Array:
+    """Return the sums (cell, output) of values (draw, pixel, output) by their cells (draw, pixel)."""
+    return np.stack([np.bincount(cell.ravel(), values[..., o].ravel()) for o in range(values.shape[-1])], axis=-1)
 
 
-def _batches(combinations: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Yield combinations a few at a time."""
-    return (combinations[start : start + AT_ONCE] for start in range(0, combinations.size, AT_ONCE))
+def _filled(factor: Array, cell: Labels) -> Array:
+    """Return the factors (class, output) of the cells (class); of those that no pixel was in, 1."""
+    return np.asarray(np.pad(factor, ((0, max(int(cell.max()) + 1 - len(factor), 0)), (0, 0)), constant_values=1.0)[cell])
 
 
-def composed(of: _Kernels, chosen: NDArray[np.int64]) -> Array:
-    """Return kernels (combination, site, output, row, col) on raw values in units of full scale, of chosen combinations."""
-    table, within = of.table, [each[chosen] for each in of.within]
-    slopes = of.slopes and _Slopes(of.slopes.ratio[chosen], of.slopes.colour[chosen], of.slopes.share[chosen])
-    first, period = table.first, table.cfa.shape
-    sites = np.arange(table.cfa.size)
-    kernels = first.weights[first.rule.on_site(within[0][:, None], sites)].astype(np.float64)
-    kernels = kernels.reshape(*kernels.shape[:3], first.rule.patch, first.rule.patch)
-    for number, layer in enumerate(table.later):
-        planes = np.einsum("nsokl,op->nspkl", kernels, opponent_basis(table.white_point), optimize=True)
-        place = layer.rule.split(within[1 + number])
-        last = slopes if number == len(table.later) - 1 else None
-        taps = _window_taps(layer, layer.rule.join(place.level[:, None], place.kind[:, None], sites), last)
-        size, side = kernels.shape[-1], taps.shape[-1]
-        flat = planes.reshape(*planes.shape[:3], -1)
-        kernels = np.zeros((*kernels.shape[:3], size + side - 1, size + side - 1))
-        for down, right in np.ndindex(side, side):
-            moved = _moved(period, down - side // 2, right - side // 2)
-            made = taps[..., down, right] @ flat[:, moved]
-            kernels[..., down : down + size, right : right + size] += made.reshape(*made.shape[:3], size, size)
-    return kernels
-
-
-def _moved(period: tuple[int, ...], down: int, right: int) -> NDArray[np.int64]:
-    """Return the site (site) so many pixels below and right of each."""
-    row, col = np.divmod(np.arange(period[0] * period[1]), period[1])
-    return np.asarray((row + down) % period[0] * period[1] + (col + right) % period[1])
-
-
-def _window_taps(layer: PlaneLayer, label: NDArray[np.int64], slopes: _Slopes | None) -> Array:
-    """Return the taps (combination, site, output, plane, row, col) of a layer's classes, with what its colour ratios and
-    coarse chroma add to first order."""
-    weights = layer.weights[label].astype(np.float64)
-    planes, side = weights.shape[2], layer.side
-    taps = weights[..., : layer.window_taps].reshape(*weights.shape[:3], planes, side, side).copy()
-    if slopes is None:
-        return taps
-    ratio = slopes.ratio[:, None, None, None, None]
-    for place, plane in enumerate(CHROMA[: layer.ratio_taps]):
-        weight = weights[..., layer.window_taps + place][..., None, None]
-        colour = slopes.colour[:, place][:, None, None, None, None]
-        taps[..., plane, :, :] += weight * ratio / side**2
-        taps[..., LUMINANCE, :, :] -= weight * colour * (1 + ratio) / side**2
-        taps[..., LUMINANCE, layer.radius, layer.radius] += (weight * colour)[..., 0, 0]
-    if layer.coarse_chroma:
-        wider = max(len(BLOCKS_READ) - side, 0) // 2
-        taps = np.pad(taps, [(0, 0)] * 4 + [(wider, wider)] * 2)
-        taken = np.pad(np.outer(BLOCKS_READ, BLOCKS_READ), max(side - len(BLOCKS_READ), 0) // 2)
-        for plane in CHROMA:
-            taps[:, :, plane, plane] -= slopes.share[:, None, None, None] * taken
-    return taps
+def _areas(deviations: Array) -> Array:
+    """Return how the means of tiles vary (tile, output), from deviations (draw, output, row, col)."""
+    areas = []
+    for side in TILES:
+        rows, cols = (length // side for length in deviations.shape[2:])
+        if rows * cols < FEWEST:
+            break
+        cut = deviations[..., : rows * side, : cols * side].reshape(*deviations.shape[:2], rows, side, cols, side)
+        areas.append(side**2 * np.square(cut.mean(axis=(3, 5))).mean(axis=(0, 2, 3)))
+    return np.array(areas) / areas[0]

@@ -1,36 +1,61 @@
-"""Uncertainty of outputs: the closed form beside what many noisy frames give, through one layer and two; regions; masks."""
+"""Uncertainty of outputs beside what many noisy frames give, through one layer and more; regions; masks."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import PlaneLayer, TransformTable
+from l3cli.classes.planes import opponent_basis
+from l3cli.classes.windows import window_channels
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame, upright
-from l3cli.rendering.renderer import make_renderer
+from l3cli.rendering.renderer import NoiseRenderer, make_renderer
 from l3cli.rendering.uncertainty import CLIPPED, UNTRAINED, Uncertainty, region, uncertainty, within_polygon
 from l3cli.simulation.sensor import expose
 from tests.helpers.cameras import BAYER, FIVE_BAND, random_camera
-from tests.helpers.tables import random_table, with_clipping, with_coarse_chroma, with_refinement, with_spectra
+from tests.helpers.tables import random_table, with_clipping, with_coarse_chroma, with_refinement
 
 SIDE, FRAMES = 48, 150
 
 
-def even_table(cfa: list[list[int]], layers: int) -> TransformTable:
-    """A table whose classes of a site have one transform: what noise does to classes then does not count."""
-    table = random_table(cfa)
+def even_table(cfa: list[list[int]], layers: int, of_contrast: float = 0.0) -> TransformTable:
+    """A table that answers plain areas alike at all sites, with random taps; the classes of a site have one transform, times
+    1 ± `of_contrast` by their contrast."""
+    table, rng = random_table(cfa, contrasts=(1.0,)), np.random.default_rng(5)
     channels = len(table.channels)
     camera = replace(random_camera(cfa, channels, 12, 0.0), rows=SIDE, cols=SIDE)
     table = replace(table, camera=replace(camera, black_level=table.black_level, white_level=table.white_level))
-    if layers == 2:
-        table = with_refinement(table, 3, ratios=True)
+    rule = table.first.rule
+    matrix, contrast = rng.uniform(0.1, 0.5, (3, channels)), rule.split(np.arange(rule.classes_per_site)).contrast
+    factor = 1 + of_contrast * np.where(contrast > 0, 1, -1)
+    sites = [factor[:, None, None] * taps_of(rng, matrix, window) for window in window_channels(table.cfa, rule.patch)]
+    first = replace(
+        table.first,
+        weights=np.concatenate(sites).astype(np.float32),
+        intercept=np.zeros_like(table.first.intercept),
+    )
+    table = replace(table, first=first)
+    if layers == 1:
+        return table
+    table = with_refinement(table, *[3] * (layers - 1), ratios=layers == 2)
+    back = np.linalg.inv(opponent_basis(table.white_point)).T
 
-    def evened(layer):  # type: ignore[no-untyped-def]
-        first = np.arange(len(layer.weights)) // layer.rule.classes_per_site * layer.rule.classes_per_site
-        return replace(layer, weights=layer.weights[first], intercept=layer.intercept[first])
+    def refining(layer: PlaneLayer) -> PlaneLayer:
+        weights = np.zeros_like(layer.weights)
+        weights[..., : layer.window_taps] = taps_of(rng, back, np.repeat(np.arange(3), layer.side**2))
+        weights[..., layer.window_taps :] = 0.1
+        return replace(layer, weights=weights)
 
-    return replace(table, first=evened(table.first), later=tuple(map(evened, table.later)))
+    return replace(table, later=tuple(map(refining, table.later)))
+
+
+def taps_of(rng: np.random.Generator, response: NDArray[np.floating], source: NDArray[np.integer]) -> NDArray[np.floating]:
+    """Return random taps (output, tap), those of each source (tap) of a sum `response` (output, source)."""
+    taps = rng.uniform(0.2, 1.8, (len(response), source.size))
+    sums = np.stack([taps[:, source == number].sum(axis=1) for number in range(response.shape[1])], axis=1)
+    return np.asarray(taps * (response / sums)[:, source])
 
 
 def noisy_frame(table: TransformTable, share: float, seed: int, orientation: int = 0) -> RawFrame:
@@ -42,34 +67,63 @@ def noisy_frame(table: TransformTable, share: float, seed: int, orientation: int
     return RawFrame("frame", values, camera.black_level, camera.white_level, orientation=orientation)
 
 
+def measured(outputs: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return the standard deviation (output) of outputs (frame, …, output) over the frames."""
+    deviations = outputs - outputs.mean(axis=0)
+    return deviations.std(axis=tuple(range(outputs.ndim - 1))) * np.sqrt(FRAMES / (FRAMES - 1))
+
+
 @pytest.mark.parametrize("cfa", [BAYER, FIVE_BAND], ids=["bayer", "five bands"])
 @pytest.mark.parametrize("layers", [1, 2])
-def test_closed_form_is_what_noisy_frames_give(cfa: list[list[int]], layers: int) -> None:
+def test_sigma_is_what_noisy_frames_give(cfa: list[list[int]], layers: int) -> None:
     """σ of every output within 4 %, of the mean of regions of 8×8 pixels within 6 %."""
     table = even_table(cfa, layers)
     renderer = make_renderer("opencl", table)
     for share in (0.02, 0.3):
         frames = [noisy_frame(table, share, seed) for seed in range(FRAMES)]
         outputs = np.array([np.moveaxis(renderer.outputs(frame), 0, -1) for frame in frames])[:, 8:-8, 8:-8]
-        found = uncertainty(table, frames[0], lambda each: make_renderer("opencl", each))
+        found = uncertainty(renderer, frames[0])
         assert (found.mask & CLIPPED == 0).all()
-        varying = (outputs - outputs.mean(axis=0)).std(axis=(0, 1, 2), ddof=1) * np.sqrt(FRAMES / (FRAMES - 1))
         predicted = np.sqrt((found.sigma[8:-8, 8:-8] ** 2).mean(axis=(0, 1)))
-        assert varying == pytest.approx(predicted, rel=0.04)
+        assert measured(outputs) == pytest.approx(predicted, rel=0.04)
         tiles = outputs.reshape(FRAMES, 4, 8, 4, 8, -1).mean(axis=(2, 4))
-        varying = (tiles - tiles.mean(axis=0)).std(axis=(0, 1, 2)) * np.sqrt(FRAMES / (FRAMES - 1))
         squares = [((r, c), (r, c + 7.5), (r + 7.5, c + 7.5), (r + 7.5, c)) for r in (8, 24) for c in (8, 16)]
         means = [region(np.moveaxis(renderer.outputs(frames[0]), 0, -1), found, square) for square in squares]
         assert {mean.pixels for mean in means} == {64}
-        assert varying == pytest.approx(np.sqrt(np.mean([mean.sigma**2 for mean in means], axis=0)), rel=0.06)
+        assert measured(tiles) == pytest.approx(np.sqrt(np.mean([mean.sigma**2 for mean in means], axis=0)), rel=0.06)
+
+
+def test_classes_that_noise_chooses_count() -> None:
+    """Where each of two classes is chosen at times, what tells them apart is noise, several times that of the values."""
+    even, chosen = even_table(BAYER, 1), even_table(BAYER, 1, of_contrast=0.01)
+    frames = [noisy_frame(chosen, 0.3, seed) for seed in range(FRAMES)]
+    sigmas = {}
+    for name, table in {"even": even, "chosen": chosen}.items():
+        renderer = make_renderer("opencl", table)
+        outputs = np.array([np.moveaxis(renderer.outputs(frame), 0, -1) for frame in frames])
+        maps = np.array([uncertainty(renderer, frame).sigma for frame in frames[:4]])
+        sigmas[name] = measured(outputs)
+        assert sigmas[name] == pytest.approx(maps.mean(axis=(0, 1, 2)), rel=0.06)
+    assert (sigmas["chosen"] > 2 * sigmas["even"]).all()
+
+
+def test_gains_of_a_scene_serve_its_other_frames() -> None:
+    table = even_table(BAYER, 3)
+    renderer = make_renderer("opencl", table)
+    first, other = (noisy_frame(table, 0.2, seed) for seed in (1, 2))
+    found = uncertainty(renderer, first)
+    like = uncertainty(renderer, other, found)
+    assert like.gains is found.gains
+    assert np.array_equal(uncertainty(renderer, first, found).sigma, found.sigma)
+    assert like.sigma.mean(axis=(0, 1)) == pytest.approx(uncertainty(renderer, other).sigma.mean(axis=(0, 1)), rel=0.05)
 
 
 def test_masks_name_what_was_not_trained() -> None:
     table = even_table(BAYER, 2)
     bright = noisy_frame(table, 2.0, 1)
-    assert (uncertainty(table, bright, lambda each: make_renderer("opencl", each)).mask & CLIPPED).all()
+    assert (uncertainty(make_renderer("opencl", table), bright).mask & CLIPPED).all()
     thin = replace(table, first=replace(table.first, samples=np.zeros_like(table.first.samples)))
-    found = uncertainty(thin, noisy_frame(thin, 0.3, 1), lambda each: make_renderer("opencl", each))
+    found = uncertainty(make_renderer("opencl", thin), noisy_frame(thin, 0.3, 1))
     assert (found.mask & UNTRAINED).all()
 
 
@@ -77,8 +131,8 @@ def test_masks_name_plain_areas_that_clipping_replaces() -> None:
     """Nothing clips there yet, and classes are those of unclipped pixels."""
     bare = with_coarse_chroma(even_table(BAYER, 2))
     near = noisy_frame(bare, 0.94 / 1.4, 1)
-    assert not (uncertainty(bare, near, lambda each: make_renderer("reference", each)).mask & CLIPPED).any()
-    found = uncertainty(with_clipping(bare), near, lambda each: make_renderer("reference", each))
+    assert not (uncertainty(make_renderer("reference", bare), near).mask & CLIPPED).any()
+    found = uncertainty(make_renderer("reference", with_clipping(bare)), near)
     assert (found.mask & CLIPPED).mean() > 0.9
 
 
@@ -88,7 +142,7 @@ def test_maps_are_upright_and_regions_are_those_of_the_picture() -> None:
     def of(orientation: int) -> Uncertainty:
         frame = noisy_frame(table, 0.1, 3, orientation)
         frame.values[:, : SIDE // 2] //= 4  # the left half is darker
-        return uncertainty(table, frame, lambda each: make_renderer("opencl", each))
+        return uncertainty(make_renderer("opencl", table), frame)
 
     lying, turned = of(0), of(6)
     assert np.array_equal(turned.sigma, upright(lying.sigma, 6))
@@ -97,18 +151,25 @@ def test_maps_are_upright_and_regions_are_those_of_the_picture() -> None:
     assert turned.of_mean(upright(inside, 6)) == pytest.approx(lying.of_mean(inside), rel=1e-9)
 
 
+def test_large_frames_are_sampled_and_noise_is_that_of_their_gain() -> None:
+    table = even_table(BAYER, 1)
+    small, size = noisy_frame(table, 0.1, 3), 12
+    large = replace(small, values=np.tile(small.values, (size, size)))
+    renderer = NoiseRenderer("opencl", table)
+    usual, many = (uncertainty(renderer.of_frame(frame), frame).sigma.mean(axis=(0, 1)) for frame in (small, large))
+    assert many == pytest.approx(usual, rel=0.03)
+    brighter = replace(small, gain=4.0)
+    assert (uncertainty(renderer.of_frame(brighter), brighter).sigma.mean(axis=(0, 1)) > 1.5 * usual).all()
+
+
 def test_what_is_not_known_is_refused() -> None:
     table = even_table(BAYER, 1)
-    frame = noisy_frame(table, 0.1, 3)
-    others = (
-        (replace(table, camera=None), "does not hold its camera"),
-        (with_refinement(table, 3, 3), "2 refinement layers"),
-        (with_spectra(replace(table, outputs=("a", "b", "c")), 3, 0.5), "smooths spectra"),
-    )
-    for other, words in others:
-        with pytest.raises(RecipeError, match=words):
-            uncertainty(other, frame, lambda each: make_renderer("opencl", each))
-    found = uncertainty(table, frame, lambda each: make_renderer("opencl", each))
+    frame, renderer = noisy_frame(table, 0.1, 3), make_renderer("opencl", table)
+    with pytest.raises(RecipeError, match="does not hold its camera"):
+        uncertainty(make_renderer("opencl", replace(table, camera=None)), frame)
+    with pytest.raises(RecipeError, match="smaller than 32×32"):
+        uncertainty(renderer, replace(frame, values=frame.values[:8]))
+    found = uncertainty(renderer, frame)
     for picture, corners, words in ((found.sigma[1:], [(0, 0)], "give one frame's"), (found.sigma, [(0, 0)], "no pixel")):
         with pytest.raises(RecipeError, match=words):
             region(picture, found, corners)

@@ -187,7 +187,12 @@ class OpenCLRenderer:
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
         """Return the class (row, col) of every pixel in a layer of the table."""
         labels = np.empty(frame.values.shape, np.uint32)
-        self._start(frame, [labels], None, layer=layer).end()
+        if self._layers and self._unread is not None and self._unread.are_of(frame):  # what rendered it is still there
+            work, track = Work(self.device, self.stages), self._unread.track
+            work.fetch(track.queue, track.refined_labels[layer - 1] if layer else track.labels, [labels])
+        else:
+            work = self._start(frame, [labels], None, layer=layer)
+        work.end()
         return labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:

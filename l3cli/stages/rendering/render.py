@@ -31,7 +31,7 @@ from l3cli.rendering.conditions import Mix, described, gains_of, mixed, nearest_
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.raw_checks import odd_exposure_time
-from l3cli.rendering.renderer import make_renderer
+from l3cli.rendering.renderer import NoiseRenderer
 from l3cli.rendering.rendition import Rendition, chosen_space, outputs_as_they_are
 from l3cli.rendering.temporal.chunks import Chunks, filters
 from l3cli.rendering.white.scene_white import far_from_training
@@ -91,9 +91,9 @@ def render(
         if options.uncertainty is not None and sequence.count != 1:
             raise RecipeError("‹uncertainty› is of one frame; name one, or leave it out")
         if options.uncertainty is not None:
-            from l3cli.rendering.uncertainty import require_closed_form  # which few frames need
+            from l3cli.rendering.uncertainty import require_known_noise  # which few frames need
 
-            require_closed_form(transforms)
+            require_known_noise(transforms)
         destination = paged(destination, sequence)
         _protected(sequence, guard)
         if sequence.missing and not options.skip_bad:
@@ -184,7 +184,7 @@ def write_uncertainty(
         raise InputFileError("the frame is missing, and so is its uncertainty")
     from l3cli.rendering.uncertainty import uncertainty
 
-    found = uncertainty(table, frame, lambda each: make_renderer(options.backend, each, False, **engine))
+    found = uncertainty(NoiseRenderer(options.backend, table, **engine).of_frame(frame), frame)
     pixels = np.concatenate([found.sigma, found.mask[..., None].astype(np.float32)], axis=2)
     names = (*(f"sigma.{name}" for name in table.outputs), "mask")
     write_picture(path, pixels, names)
