@@ -1,6 +1,8 @@
 """Scene moments, what scenes are to any array behind a lens and pixel; and a design, arrays with their predicted errors."""
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -11,93 +13,58 @@ from l3cli.artifacts.schema import Artifact, check, data, group
 
 SHARP, SOFT = slice(0, 3), slice(3, 6)  # of targets: X, Y, Z; the same, blurred as an eye sees chroma
 WEIGHTINGS = ("seen", "linear")
+SIDE = 7  # pixels of the neighbourhood that arrays are judged by
+KINDS = (("plain", "edge"), ("dark", "middle", "bright"), ("neutral", "orange", "green", "blue", "magenta"))
+GROUPS = tuple(map(" ".join, itertools.product(*KINDS)))  # of patches, by contrast, level and hue of their middle
 TIE = 0.02  # relative difference of errors that means nothing
+Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]  # headings and rows of a table
 
 
 @dataclass(frozen=True)
 class LightMoments:
     """Second moments of patches and targets under one light, summed over all patches.
 
-    A patch holds `terms` coefficients of each of its side × side taps, tap by tap; behind these stand the targets of its
+    A patch holds `terms` coefficients of each of its SIDE × SIDE taps, tap by tap; behind these stand the targets of its
     centre: X, Y, Z over those of white, the same blurred, and its coefficients before the lens.
     """
 
     illuminant: str = data("str", doc="name of the light")
-    basis: NDArray[np.float64] = data(
-        "float64", "wavelength", "term", unit="photons/s", doc="of a pixel and a step of the grid, white being 1 cd/m^2"
-    )
-    white_photons: NDArray[np.float64] = data(
-        "float64", "wavelength", unit="photons/s", doc="the same of a perfect white of 1 cd/m^2"
-    )
-    lost: float = data("float64", doc="share of the power of spectra that the terms leave out")
-    patches: NDArray[np.float64] = data("float64", "group", doc="patches of each group")
-    weight: NDArray[np.float64] = data("float64", "weighting", "group", doc="sum of squared weights")
+    basis: NDArray[np.float64] = data("float64", "wavelength", "term", unit="photons/s", doc="of a pixel, white 1 cd/m^2")
+    white_photons: NDArray[np.float64] = data("float64", "wavelength", unit="photons/s", doc="of a perfect white, 1 cd/m^2")
+    patches: NDArray[np.float64] = data("float64", "group", doc="patches by contrast, level and hue of their middle")
+    weight: NDArray[np.float64] = data("float64", "weighting", "group", doc="squared weights: (Y + 0.02)^(-4/3); linear 1")
     mean: NDArray[np.float64] = data("float64", "weighting", "group", "coefficient", doc="weighted sum of coefficients")
-    moment: NDArray[np.float64] = data(
-        "float64", "weighting", "group", "entry", "entry", doc="weighted sum of products of coefficients and targets"
-    )
+    moment: NDArray[np.float64] = data("float64", "weighting", "group", "entry", "entry", doc="of coefficients and targets")
 
     def __post_init__(self) -> None:
         check(self)
         entries = self.mean.shape[-1] + SOFT.stop + self.terms
-        if self.moment.shape[-2:] != (entries, entries):
-            raise ValueError("moments do not hold taps, targets and terms")
-        if not (self.patches.min(initial=0) >= 0 and self.patches.sum() > 0 and 0 <= self.lost < 1):
-            raise ValueError("moments are of no patches")
+        if self.moment.shape[-2:] != (entries, entries) or not self.patches.sum() > 0:
+            raise ValueError("moments do not hold taps, targets and terms of patches")
 
     @property
     def terms(self) -> int:
         return self.basis.shape[1]
 
-    @property
-    def share(self) -> NDArray[np.float64]:
-        """Return the share (group) of the patches."""
-        return np.asarray(self.patches / self.patches.sum())
-
 
 @dataclass(frozen=True)
 class SceneMoments(Artifact):
-    """Second moments of scenes behind one lens and pixel, whatever its filters (docs/arrays.md#design)."""
+    """Second moments of scenes behind one lens and pixel, whatever its filters (docs/arrays.md#which-array)."""
 
     kind: ClassVar[str] = "scene moments"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     made_by: ClassVar[str] = '"l3 design moments"'
 
     pixel_pitch: float = data("float64", unit="m", doc="distance of pixel centres")
     f_number: float = data("float64", doc="of the lens")
-    side: int = data("int64", unit="pixel", doc="side of a patch")
     wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="grid of filters")
-    level_edge: NDArray[np.float64] = data(
-        "float64", "level_edge", doc="of groups: mean luminance of 5x5 pixels over white", coordinate=True
-    )
-    contrast_edge: NDArray[np.float64] = data(
-        "float64", "contrast_edge", doc="of groups: standard deviation of these over their mean", coordinate=True
-    )
-    weightings: tuple[str, ...] = data("str", "weighting", doc="seen: of a patch (Y + 0.02)^(-2/3); linear: 1")
     light: tuple[LightMoments, ...] = group()
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        groups = (self.level_edge.size + 1) * (self.contrast_edge.size + 1)
-        taps = self.side**2
-        for each in self.light:
-            if each.patches.size != groups or each.mean.shape[-1] != taps * each.terms:
-                raise ValueError("moments do not fit their groups or the side of a patch")
-        if not (self.light and self.side % 2 and self.pixel_pitch > 0 and self.f_number > 0):
-            raise ValueError("moments need a light, an odd side, a pixel and a lens")
-        if self.weightings != WEIGHTINGS:
-            raise ValueError(f"weightings are not {', '.join(WEIGHTINGS)}")
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """Return the names of the groups, in order."""
-        levels = _named(self.level_edge, ("dark", "middle", "bright"))
-        contrasts = _named(self.contrast_edge, ("plain", "texture", "edge"))
-        return tuple(f"{level} {contrast}" for contrast in contrasts for level in levels)
-
-
-def _named(edges: NDArray[np.float64], names: tuple[str, ...]) -> list[str]:
-    return list(names) if len(edges) + 1 == len(names) else [f"{number + 1}" for number in range(len(edges) + 1)]
+        fit = [each.patches.size == len(GROUPS) and each.mean.shape[-1] == SIDE**2 * each.terms for each in self.light]
+        if not (fit and all(fit) and self.pixel_pitch > 0 and self.f_number > 0):
+            raise ValueError("moments are of other groups or patches than this l3 gathers; gather them again")
 
 
 @dataclass(frozen=True)
@@ -113,7 +80,16 @@ class Tuned:
     before: NDArray[np.float64] = data("float64", "level", doc="predicted error with the given filters")
     after: NDArray[np.float64] = data("float64", "level", doc="with the tuned ones")
     bayer: NDArray[np.float64] = data("float64", "level", doc="of the best Bayer array of the tuned filters")
-    ends: NDArray[np.float64] = data("float64", "start", doc="error over all levels that each start came to")
+
+    def words(self, levels: Sequence[str]) -> list[str]:
+        """Return a sentence of the tuned filters, and one a level of what they gain there."""
+        rows = zip(self.tuned_filters, self.parameters, strict=True)
+        filters = ", ".join(
+            f"{name} {centre:.0f} nm σ {sigma:.0f} nm peak {peak:.2f}" for name, (centre, sigma, peak) in rows
+        )
+        gains = zip(levels, self.before, self.after, self.bayer, strict=True)
+        lines = [f"{level}: {old:.3f} → {new:.3f}; Bayer of the tuned filters {own:.3f}." for level, old, new, own in gains]
+        return [f"filters of {self.pattern}, tuned: {filters}.", *lines]
 
 
 @dataclass(frozen=True)
@@ -143,11 +119,23 @@ class Truth:
         differ = (np.abs(expected) > TIE) & (np.abs(measured) > TIE)
         return float((expected * measured > 0)[differ].mean()) if differ.any() else float("nan")
 
-    def in_words(self, level: int, figure: int = 0) -> str:
-        """Return both as a sentence's part."""
-        share = self.in_order(level, figure)
-        pairs = f", {share:.0%} of the pairs beyond {TIE:.0%} in order" if np.isfinite(share) else ""
-        return f"{self.correlation(level, figure):.2f}{pairs}"
+    def table(self, levels: Sequence[str]) -> Rows:
+        """Return the trained arrays, predicted errors beside measured ones."""
+        headings = (*(f"{level}\n{what}" for level in levels for what in ("predicted", "ΔE00")), "array")
+        both = np.stack([self.expected, self.measured[..., 0]], axis=-1).reshape(len(self.trained), -1)
+        return headings, tuple(
+            (*(f"{value:.2f}" for value in row), name) for name, row in zip(self.trained, both, strict=True)
+        )
+
+    def agreement(self, levels: Sequence[str]) -> list[str]:
+        """Return a sentence a level: how the prediction ranks the arrays by each figure, and how many pairs are in order."""
+        lines = []
+        for place, level in enumerate(levels):
+            shares = [self.in_order(place, number) for number in range(len(self.figures))]
+            pairs = [f" ({share:.0%})" if np.isfinite(share) else "" for share in shares]
+            ranks = [f"{each} {self.correlation(place, n):.2f}{pairs[n]}" for n, each in enumerate(self.figures)]
+            lines.append(f"{level}: rank correlation (pairs beyond {TIE:.0%} in order) {', '.join(ranks)}.")
+        return lines
 
     def _logarithms(self, level: int, figure: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the logarithms (trained) of predicted and measured errors."""
@@ -173,26 +161,20 @@ class Design(Artifact):
     unit: str = data("str", doc="of errors")
     wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="grid of filters")
     filters: tuple[str, ...] = data("str", "filter", doc="names of the library's filters")
-    efficiency: NDArray[np.float64] = data(
-        "float64", "filter", "wavelength", unit="e-/photon", doc="lens and pixel included"
-    )
+    efficiency: NDArray[np.float64] = data("float64", "filter", "wavelength", unit="e-/photon", doc="lens included")
     levels: tuple[str, ...] = data("str", "level", doc="lights and exposures that arrays are judged at")
     groups: tuple[str, ...] = data("str", "group", doc="kinds of patches")
     share: NDArray[np.float64] = data("float64", "level", "group", doc="share of the patches")
     tried: int = data("int64", doc="arrays that were judged")
     patterns: tuple[str, ...] = data("str", "candidate", doc="arrays, best first: rows of names, divided by /")
     error: NDArray[np.float64] = data("float64", "candidate", "level", "group", doc="predicted error, mean over sites")
-    dyes: NDArray[np.float64] = data(
-        "float64", "candidate", "level", doc="predicted error of the best Bayer array of the same filters; 0: there is none"
-    )
+    dyes: NDArray[np.float64] = data("float64", "candidate", "level", doc="of the best Bayer array of its filters; 0: none")
     bayer: int = data("int64", doc="place among the candidates of the best Bayer array of the library; -1: there is none")
-    sensitivity: NDArray[np.float64] = data(
-        "float64", "filter", doc="relative change of the best array's error if a filter lies 5 nm off, the larger of both"
-    )
+    sensitivity: NDArray[np.float64] = data("float64", "filter", doc="relative change of the best array's, 5 nm off")
     dose: NDArray[np.float64] = data("float64", "dose", unit="cd s/m^2", doc="luminance of white x time", coordinate=True)
     mapped: tuple[str, ...] = data("str", "mapped", doc="arrays: the best, Bayer, the best of each level")
     map_error: NDArray[np.float64] = data("float64", "mapped", "dose", doc="predicted error under the first level's light")
-    pixel: CameraModel | None = group(default=None)  # sensor, noise and lens; its array does not count
+    pixel: CameraModel = group()  # sensor, noise and lens; its array does not count
     tuned: Tuned | None = group(default=None)
     truth: Truth | None = group(default=None)
 
@@ -218,44 +200,79 @@ class Design(Artifact):
             return self.tuned.pattern, self.tuned.tuned_efficiency
         return self.patterns[0], self.efficiency
 
+    def best(self, most: int) -> list[int]:
+        """Return the places of the best arrays, and Bayer's."""
+        return list(dict.fromkeys([*range(min(most, len(self.patterns))), *([self.bayer] if self.bayer >= 0 else [])]))
+
     @property
-    def ties(self) -> NDArray[np.bool_]:
-        """Return which arrays (candidate) beside the best are as good, within TIE."""
-        return np.asarray((self.score <= self.score[0] * (1 + TIE)) & (np.arange(len(self.score)) > 0))
+    def caption(self) -> str:
+        """Return what the table shows."""
+        ties = f"=: within {TIE:.0%} of the best"
+        return f"{self.tried} arrays, predicted error ({self.unit}); {ties}; to Bayer of the same filters"
+
+    def table(self, most: int) -> Rows:
+        """Return the best arrays, and Bayer's: rank (=: a tie with the best), errors, their change from Bayer of the same
+        filters."""
+        headings = ("", *self.levels, *(f"{level}\nto Bayer" for level in self.levels), "array")
+        rows = []
+        for place in self.best(most):
+            tie = "=" if place > 0 and self.score[place] <= self.score[0] * (1 + TIE) else ""
+            array = f"{self.patterns[place]}{' (Bayer)' if place == self.bayer else ''}"
+            errors, own = self.predicted[place], self.dyes[place]
+            changes = (f"{100 * (error / of - 1):+.1f} %" if of > 0 else "–" for error, of in zip(errors, own, strict=True))
+            rows.append((f"{place + 1}{tie}", *(f"{error:.3f}" for error in errors), *changes, array))
+        return headings, tuple(rows)
 
     @property
     def verdict(self) -> list[str]:
         """Return a sentence a level: what beats Bayer's array there, by how much, and how much of it the filters alone."""
         lines = []
-        for place, level in enumerate(self.levels):
-            errors = self.predicted[:, place]
-            best = int(errors.argmin())
+        for place, (level, errors) in enumerate(zip(self.levels, self.predicted.T, strict=True)):
+            best, rival = int(errors.argmin()), self.patterns[self.bayer]
+            least, bayer, own = errors[best], errors[self.bayer], self.dyes[best, place]
             if self.bayer < 0:
-                lines.append(f"{level}: {self.patterns[best]}, {errors[best]:.2f} {self.unit}.")
-                continue
-            bayer, own = errors[self.bayer], self.dyes[best, place]
-            if errors[best] > bayer * (1 - TIE):
-                lines.append(f"{level}: nothing beats {self.patterns[self.bayer]} (Bayer) by more than {TIE:.0%}.")
-                continue
-            gain = f"{bayer - errors[best]:.2f} {self.unit} ({1 - errors[best] / bayer:.0%})"
-            filters = min(max((bayer - own) / (bayer - errors[best]), 0), 1) if own else 0.0
-            most = f"; its filters in Bayer's array make {filters:.0%} of that" if filters else ""
-            lines.append(f"{level}: {self.patterns[best]} beats {self.patterns[self.bayer]} (Bayer) by {gain}{most}.")
+                lines.append(f"{level}: {self.patterns[best]}, {least:.2f} {self.unit}.")
+            elif least > bayer * (1 - TIE):
+                lines.append(f"{level}: nothing beats {rival} (Bayer) by more than {TIE:.0%}.")
+            else:
+                filters = min(max((bayer - own) / (bayer - least), 0), 1) if own else 0.0
+                most = f"; its filters in Bayer's array make {filters:.0%} of that" if filters else ""
+                gain = f"{bayer - least:.2f} {self.unit} ({1 - least / bayer:.0%})"
+                lines.append(f"{level}: {self.patterns[best]} beats {rival} (Bayer) by {gain}{most}.")
         return lines
 
     @property
     def crossings(self) -> list[str]:
         """Return a sentence on each array of the map that Bayer's overtakes, or that overtakes it, as light grows."""
-        if self.bayer < 0:
-            return []
-        bayer = self.map_error[self.mapped.index(self.patterns[self.bayer])]
-        lines = []
-        for name, errors in zip(self.mapped, self.map_error, strict=True):
-            over = errors / bayer - 1
-            sign = np.sign(over)
-            for at in np.flatnonzero(sign[1:] * sign[:-1] < 0):
-                if min(np.abs(over[: at + 1]).max(), np.abs(over[at + 1 :]).max()) < TIE:
-                    continue
-                below, above = (name, "Bayer") if sign[at] < 0 else ("Bayer", name)
-                lines.append(f"Below {self.dose[at]:.2g}–{self.dose[at + 1]:.2g} cd s/m² {below}, above {above}.")
+        lines: list[str] = []
+        bayer = self.map_error[[self.mapped.index(self.patterns[self.bayer])]] if self.bayer >= 0 else self.map_error
+        for name, over in zip(self.mapped, self.map_error / bayer - 1, strict=True):
+            for at in np.flatnonzero(over[1:] * over[:-1] < 0):
+                if min(np.abs(over[: at + 1]).max(), np.abs(over[at + 1 :]).max()) >= TIE:
+                    below, above = (name, "Bayer") if over[at] < 0 else ("Bayer", name)
+                    lines.append(f"Below {self.dose[at]:.2g}–{self.dose[at + 1]:.2g} cd s/m² {below}, above {above}.")
         return lines
+
+    def camera(self, pattern: str, efficiency: NDArray[np.float64]) -> CameraModel:
+        """Return the pixel with an array, rows of names, of filters (filter, wavelength)."""
+        cfa = sites(pattern, self.filters)
+        used = np.unique(cfa)
+        return replace(
+            self.pixel,
+            name=pattern,
+            channels=tuple(self.filters[each] for each in used),
+            cfa=np.searchsorted(used, cfa).astype(np.uint8),
+            wavelength=self.wavelength,
+            responsivity=efficiency[used],
+            responsivity_band=np.zeros_like(efficiency[used]),
+        )
+
+
+def shown(cfa: NDArray[np.integer], names: Sequence[str]) -> str:
+    """Return an array (row, col) of numbers of filters as text, rows of names divided by /."""
+    return " / ".join(" ".join(names[site] for site in row) for row in cfa)
+
+
+def sites(pattern: str, names: Sequence[str]) -> NDArray[np.intp]:
+    """Return the array (row, col) of numbers of filters that a text shows."""
+    return np.array([[names.index(name) for name in row.split()] for row in pattern.split("/")])

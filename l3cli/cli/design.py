@@ -36,8 +36,8 @@ def moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -
     from l3cli.stages.design.moments import gather_moments
 
     made = gather_moments(scenes, camera, output, options)
-    lights = {each.illuminant: {"spectra": each.terms, "lost": each.lost} for each in made.light}
-    return Result({"moments": str(output), "patches": int(made.light[0].patches.sum()), "lights": lights})
+    lights = {each.illuminant: each.terms for each in made.light}
+    return Result({"moments": str(output), "patches": int(made.light[0].patches.sum()), "spectra": lights})
 
 
 class _WithMoments(click.Command):
@@ -70,55 +70,18 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> Result:
 
 
 def _document(made: "Design") -> dict[str, Any]:
-    predicted, dyes = made.predicted, made.dyes
     arrays = [
-        {"array": pattern, "error": predicted[place].tolist(), "bayer_of_its_filters": dyes[place].tolist()}
-        for place, pattern in enumerate(made.patterns)
+        {"array": pattern, "error": error.tolist(), "bayer_of_its_filters": own.tolist()}
+        for pattern, error, own in zip(made.patterns, made.predicted, made.dyes, strict=True)
     ]
-    return {
-        "tried": made.tried,
-        "levels": list(made.levels),
-        "unit": made.unit,
-        "bayer": made.bayer,
-        "arrays": arrays,
-        "verdict": made.verdict,
-    }
+    facts = {"tried": made.tried, "levels": list(made.levels), "unit": made.unit, "bayer": made.bayer}
+    return {**facts, "arrays": arrays, "verdict": made.verdict}
 
 
 def _text(made: "Design") -> None:
-    from l3cli.artifacts.design import TIE, overall
-
-    predicted, score, rows = made.predicted, made.score, []
-    places = [*range(min(SHOWN, len(score))), *([made.bayer] if made.bayer >= SHOWN else [])]
-    for place in places:
-        dyes = made.dyes[place]
-        to_bayer = "–" if dyes.min() <= 0 else f"{100 * (score[place] / overall(dyes) - 1):+.1f} %"
-        name = f"{made.patterns[place]}{' (Bayer)' if place == made.bayer else ''}"
-        rank = f"{place + 1}{'=' if made.ties[place] else ''}"
-        rows.append([rank, *(f"{error:.3f}" for error in predicted[place]), to_bayer, name])
-    title = [f"{made.tried} arrays, predicted error ({made.unit}); =: within {TIE:.0%} of the best"]
-    show_table(title, ["", *made.levels, "to Bayer", "array"], rows, *made.verdict, *made.crossings)
-    _more(made)
-
-
-def _more(made: "Design") -> None:
-    """Print the tuned filters, and the arrays that were trained."""
-    if tuned := made.tuned:
-        named = zip(tuned.tuned_filters, tuned.parameters, strict=True)
-        rows = [[name, *(f"{each:.3g}" for each in row)] for name, row in named]
-        errors = [
-            f"{level}: {before:.3f} → {after:.3f}; Bayer of the tuned filters {bayer:.3f}"
-            for level, before, after, bayer in zip(made.levels, tuned.before, tuned.after, tuned.bayer, strict=True)
-        ]
-        show_table([f"filters of {tuned.pattern}, tuned"], ["", "centre nm", "σ nm", "peak"], rows, *errors)
+    tuned = made.tuned.words(made.levels) if made.tuned else []
+    show_table([made.caption], *made.table(SHOWN), *made.verdict, *made.crossings, *tuned)
     if truth := made.truth:
-        headings = [f"{level}\n{what}" for level in made.levels for what in ("predicted", "ΔE00")]
-        rows = [
-            [*(f"{value:.2f}" for pair in zip(expected, measured[:, 0], strict=True) for value in pair), name]
-            for name, expected, measured in zip(truth.trained, truth.expected, truth.measured, strict=True)
-        ]
-        ranks = []
-        for place, level in enumerate(made.levels):
-            each = [f"{figure} {truth.in_words(place, number)}" for number, figure in enumerate(truth.figures)]
-            ranks.append(f"{level}: rank correlation with {'; '.join(each)}")
-        show_table(["trained and judged on the same unseen scenes"], [*headings, "array"], rows, *ranks)
+        show_table(
+            ["trained and judged on the same unseen scenes"], *truth.table(made.levels), *truth.agreement(made.levels)
+        )

@@ -1,45 +1,31 @@
 """The pixel of a design recipe: sensor, noise and lens of a camera, whatever its array."""
 
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
+import msgspec
 
 from l3cli.artifacts.camera import CameraModel, Optics
-from l3cli.artifacts.camera_recipe import camera_files, load_camera
-from l3cli.design.error import Cfa
-from l3cli.design.recipe import DesignRecipe, PixelRecipe, shown
+from l3cli.artifacts.camera_recipe import CfaRecipe, NoiseRecipe, OpticsRecipe, SensorRecipe, camera_files, load_camera
+from l3cli.design.recipe import DesignRecipe, PixelRecipe
 from l3cli.errors import RecipeError
 from l3cli.recipes.builtin import CURVES, find_recipe
 from l3cli.recipes.toml import KIND_KEYS, load_recipe, parse_toml, read_text, toml_value
 from l3cli.system.text import printable
 
-Array = NDArray[np.float64]
-
-
-def pixel_camera(path: Path) -> CameraModel:
-    """Return the camera of a file, or one with the pixel of a design recipe."""
-    if is_design(path):
-        recipe = load_recipe(path, DesignRecipe)
-        return pixel_of(recipe.pixel, path.parent)
-    return dataclasses.replace(load_camera(path), readout=None)
-
 
 def is_design(path: Path) -> bool:
     """Return whether a file is a design recipe."""
-    if path.suffix != ".toml":
-        return False
-    content = parse_toml(read_text(path), str(path))
-    return any(key in content for key in KIND_KEYS[DesignRecipe.title])
+    keys = KIND_KEYS[DesignRecipe.title]
+    return path.suffix == ".toml" and any(key in parse_toml(read_text(path), str(path)) for key in keys)
 
 
-def pixel_files(path: Path) -> list[Path]:
-    """Return the files that `pixel_camera` reads."""
-    if is_design(path):
-        return [path, *camera_files(base_camera(load_recipe(path, DesignRecipe).pixel, path.parent))]
-    return camera_files(path)
+def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
+    """Return the camera of a file, or one with the pixel of a design recipe, and the files that it is read from."""
+    if not is_design(path):
+        return dataclasses.replace(load_camera(path), readout=None), camera_files(path)
+    pixel = load_recipe(path, DesignRecipe).pixel
+    return pixel_of(pixel, path.parent), [path, *camera_files(base_camera(pixel, path.parent))]
 
 
 def base_camera(pixel: PixelRecipe, folder: Path) -> Path:
@@ -55,10 +41,9 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
         raise RecipeError(
             f"pixel.camera: {base.name} has only a relative responsivity; give one of known quantum efficiency"
         )
-    noise, optics = base.noise, base.optics
+    noise, optics, gain = base.noise, base.optics, base.gain
     if pixel.read_noise_e is not None:
         noise = dataclasses.replace(noise, read_noise=pixel.read_noise_e)
-    gain = base.gain
     if pixel.well_e is not None:
         noise, gain = dataclasses.replace(noise, well_capacity=pixel.well_e), gain * base.full_scale / pixel.well_e
     if pixel.f_number is not None:
@@ -67,61 +52,22 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
     return dataclasses.replace(base, noise=noise, gain=gain, optics=optics, pixel_pitch=pitch, readout=None, fit=None)
 
 
-def camera_with(pixel: CameraModel, cfa: Cfa, names: Sequence[str], wavelength: Array, curves: Array) -> CameraModel:
-    """Return the camera of a pixel with an array of some filters of a library, whose `curves` are (filter, wavelength)."""
-    used = np.unique(cfa)
-    return dataclasses.replace(
-        pixel,
-        name=shown(cfa, names),
-        channels=tuple(names[each] for each in used),
-        cfa=np.searchsorted(used, cfa).astype(np.uint8),
-        wavelength=wavelength,
-        responsivity=curves[used],
-        responsivity_band=np.zeros_like(curves[used]),
-    )
-
-
 def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
     """Return the recipe of a camera without a readout, and the curves that it names, by file."""
     noise, optics = camera.noise, camera.optics
-    rows = "\n".join(f'  "{" ".join(camera.channels[site] for site in row)}",' for row in camera.cfa)
-    recipe = f"""\
-# {printable(origin)}
-name = {toml_value(camera.name)}
-
-[sensor]
-rows = {camera.rows}
-cols = {camera.cols}
-pixel_pitch_um = {camera.pixel_pitch * 1e6:.6g}
-bits = {camera.bits}
-gain_dn_per_e = {camera.gain:.6g}
-black_level_dn = {camera.black_level:.6g}
-white_level_dn = {camera.white_level:.6g}
-fixed_pattern_seed = {camera.fixed_pattern_seed}
-
-[cfa]
-channels = {toml_value(camera.channels)}
-pattern = [
-{rows}
-]
-
-[responsivity]
-file = "{CURVES}"
-
-[noise]
-read_noise_e = {noise.read_noise:.6g}
-dark_current_e_per_s = {noise.dark_current:.6g}
-dsnu_e = {noise.dsnu:.6g}
-prnu = {noise.prnu:.6g}
-column_noise_e = {noise.column_noise:.6g}
-well_capacity_e = {noise.well_capacity:.6g}
-
-[optics]
-focal_length_mm = {optics.focal_length * 1e3:.6g}
-f_number = {optics.f_number:.6g}
-object_distance_m = {optics.object_distance:.6g}
-"""
-    heading = ",".join(["wavelength_nm", *(f"{name} (e-/photon)" for name in camera.channels)])
-    grid = zip(camera.wavelength, camera.responsivity.T, strict=True)
-    lines = [f"{at:g}," + ",".join(f"{value:.6f}" for value in row) for at, row in grid]
-    return {"camera.toml": recipe, CURVES: "\n".join([heading, *lines]) + "\n"}
+    pitch, rows = round(camera.pixel_pitch * 1e6, 6), [[camera.channels[site] for site in row] for row in camera.cfa]
+    levels = (camera.bits, camera.gain, camera.black_level, camera.white_level, camera.fixed_pattern_seed)
+    dark = (noise.read_noise, noise.dark_current, noise.dsnu, noise.prnu, noise.column_noise)
+    tables = {
+        "sensor": SensorRecipe(camera.rows, camera.cols, pitch, *levels),
+        "cfa": CfaRecipe(list(camera.channels), [" ".join(row) for row in rows]),
+        "noise": NoiseRecipe(noise.well_capacity, *dark),
+        "optics": OpticsRecipe(round(optics.focal_length * 1e3, 9), optics.f_number, optics.object_distance),
+    }
+    recipe = [f"# {printable(origin)}", f"name = {toml_value(camera.name)}", f'responsivity = {{ file = "{CURVES}" }}']
+    for name, table in tables.items():
+        recipe += ["", f"[{name}]", *(f"{key} = {toml_value(each)}" for key, each in msgspec.structs.asdict(table).items())]
+    curves = [",".join(["wavelength_nm", *(f"{name} (e-/photon)" for name in camera.channels)])]
+    for at, row in zip(camera.wavelength, camera.responsivity.T, strict=True):
+        curves.append(f"{at:g}," + ",".join(f"{value:.6f}" for value in row))
+    return {"camera.toml": "\n".join(recipe) + "\n", CURVES: "\n".join(curves) + "\n"}

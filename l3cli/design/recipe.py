@@ -1,6 +1,6 @@
 """DESIGN.toml: pixel, filters, arrays to try, lights and exposures, and what counts."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.errors import RecipeError, listed, suggestion
+from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
-from l3cli.recipes.faults import Fault, fault
-from l3cli.recipes.toml import Count, Positive, Recipe, Share
+from l3cli.recipes.faults import Fault, fault, inside
+from l3cli.recipes.toml import Count, KeyPath, Positive, Recipe, Share
 from l3cli.spectra.file import read_table
 
 MOST_FILTERS, MOST_SIDE = 16, 8
@@ -52,8 +52,6 @@ class PatternRecipe(Recipe):
     filters: list[str] = msgspec.field(default_factory=list)  # that may stand in it; default: all
     counts: dict[str, Count] | None = None  # filter → how many of the sites
     arrays: list[list[str]] = msgspec.field(default_factory=list)  # each as rows of names, separated by spaces
-    steps: Count = 1500  # of annealing, where there are too many arrays to try all
-    runs: Count = 2  # of it, from random arrays
 
 
 class LevelRecipe(Recipe):
@@ -68,22 +66,10 @@ class LevelRecipe(Recipe):
 
 
 class OptimiseRecipe(Recipe):
-    """Filters that are tuned for one array: centres, widths and, with `peaks`, heights of Gaussians."""
+    """An array whose Gaussians are tuned: centres, widths and, with `peaks`, heights."""
 
     pattern: list[str]  # rows of names
-    filters: list[str] = msgspec.field(default_factory=list)  # default: all Gaussians in it
     peaks: bool = False
-    starts: Count = 4  # the first from the filters as given
-
-
-class TruthRecipe(Recipe):
-    """Arrays that are trained and judged on the same unseen scenes, beside their predicted errors."""
-
-    arrays: Count = 10  # the best ones; Bayer's of the library always
-    rivals: list[list[str]] = msgspec.field(default_factory=list)  # further arrays, rows of names
-    classes: str = "single"  # class recipe, of those that come with l3
-    leaves: Count = 24  # training scenes; a tenth as many charts
-    patterned: Share = 0.0  # share of leaves with fine patterns
 
 
 class DesignRecipe(Recipe):
@@ -100,7 +86,7 @@ class DesignRecipe(Recipe):
     # of XYZ: "lab" about ΔE00; "scielab" with chroma as coarse as eyes see it; "luminance" alone; "linear" in % of white
     counts: Literal["lab", "scielab", "luminance", "linear"] = "lab"
     optimise: OptimiseRecipe | None = None
-    truth: TruthRecipe | None = None
+    rivals: list[list[str]] = msgspec.field(default_factory=list)  # arrays that --truth trains too, rows of names
 
     @property
     def needed(self) -> int:
@@ -109,108 +95,94 @@ class DesignRecipe(Recipe):
             return min(2, len(self.filters))
         return 1 if self.counts == "luminance" else 3
 
+    @property
+    def tuned(self) -> list[str]:
+        """Return the names of the filters that are tuned."""
+        used = {name for row in (self.optimise.pattern if self.optimise else []) for name in row.split()}
+        return [name for name, one in self.filters.items() if name in used and one.centre_nm is not None]
 
-def sites_of(rows: list[str]) -> list[list[str]]:
-    """Return the names of filters of an array."""
-    return [row.split() for row in rows]
 
-
-def shown(cfa: NDArray[np.integer], names: Sequence[str]) -> str:
-    """Return an array (row, col) of numbers of filters as text, rows of names divided by /."""
-    return " / ".join(" ".join(names[site] for site in row) for row in cfa)
+# ------------------------------------------------------------------------------------------------------- faults
 
 
 def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
     """Yield all that cannot be of a design recipe, beside the content of files."""
-    for key, empty in {"filters": not recipe.filters, "pattern": not recipe.pattern, "level": not recipe.level}.items():
-        if empty:
-            yield fault(f"{key} must have an entry", key)
+    for required in ("filters", "pattern", "level"):
+        if not getattr(recipe, required):
+            yield fault(f"{required} must have an entry", required)
     if len(recipe.filters) > MOST_FILTERS:
         yield fault(f"{len(recipe.filters)} filters; a library holds {MOST_FILTERS} at most", "filters")
     for name, one in recipe.filters.items():
-        yield from _filter_faults(name, one, recipe.filters)
+        yield from inside(_filter_faults(name, one, recipe.filters), "filters", name)
+    arrays: list[tuple[str, KeyPath, list[str]]] = []
     for number, pattern in enumerate(recipe.pattern):
-        yield from _pattern_faults(pattern, recipe, ("pattern", number))
+        where, table = f"pattern {number + 1}", ("pattern", number)
+        yield from inside(_pattern_faults(where, pattern, recipe.filters), *table)
+        arrays += [(f"{where}: array {n + 1}", (*table, "arrays", n), rows) for n, rows in enumerate(pattern.arrays)]
     for number, level in enumerate(recipe.level):
-        yield from _level_faults(level, f"level {number + 1}", ("level", number))
-    for number, array in enumerate(recipe.truth.rivals if recipe.truth else []):
-        where = ("truth", "rivals", number)
-        yield from _array_faults(array, recipe.filters, f"truth.rivals: array {number + 1}", where)
+        yield from inside(_level_faults(f"level {number + 1}", level), "level", number)
+    arrays += [(f"rivals: array {number + 1}", ("rivals", number), rows) for number, rows in enumerate(recipe.rivals)]
     if recipe.optimise is not None:
-        yield from _array_faults(recipe.optimise.pattern, recipe.filters, "optimise.pattern", ("optimise", "pattern"))
-        used = {name for row in sites_of(recipe.optimise.pattern) for name in row}
-        chosen = tuned_filters(recipe.optimise, recipe.filters)
-        for name in chosen:
-            if name not in used or name not in recipe.filters or recipe.filters[name].centre_nm is None:
-                yield fault(f'optimise.filters: "{name}" is not a Gaussian of optimise.pattern', "optimise.filters")
-        if not chosen:
+        arrays.append(("optimise.pattern", ("optimise", "pattern"), recipe.optimise.pattern))
+        if not recipe.tuned:
             yield fault("optimise.pattern has no filter with centre_nm, and only Gaussians are tuned", "optimise.pattern")
+    for where, key, rows in arrays:
+        yield from inside(_array_faults(where, rows, recipe.filters), *key)
 
 
-def tuned_filters(asked: OptimiseRecipe, known: Mapping[str, FilterRecipe]) -> list[str]:
-    """Return the names of the filters that are tuned."""
-    used = {name for row in sites_of(asked.pattern) for name in row}
-    return asked.filters or [name for name, one in known.items() if name in used and one.centre_nm is not None]
+WHOLE: KeyPath = ()  # the table itself
 
 
 def _filter_faults(name: str, one: FilterRecipe, known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
-    key = ("filters", name)
     kinds = [each for each in ("centre_nm", "file", "stack", "channel") if getattr(one, each) is not None]
     if " " in name or "/" in name or not name:
-        yield fault(f'filter "{name}": a name has neither blanks nor /', key)
+        yield fault(f'filter "{name}": a name has neither blanks nor /', WHOLE)
     if len(kinds) > 1:
-        yield fault(f"filter {name}: give one of centre_nm, file, stack and channel", (*key, kinds[1]))
+        yield fault(f"filter {name}: give one of centre_nm, file, stack and channel", kinds[1])
     if (one.centre_nm is None) != (one.sigma_nm is None):
-        yield fault(f"filter {name}: centre_nm and sigma_nm go together", key)
+        yield fault(f"filter {name}: centre_nm and sigma_nm go together", WHOLE)
     if one.floor > one.peak:
-        yield fault(f"filter {name}: floor is {one.floor:g}, above peak", (*key, "floor"))
-    if one.centre_nm is not None and one.peak < LEAST_EFFICIENCY:
-        yield fault(f"filter {name} passes nothing; raise peak, which is {one.peak:g}", (*key, "peak"))
+        yield fault(f"filter {name}: floor is {one.floor:g}, above peak", "floor")
     for other in one.stack or ():
         if other not in known:
-            yield fault(f'filter {name}: stack names "{other}"; {suggestion(other, known)}', (*key, "stack"))
+            yield fault(f'filter {name}: stack names "{other}"; {suggestion(other, known)}', "stack")
         elif known[other].stack is not None or known[other].channel is not None:
-            yield fault(f"filter {name}: {other} is not a single filter; stack Gaussians or files", (*key, "stack"))
+            yield fault(f"filter {name}: {other} is not a single filter; stack Gaussians or files", "stack")
 
 
-def _pattern_faults(pattern: PatternRecipe, recipe: DesignRecipe, key: tuple[str | int, ...]) -> Iterator[Fault]:
-    where = f"pattern {int(key[1]) + 1}"
+def _pattern_faults(where: str, pattern: PatternRecipe, known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
+    counts = pattern.counts or {}
     if (pattern.shape is None) == (not pattern.arrays):
-        yield fault(f"{where}: give either shape or arrays", key)
-    if pattern.shape is not None and max(pattern.shape) > MOST_SIDE:
-        yield fault(f"{where}: shape is {pattern.shape[0]}×{pattern.shape[1]}, larger than {MOST_SIDE}×{MOST_SIDE}", key)
-    for name in (*pattern.filters, *(pattern.counts or ())):
-        if name not in recipe.filters:
-            yield fault(f'{where}: "{name}" is not a filter; {suggestion(name, recipe.filters)}', key)
-    if pattern.counts is not None and pattern.filters:
-        yield fault(f"{where}: counts name the filters; leave filters out", (*key, "filters"))
-    if pattern.counts is not None and pattern.shape is not None:
-        total, sites = sum(pattern.counts.values()), pattern.shape[0] * pattern.shape[1]
-        if total != sites:
-            yield fault(f"{where}: counts add up to {total}, and the shape has {sites} sites", (*key, "counts"), key)
-    for number, array in enumerate(pattern.arrays):
-        yield from _array_faults(array, recipe.filters, f"{where}: array {number + 1}", (*key, "arrays", number))
+        yield fault(f"{where}: give either shape or arrays", WHOLE)
+    for name in sorted({*pattern.filters, *counts} - {*known}):
+        yield fault(f'{where}: "{name}" is not a filter; {suggestion(name, known)}', WHOLE)
+    if counts and pattern.filters:
+        yield fault(f"{where}: counts name the filters; leave filters out", "filters")
+    if pattern.shape is not None:
+        (rows, cols), total = pattern.shape, sum(counts.values())
+        if max(rows, cols) > MOST_SIDE:
+            yield fault(f"{where}: shape is {rows}×{cols}, larger than {MOST_SIDE}×{MOST_SIDE}", WHOLE)
+        if counts and total != rows * cols:
+            yield fault(f"{where}: counts add up to {total}, and the shape has {rows * cols} sites", "counts", WHOLE)
 
 
-def _array_faults(
-    rows: list[str], known: Mapping[str, FilterRecipe], what: str, key: tuple[str | int, ...]
-) -> Iterator[Fault]:
-    sites = sites_of(rows)
-    if not sites or not sites[0] or any(len(row) != len(sites[0]) for row in sites):
-        yield fault(f"{what}: rows must name equally many filters, separated by spaces", key)
-    elif max(len(sites), len(sites[0])) > MOST_SIDE:
-        yield fault(f"{what} is larger than {MOST_SIDE}×{MOST_SIDE}", key)
-    for name in {name for row in sites for name in row} - set(known):
-        yield fault(f'{what}: "{name}" is not a filter; {suggestion(name, known)}', key)
+def _array_faults(where: str, rows: list[str], known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
+    lengths = {len(row.split()) for row in rows}
+    if len(lengths) != 1 or 0 in lengths:
+        yield fault(f"{where}: rows must name equally many filters, separated by spaces", WHOLE)
+    elif max(len(rows), *lengths) > MOST_SIDE:
+        yield fault(f"{where} is larger than {MOST_SIDE}×{MOST_SIDE}", WHOLE)
+    for name in sorted({name for row in rows for name in row.split()} - {*known}):
+        yield fault(f'{where}: "{name}" is not a filter; {suggestion(name, known)}', WHOLE)
 
 
-def _level_faults(level: LevelRecipe, where: str, key: tuple[str | int, ...]) -> Iterator[Fault]:
+def _level_faults(where: str, level: LevelRecipe) -> Iterator[Fault]:
     if (level.share is None) == (level.exposure_s is None):
-        yield fault(f"{where}: give either share (automatic) or exposure_s", key)
+        yield fault(f"{where}: give either share (automatic) or exposure_s", WHOLE)
     if level.luminance_cd_m2 is not None and level.lux is not None:
-        yield fault(f"{where}: give either luminance_cd_m2 or lux", (*key, "lux"))
+        yield fault(f"{where}: give either luminance_cd_m2 or lux", "lux")
     if level.exposure_s is not None and level.luminance_cd_m2 is None and level.lux is None:
-        yield fault(f"{where}: exposure_s needs luminance_cd_m2 or lux", (*key, "exposure_s"))
+        yield fault(f"{where}: exposure_s needs luminance_cd_m2 or lux", "exposure_s")
 
 
 def level_name(level: LevelRecipe) -> str:
@@ -227,16 +199,30 @@ def level_name(level: LevelRecipe) -> str:
 # ------------------------------------------------------------------------------------------------------- curves
 
 
+def curve_files(recipe: DesignRecipe, folder: Path) -> list[Path]:
+    """Return the files of curves that a recipe names."""
+    names = (*(one.file for one in recipe.filters.values()), recipe.pixel.bare)
+    return [folder / name for name in names if isinstance(name, str)]
+
+
 def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves, folder: Path) -> Curves:
     """Return the quantum efficiency (filter, wavelength) of every filter on the pixel; files lie relative to `folder`.
     RecipeError or InputFileError for one that passes nothing or more than all."""
-    bare = bare_efficiency(recipe.pixel.bare, wavelength, folder)
-    curves = np.array([_curve(name, recipe, camera, bare, wavelength, folder) for name in recipe.filters])
-    for name, curve in zip(recipe.filters, curves, strict=True):
-        if curve.max() < LEAST_EFFICIENCY:
+    bare, curves = bare_efficiency(recipe.pixel.bare, wavelength, folder), []
+    for name, one in recipe.filters.items():
+        if one.channel is not None:
+            if one.channel not in camera.channels:
+                known = suggestion(one.channel, camera.channels)
+                raise RecipeError(f'filter {name}: the pixel\'s camera has no channel "{one.channel}"; {known}')
+            channel = camera.responsivity[camera.channels.index(one.channel)]
+            curves.append(np.interp(wavelength, camera.wavelength, channel, 0.0, 0.0))
+        else:
+            parts = [_transmittance(recipe.filters[part], wavelength, folder) for part in one.stack or (name,)]
+            curves.append(np.prod([bare, *parts], axis=0))
+        if (peak := curves[-1].max()) < LEAST_EFFICIENCY:
             span = f"{wavelength[0]:g}…{wavelength[-1]:g} nm"
-            raise RecipeError(f"filter {name} passes nothing: its quantum efficiency is {curve.max():.2g} at most in {span}")
-    return curves
+            raise RecipeError(f"filter {name} passes nothing: its quantum efficiency is {peak:.2g} at most in {span}")
+    return np.array(curves)
 
 
 def bare_efficiency(bare: float | str, wavelength: Curves, folder: Path) -> Curves:
@@ -251,21 +237,7 @@ def bare_efficiency(bare: float | str, wavelength: Curves, folder: Path) -> Curv
     return curve
 
 
-def _curve(name: str, recipe: DesignRecipe, camera: CameraModel, bare: Curves, wavelength: Curves, folder: Path) -> Curves:
-    one = recipe.filters[name]
-    if one.channel is not None:
-        if one.channel not in camera.channels:
-            known = suggestion(one.channel, camera.channels)
-            raise RecipeError(f'filter {name}: the pixel\'s camera has no channel "{one.channel}"; {known}')
-        channel = camera.responsivity[camera.channels.index(one.channel)]
-        return np.asarray(np.interp(wavelength, camera.wavelength, channel, 0.0, 0.0))
-    passed = bare
-    for part in one.stack or (name,):
-        passed = passed * _transmittance(part, recipe.filters[part], wavelength, folder)
-    return passed
-
-
-def _transmittance(name: str, one: FilterRecipe, wavelength: Curves, folder: Path) -> Curves:
+def _transmittance(one: FilterRecipe, wavelength: Curves, folder: Path) -> Curves:
     if one.file is not None:
         table = read_table(folder / one.file).column(one.column)
         return spectra.average(table.shares()[0], table.wavelength, wavelength)
@@ -277,9 +249,3 @@ def _transmittance(name: str, one: FilterRecipe, wavelength: Curves, folder: Pat
 def gaussian(wavelength: Curves, centre: float, sigma: float, peak: float, floor: float) -> Curves:
     """Return the transmittance (wavelength) of a Gaussian filter."""
     return np.asarray(floor + (peak - floor) * np.exp(-0.5 * ((wavelength - centre) / sigma) ** 2))
-
-
-def require_exposed(names: list[str], clipped: list[bool]) -> None:
-    """Raise RecipeError naming the levels that clip every filter in every group of patches."""
-    if wrong := [name for name, all_clip in zip(names, clipped, strict=True) if all_clip]:
-        raise RecipeError(f"{listed(wrong)}: every filter clips in every part of the scenes; expose less")

@@ -15,8 +15,9 @@ from l3cli.design.error import Cfa, Level, Noise, Seen, array_errors
 
 MOST_ENUMERATED, MOST_JUDGED = 4_000_000, 100_000  # arrangements that are counted, and distinct ones that are judged
 INDEPENDENT = 1e-3  # smallest singular value of filters' responses to the basis, over the largest
-HOT, COLD = 0.03, 0.0005  # temperatures of annealing, relative to the error
+HOT, COLD = 0.03, 0.0005  # of annealing; temperatures are relative to the error
 Arrays = NDArray[np.integer]  # (array, site) filters
+Allowed = Callable[[Sequence[int]], bool]  # whether filters may stand in an array together
 
 
 @dataclass(frozen=True)
@@ -29,21 +30,20 @@ class Problem:
 
     def errors(self, cfa: Cfa) -> NDArray[np.float64]:
         """Return the error (level, group) of an array."""
-        rows: dict[int, NDArray[np.float64]] = {}
-        for light in dict.fromkeys(level.light for level in self.levels):
-            places = [place for place, level in enumerate(self.levels) if level.light == light]
-            of_light = array_errors(self.seen[light], cfa, self.noise, [self.levels[place] for place in places])
-            rows |= dict(zip(places, of_light, strict=True))
-        return np.array([rows[place] for place in range(len(self.levels))])
+        return np.array([array_errors(self.seen[level.light], cfa, self.noise, level) for level in self.levels])
 
     @functools.cached_property
     def share(self) -> NDArray[np.float64]:
         """Return the share (level, group) of the patches."""
         return np.array([self.seen[level.light].share for level in self.levels])
 
-    def score(self, errors: NDArray[np.float64]) -> float:
-        """Return the geometric mean, over levels, of errors (level, group)."""
-        return float(overall((errors * self.share).sum(axis=1)))
+    def means(self, cfa: Cfa) -> NDArray[np.float64]:
+        """Return the error (level) of an array over all groups."""
+        return np.asarray((self.errors(cfa) * self.share).sum(axis=1))
+
+    def score(self, cfa: Cfa) -> float:
+        """Return the geometric mean, over levels, of the error of an array."""
+        return float(overall(self.means(cfa)))
 
 
 @functools.cache
@@ -76,44 +76,25 @@ def arrangements(counts: Sequence[int]) -> Iterator[list[int]]:
         yield [0] * counts[0]
         return
     *others, last = counts
-    sites = range(sum(counts))
-    for places in itertools.combinations(sites, last):
-        chosen = set(places)
+    for chosen in map(set, itertools.combinations(range(sum(counts)), last)):
         for rest in arrangements(others):
             remaining = iter(rest)
-            yield [len(others) if site in chosen else next(remaining) for site in sites]
-
-
-def multiset_size(counts: Sequence[int]) -> int:
-    """Return the number of arrangements of a multiset."""
-    return math.factorial(sum(counts)) // math.prod(map(math.factorial, counts))
+            yield [len(others) if site in chosen else next(remaining) for site in range(sum(counts))]
 
 
 def every_array(
-    shape: tuple[int, int],
-    filters: Sequence[int],
-    counts: Sequence[int] | None,
-    independent: Callable[[Sequence[int]], bool],
+    shape: tuple[int, int], filters: Sequence[int], counts: Sequence[int] | None, allowed: Allowed
 ) -> list[Cfa] | None:
-    """Return all distinct arrays of a shape, of any of the `filters` or of so many of each, whose filters are `independent`;
+    """Return all distinct arrays of a shape, of any of the `filters` or of so many of each, whose filters are `allowed`;
     None: they are too many."""
     sites, base = math.prod(shape), len(filters)
-    size = base**sites if counts is None else multiset_size(counts)
+    size = math.factorial(sites) // math.prod(map(math.factorial, counts)) if counts else base**sites
     if size > MOST_ENUMERATED or base**sites >= 2**62:
         return None
-    if counts is None:
-        numbers = np.arange(size)[:, None] // base ** np.arange(sites)[::-1] % base
-    else:
-        numbers = np.array(list(arrangements(counts)))
-    single = distinct(numbers, shape, base)
-    known: dict[tuple[int, ...], bool] = {}
-    arrays = []
-    for row in np.asarray(filters)[single]:
-        used = tuple(np.unique(row).tolist())
-        if used not in known:
-            known[used] = independent(used)
-        if known[used]:
-            arrays.append(row.reshape(shape))
+    every = list(arrangements(counts)) if counts else np.arange(size)[:, None] // base ** np.arange(sites)[::-1] % base
+    single = np.asarray(filters)[distinct(np.asarray(every), shape, base)]
+    known = functools.cache(lambda used: allowed(list(used)))
+    arrays = [row.reshape(shape) for row in single if known(frozenset(row.tolist()))]
     return None if len(arrays) > MOST_JUDGED else arrays
 
 
@@ -126,44 +107,33 @@ def independent_outputs(responses: NDArray[np.floating]) -> int:
 
 def anneal(
     problem: Problem,
-    shape: tuple[int, int],
+    start: Cfa,
     filters: Sequence[int],
-    counts: Sequence[int] | None,
-    allowed: Callable[[Sequence[int]], bool],
-    steps: int,
+    swapped: bool,
+    allowed: Allowed,
     rng: np.random.Generator,
-) -> tuple[float, Cfa]:
-    """Return the least error and its array of `steps` steps of simulated annealing from a random array: a site is changed or
-    two are swapped, with `counts` swapped alone. Of filters that are not `allowed` together the error is infinite."""
+    steps: int,
+) -> Cfa:
+    """Return the best array of `steps` steps of simulated annealing from `start`: a site is changed or two are
+    swapped, with `swapped` this alone. Of filters that are not `allowed` together the error is infinite."""
     known: dict[bytes, float] = {}
 
     def error(cfa: Cfa) -> float:
         key = canonical(cfa)
         if key not in known:
-            used = np.unique(cfa).tolist()
-            known[key] = problem.score(problem.errors(cfa)) if allowed(used) else np.inf
+            known[key] = problem.score(cfa) if allowed(np.unique(cfa).tolist()) else np.inf
         return known[key]
 
-    pool = np.asarray(filters)
-    sites = rng.permutation(np.repeat(pool, counts)) if counts else rng.choice(pool, math.prod(shape))
-    cfa = best = sites.reshape(shape)
+    cfa = best = start
     for step in range(steps):
-        other, (one, two) = cfa.copy(), (tuple(rng.integers(shape)) for _ in range(2))
-        if counts or rng.random() < 0.5:
+        other, (one, two) = cfa.copy(), (tuple(rng.integers(cfa.shape)) for _ in range(2))
+        if swapped or rng.random() < 0.5:
             other[one], other[two] = cfa[two], cfa[one]
         else:
-            other[one] = rng.choice(pool)
+            other[one] = rng.choice(filters)
         now, then = error(cfa), error(other)
         rise = then / now - 1 if np.isfinite(now) else -1.0 if np.isfinite(then) else 0.0
         if rise < 0 or rng.random() < np.exp(-rise / (HOT * (COLD / HOT) ** (step / steps))):
             cfa = other
         best = min(best, cfa, key=error)
-    return error(best), best
-
-
-def bayer_arrays(filters: Sequence[int], centres: NDArray[np.floating]) -> Iterator[Cfa]:
-    """Yield the arrays of Bayer's pattern of any three filters: the middle one by the wavelength of its centre (filter) is
-    on a diagonal, the two others beside it."""
-    for three in itertools.combinations(filters, 3):
-        blue, green, red = sorted(three, key=lambda each: float(centres[each]))
-        yield np.array([[green, red], [blue, green]])
+    return best

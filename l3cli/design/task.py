@@ -1,17 +1,19 @@
-"""A design recipe with all that it names, and its arrays."""
+"""A design recipe with all that it names: its lights and levels, filters, arrays, and the filters that are tuned."""
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.design import LightMoments, SceneMoments
+from l3cli.artifacts.design import LightMoments, SceneMoments, shown, sites
 from l3cli.artifacts.store import load
-from l3cli.design.error import Cfa, Level, noise_of, seen_by, wanted_outputs
+from l3cli.design.error import Cfa, Level, Seen, noise_of, seen_by, spectra_of
 from l3cli.design.pixel import pixel_of
 from l3cli.design.recipe import (
     DesignRecipe,
@@ -19,18 +21,20 @@ from l3cli.design.recipe import (
     bare_efficiency,
     design_faults,
     filter_curves,
+    gaussian,
     level_name,
-    shown,
-    sites_of,
-    tuned_filters,
 )
-from l3cli.design.search import Problem, bayer_arrays, canonical, every_array, independent_outputs
-from l3cli.design.tuning import Tuning
+from l3cli.design.search import Problem, anneal, every_array, independent_outputs
 from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import load_recipe
 
+ANNEALING, MOST_REPEATED = 1000, 8  # steps; filters of which all arrays of 2×2 are tried first
 SAME = 1e-6  # relative; of numbers that agree
+BOUNDS = np.array([[400.0, 700.0], [10.0, 150.0], [0.1, 1.0]])  # nm, nm, 1: centre, sigma and peak of tuned filters
+STEPS = np.array([10.0, 10.0, 0.1])  # nm, nm, 1: by which these are scaled
+SPREAD = np.array([25.0, 15.0, 0.0])  # nm, nm, 1: of random starts about the given filters
+DESCENT = {"maxiter": 60, "eps": 1e-4}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +43,9 @@ class Task:
 
     recipe: Path
     moments: Path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _task, (self.recipe, self.moments)  # each process reads them once
 
     @functools.cached_property
     def wanted(self) -> DesignRecipe:
@@ -65,108 +72,144 @@ class Task:
         return filter_curves(self.wanted, self.pixel, self.scenes.wavelength, self.recipe.parent)
 
     @functools.cached_property
-    def centres(self) -> NDArray[np.float64]:
-        """Return the centroid (filter) in nm of what each passes."""
-        return np.asarray(self.curves @ self.scenes.wavelength / self.curves.sum(axis=1))
+    def lights(self) -> list[LightMoments]:
+        """Return the moments under the lights of the levels; RecipeError for a light that there are none under."""
+        known = {light.illuminant: light for light in self.scenes.light}
+        for level in self.wanted.level:
+            if level.illuminant not in known:
+                held = f"{self.moments} holds moments under {', '.join(known)}"
+                raise RecipeError(f'level "{level_name(level)}": {held}; gather them under {level.illuminant}')
+        return [known[name] for name in dict.fromkeys(level.illuminant for level in self.wanted.level)]
 
     @functools.cached_property
     def levels(self) -> tuple[Level, ...]:
-        lights = [light.illuminant for light in self.scenes.light]
-        levels = []
+        levels, lights = [], [light.illuminant for light in self.lights]
         for one in self.wanted.level:
-            if one.illuminant not in lights:
-                known = f"{self.moments} holds moments under {', '.join(lights)}"
-                raise RecipeError(f'level "{level_name(one)}": {known}; gather them under {one.illuminant}')
             luminance = one.lux / np.pi if one.lux is not None else one.luminance_cd_m2 or 100.0
             place = lights.index(one.illuminant)
             levels.append(Level(level_name(one), place, one.share, luminance, one.exposure_s or 0.0))
         return tuple(levels)
 
     @functools.cached_property
-    def tuning(self) -> Tuning:
-        """Return the array whose filters are tuned."""
-        wanted, asked, wavelength = self.wanted, self.wanted.optimise, self.scenes.wavelength
-        assert asked is not None
-        tuned = tuned_filters(asked, wanted.filters)
-        given = [wanted.filters[name] for name in tuned]
-        return Tuning(
-            lights=self.scenes.light,
-            wanted=[wanted_outputs(wanted.output, wanted.counts, light, self.curves) for light in self.scenes.light],
-            levels=self.levels,
-            noise=noise_of(self.pixel),
-            cfa=self.numbered(asked.pattern),
-            curves=self.curves,
-            wavelength=wavelength,
-            bare=bare_efficiency(wanted.pixel.bare, wavelength, self.recipe.parent),
-            tuned=[self.names.index(name) for name in tuned],
-            given=np.array([[one.centre_nm, one.sigma_nm, one.peak] for one in given], np.float64),
-            floors=[one.floor for one in given],
-            peaks=asked.peaks,
-        )
+    def spectra(self) -> list[Seen]:
+        """Return what counts under each light, by principal spectra."""
+        return [spectra_of(light, self.wanted.output, self.wanted.counts, self.curves) for light in self.lights]
 
     @functools.cached_property
     def problem(self) -> Problem:
         return self.problem_of(self.curves)
 
     def problem_of(self, curves: NDArray[np.float64]) -> Problem:
-        """Return the problem with other filters."""
-        wanted, used = self.wanted, {level.light for level in self.levels}
-        lights: Sequence[LightMoments] = self.scenes.light
-        seen = tuple(
-            seen_by(light, curves, wanted_outputs(wanted.output, wanted.counts, light, self.curves))
-            for number, light in enumerate(lights)
-            if number in used
-        )
-        order = sorted(used)
-        levels = tuple(dataclasses.replace(level, light=order.index(level.light)) for level in self.levels)
-        return Problem(seen, levels, noise_of(self.pixel))
+        """Return the problem with other filters (filter, wavelength)."""
+        seen = tuple(seen_by(curves, *each) for each in zip(self.lights, self.spectra, strict=True))
+        return Problem(seen, self.levels, noise_of(self.pixel))
+
+    # ------------------------------------------------------------------------------------------------- arrays
 
     def allowed(self, filters: Sequence[int]) -> bool:
         """Return whether an array of these filters has as many independent outputs as are needed."""
-        responses = self.curves[list(filters)] @ self.scenes.light[0].basis
+        responses = self.curves[list(filters)] @ self.lights[0].basis
         return len(filters) >= self.wanted.needed and independent_outputs(responses) >= self.wanted.needed
 
     def numbered(self, rows: list[str]) -> Cfa:
         """Return an array of names as numbers of filters."""
-        return np.array([[self.names.index(name) for name in row] for row in sites_of(rows)])
+        return sites("/".join(rows), self.names)
 
-    def filters_of(self, pattern: PatternRecipe) -> list[int]:
-        """Return the filters that may stand in a pattern."""
-        return [self.names.index(name) for name in (pattern.counts or pattern.filters or self.names)]
+    def choice(self, pattern: PatternRecipe) -> tuple[list[int], list[int] | None]:
+        """Return the filters that may stand in a pattern, and how many of each if that is given."""
+        filters = [self.names.index(name) for name in (pattern.counts or pattern.filters or self.names)]
+        return filters, list(pattern.counts.values()) if pattern.counts else None
 
     def arrays_of(self, pattern: PatternRecipe, number: int) -> list[Cfa] | None:
         """Return the arrays of a pattern that are judged; None: there are too many, and they are annealed. RecipeError if
-        none has as many independent outputs as are needed."""
-        needed, where = self.wanted.needed, f"{self.recipe}: pattern {number + 1}"
+        one that is listed, or all, have fewer independent outputs than are needed."""
+        shortage = f"fewer than {self.wanted.needed} independent outputs; add a filter"
+        where = f"{self.recipe}: pattern {number + 1}"
         if pattern.shape is None:
-            listed_arrays = [self.numbered(rows) for rows in pattern.arrays]
-            if wrong := [cfa for cfa in listed_arrays if not self.allowed(np.unique(cfa).tolist())]:
-                shortage = listed(shown(cfa, self.names) for cfa in wrong)
-                raise RecipeError(f"{where}: {shortage} has fewer than {needed} independent outputs; add a filter")
-            return listed_arrays
-        filters = self.filters_of(pattern)
-        if not self.allowed(filters):
-            raise RecipeError(f"{where}: its filters have fewer than {needed} independent outputs; add one")
-        counts = list(pattern.counts.values()) if pattern.counts else None
-        every = every_array(pattern.shape, filters, counts, self.allowed)
+            given = [self.numbered(rows) for rows in pattern.arrays]
+            if wrong := [shown(cfa, self.names) for cfa in given if not self.allowed(np.unique(cfa).tolist())]:
+                raise RecipeError(f"{where}: {listed(wrong)} has {shortage}")
+            return given
+        filters, counts = self.choice(pattern)
+        every = every_array(pattern.shape, filters, counts, self.allowed) if self.allowed(filters) else []
         if every == []:
-            raise RecipeError(f"{where}: no array of that shape has {needed} independent outputs; make it larger")
+            raise RecipeError(f"{where}: every array of that shape has {shortage} or make it larger")
         return every
 
-    def best_bayer(self, filters: Sequence[int], places: dict[bytes, int], scores: NDArray[np.float64]) -> int | None:
-        """Return the place of the best Bayer array of some filters; None: there is none."""
-        keys = map(canonical, bayer_arrays(filters, self.centres))
-        return min((places[key] for key in keys if key in places), key=lambda place: scores[place], default=None)
+    def bayer(self, filters: Sequence[int]) -> list[Cfa]:
+        """Return the arrays of Bayer's pattern of any three filters: the middle one by the wavelength of its centre is on a
+        diagonal, the two others beside it."""
+        centres = self.curves @ self.scenes.wavelength / self.curves.sum(axis=1)
+        threes = (sorted(three, key=lambda each: float(centres[each])) for three in itertools.combinations(filters, 3))
+        return [np.array([[green, red], [blue, green]]) for blue, green, red in threes if self.allowed([blue, green, red])]
 
     def require_same_pixel(self) -> None:
         """Raise InputFileError if the moments are of another lens or pixel."""
-        pixel, scenes = self.pixel, self.scenes
-        for what, unit, ours, theirs in (
-            ("pixels", "µm", pixel.pixel_pitch * 1e6, scenes.pixel_pitch * 1e6),
-            ("f-number", "", pixel.optics.f_number, scenes.f_number),
-        ):
-            if abs(ours - theirs) > SAME * ours:
-                given = f"{what} of {theirs:g} {unit}".strip()
-                raise InputFileError(
-                    f"{self.moments} is of {given}, the design of {ours:g}; gather moments with ‹camera› {self.recipe}"
-                )
+        ours, theirs = (self.pixel.pixel_pitch, self.pixel.optics.f_number), (self.scenes.pixel_pitch, self.scenes.f_number)
+        if not np.allclose(ours, theirs, rtol=SAME, atol=0):
+            given, wanted = (f"pixels of {1e6 * pitch:g} µm at f/{f_number:g}" for pitch, f_number in (theirs, ours))
+            text = f"{self.moments} is of {given}, the design of {wanted}"
+            raise InputFileError(f"{text}; gather moments with ‹camera› {self.recipe}")
+
+    def judged(self, arrays: Sequence[Cfa]) -> dict[str, NDArray]:
+        """Return the errors (array, level, group)."""
+        return {"errors": np.array([self.problem.errors(cfa) for cfa in arrays])}
+
+    def annealed(self, seed: int, which: tuple[int, int]) -> dict[str, NDArray]:
+        """Return the array that a run of annealing of a pattern comes to, from a random array; the first run, if it can be,
+        from the best of a quarter of the sites, repeated."""
+        (number, run), rng = which, np.random.default_rng([seed, *which])
+        pattern = self.wanted.pattern[number]
+        assert pattern.shape is not None
+        (rows, cols), (filters, counts) = pattern.shape, self.choice(pattern)
+        sites = rng.permutation(np.repeat(filters, counts)) if counts else rng.choice(filters, rows * cols)
+        start = sites.reshape(rows, cols)
+        if run == 0 and not counts and not rows % 2 and not cols % 2 and len(filters) <= MOST_REPEATED:
+            small = every_array((2, 2), filters, None, self.allowed) or [start[:2, :2]]
+            start = np.tile(min(small, key=self.problem.score), (rows // 2, cols // 2))
+        return {"cfa": anneal(self.problem, start, filters, bool(counts), self.allowed, rng, ANNEALING)}
+
+    # ------------------------------------------------------------------------------------------------- tuning
+
+    def tuned_curves(self, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the quantum efficiencies (filter, wavelength) with tuned filters (tuned filter, 3)."""
+        curves, wavelength = self.curves.copy(), self.scenes.wavelength
+        bare = bare_efficiency(self.wanted.pixel.bare, wavelength, self.recipe.parent)
+        for name, (centre, sigma, peak) in zip(self.wanted.tuned, parameters.tolist(), strict=True):
+            passed = gaussian(wavelength, centre, sigma, peak, self.wanted.filters[name].floor)
+            curves[self.names.index(name)] = bare * passed
+        return curves
+
+    def descended(self, seed: int, number: int) -> dict[str, NDArray]:
+        """Return the least error that a start, the first of them the given filters, leads to within bounds, and its centres,
+        sigmas and peaks (tuned filter, 3): by differences, which cost what a gradient does."""
+        from scipy import optimize
+
+        asked, tuned = self.wanted.optimise, [self.wanted.filters[name] for name in self.wanted.tuned]
+        assert asked is not None
+        start = np.array([[one.centre_nm, one.sigma_nm, one.peak] for one in tuned], np.float64)
+        if number > 0:
+            moved = start + SPREAD * np.random.default_rng([seed, number]).standard_normal(start.shape)
+            start = np.clip(moved, *BOUNDS.T)
+        cfa, free = self.numbered(asked.pattern), slice(0, 3 if asked.peaks else 2)
+        used = np.unique(cfa)
+
+        def parameters(flat: NDArray[np.float64]) -> NDArray[np.float64]:
+            values = start.copy()
+            values[:, free] = flat.reshape(len(start), -1) * STEPS[free]
+            return values
+
+        def score(flat: NDArray[np.float64]) -> float:
+            problem = self.problem_of(self.tuned_curves(parameters(flat))[used])
+            return float(np.log(problem.score(np.searchsorted(used, cfa))))
+
+        bounds = np.tile(BOUNDS[free] / STEPS[free, None], (len(start), 1))
+        begin = (start / STEPS)[:, free].ravel()
+        done = optimize.minimize(score, begin, method="L-BFGS-B", bounds=bounds, options=DESCENT)
+        return {"score": np.array(done.fun), "parameters": parameters(done.x)}
+
+
+@functools.lru_cache(maxsize=1)
+def _task(recipe: Path, moments: Path) -> Task:
+    """Return the task of this process."""
+    return Task(recipe, moments)

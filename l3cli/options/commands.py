@@ -271,9 +271,6 @@ class DesignOptions(PartsOptions, SeedOptions):
     )
 
     moments: OnePath = option(None, 'Moments of scenes, which "l3 design moments" writes.', metavar="SCENES.h5")
-    top: int = option(
-        100, "Arrays that are listed, the best ones.", Number(1, 10_000, "arrays", whole=True), metavar="1…10000"
-    )
 
 
 @options

@@ -17,7 +17,7 @@ from l3cli.calibration import figures, model
 from l3cli.calibration.photo import responsivity
 from l3cli.calibration.photo.recipe import PhotoCamera, SensorNoise, gains_of, noise_of, without_photo
 from l3cli.calibration.photo.responsivity import ColourMatrix
-from l3cli.design.pixel import camera_texts, camera_with
+from l3cli.design.pixel import camera_texts
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import shifted_cfa
 from l3cli.frames.measurement import Body, Measurements, Stated
@@ -77,11 +77,7 @@ def start_designed(path: Path, folder: Path, options: InitOptions) -> None:
         guard.protect(path)
         guard.guard_folder(folder, options.force, *COMMON, "camera.toml", CURVES)
         design = load(Design, path)
-        if design.pixel is None:
-            raise InputFileError(f"{path} does not hold its pixel; make it again with l3 design")
-        pattern, curves = design.winner
-        cfa = np.array([[design.filters.index(name) for name in row.split()] for row in pattern.split(" / ")])
-        camera = camera_with(design.pixel, cfa, design.filters, design.wavelength, curves)
+        camera = design.camera(*design.winner)
         common = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
         texts = camera_texts(camera, f"The best array of the design {design.name}, by predicted error.")
         contents = common | known_camera(common) | {name: text.encode() for name, text in texts.items()}
@@ -89,7 +85,7 @@ def start_designed(path: Path, folder: Path, options: InitOptions) -> None:
         write_folder(folder, contents)
         load_camera(folder / "camera.toml")
         options.console.info(
-            f"{folder}: {pattern}, the best of {design.tried} arrays; next: make -C {shlex.quote(str(folder))}"
+            f"{folder}: {camera.name}, the best of {design.tried} arrays; next: make -C {shlex.quote(str(folder))}"
         )
 
 

@@ -9,7 +9,8 @@ import pytest
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.design import Design, SceneMoments, Truth
 from l3cli.artifacts.store import load
-from l3cli.stages.design import parts, truth
+from l3cli.design.task import BOUNDS
+from l3cli.stages.design import parts, run, truth
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.recipes import FEW_CLASSES
@@ -52,7 +53,7 @@ exposure_s = 0.02
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from l3cli.cli import run
+    from l3cli.cli import run as command
 
     made = tmp_path_factory.mktemp("design")
     (made / "camera.toml").write_text(bayer_camera())
@@ -60,11 +61,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (made / "design.toml").write_text(DESIGN)
     (made / "bare.csv").write_text("nm,bare (e-/photon)\n380,0.5\n720,0.6\n")
     (made / "blue.csv").write_text("nm,b\n380,0.7\n440,0.9\n500,0.2\n560,0\n720,0\n")
-    gathering = ["--camera", "design.toml", "--patches", "300", "-o", "scenes.h5", "--quiet"]
+    gathering = ["--camera", "design.toml", "--patches", "2000", "-o", "scenes.h5", "--quiet"]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(made)
-        assert run(["design", "moments", "scenes.toml", *gathering]) == 0
-        assert run(["design", "design.toml", "--moments", "scenes.h5", "-o", "design.h5", "--quiet"]) == 0
+        assert command(["design", "moments", "scenes.toml", *gathering]) == 0
+        assert command(["design", "design.toml", "--moments", "scenes.h5", "-o", "design.h5", "--quiet"]) == 0
     return made
 
 
@@ -72,7 +73,7 @@ def test_moments_and_designs_have_the_same_bytes_for_any_jobs(
     folder: Path, tmp_path: Path, l3: L3, same_workers: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    call = ("design", "moments", "scenes.toml", "--camera", "design.toml", "--patches", 300, "-o", tmp_path / "m.h5")
+    call = ("design", "moments", "scenes.toml", "--camera", "design.toml", "--patches", 2000, "-o", tmp_path / "m.h5")
     assert l3(*call, "--jobs", 2)[0] == 0
     assert (tmp_path / "m.h5").read_bytes() == (folder / "scenes.h5").read_bytes()
     ranking = ("design", "design.toml", "--moments", "scenes.h5", "-o", tmp_path / "d.h5")
@@ -85,7 +86,7 @@ def test_a_stopped_run_goes_on(
     folder: Path, tmp_path: Path, l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    call = ("design", "moments", "scenes.toml", "--camera", "design.toml", "--patches", 300, "-o", tmp_path / "m.h5")
+    call = ("design", "moments", "scenes.toml", "--camera", "design.toml", "--patches", 2000, "-o", tmp_path / "m.h5")
     saved: list[Path] = []
     again: list[Path] = []
     write = parts.write_whole
@@ -115,23 +116,26 @@ def test_a_stopped_run_goes_on(
 
 def test_a_design_ranks_arrays_beside_bayer_of_their_filters(folder: Path, l3: L3, tmp_path: Path) -> None:
     made = load(Design, folder / "design.h5")
-    assert load(SceneMoments, folder / "scenes.h5").groups[:3] == ("dark plain", "middle plain", "bright plain")
+    assert load(SceneMoments, folder / "scenes.h5").light[0].patches.size == len(made.groups) == 30
     assert made.levels == ("white at 0.9", "10 lx, 0.02 s A")
     assert (np.diff(np.log(made.score)) > -1e-8).all()
     assert "g r w r / b g b g" in made.patterns
     bayer = made.patterns[made.bayer]
-    assert sorted(bayer) == sorted("g r / b g")
-    assert bayer.count("g") == 2
+    first, second = (row.split() for row in bayer.split(" / "))
+    assert first[0] == second[1] or first[1] == second[0]
+    assert len({*first, *second}) == 3
     assert "r b r b / g g g g" not in made.patterns  # of a shorter period
     place = made.patterns.index("g r w r / b g b g")
     assert (made.dyes[place] > 0).all()
     assert np.allclose(made.dyes[made.bayer], made.predicted[made.bayer])
     call = ("design", folder / "design.toml", "--moments", folder / "scenes.h5", "-o", tmp_path / "d.h5")
-    code, out, err = l3(*call, "--top", 3)
+    code, out, err = l3(*call)
     assert code == 0, err
-    assert "array" in out.splitlines()[1]
+    assert "to Bayer" in out.splitlines()[2]
     assert f"{bayer} (Bayer)\n" in out
-    assert f"white at 0.9: nothing beats {bayer} (Bayer) by more than 2%." in out
+    assert made.verdict[0].startswith("white at 0.9: ")
+    assert f"{bayer} (Bayer) by" in made.verdict[0]
+    assert made.verdict[0] in out
     code, out, _ = l3(*call, "--json", "--force")
     document = json.loads(out)
     assert document["arrays"][0]["array"] == made.patterns[0]
@@ -144,13 +148,14 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     folder: Path, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(truth, "UNSEEN", truth.UNSEEN.replace("[180, 320]", "[80, 128]").replace("[160, 160]", "[48, 48]"))
-    monkeypatch.setattr(truth, "LEARNED", truth.LEARNED.replace("[160, 160]", "[64, 64]"))
+    monkeypatch.setattr(truth, "LEARNED", truth.LEARNED.replace("[160, 160]", "[64, 64]").replace("24", "2"))
     monkeypatch.setattr(truth, "find_recipe", lambda name, kind: folder / "classes.toml")
+    monkeypatch.setattr(run, "STARTS", 2)
     (folder / "classes.toml").write_text(FEW_CLASSES)
     recipe = folder / "truth.toml"
     pattern = DESIGN.index("[[pattern]]"), DESIGN.index("[[level]]")
-    few = '[[pattern]]\narrays = [["g r", "b g"]]\n[optimise]\npattern = ["g r", "b g"]\nstarts = 2\n[truth]\nleaves = 2\n'
-    recipe.write_text(DESIGN[: pattern[0]] + few + DESIGN[pattern[1] :])
+    few = '[[pattern]]\narrays = [["g r", "b g"]]\n[optimise]\npattern = ["g r", "b g"]\n'
+    recipe.write_text('rivals = [["g r", "r b"]]' + DESIGN[: pattern[0]] + few + DESIGN[pattern[1] :])
     code, out, err = l3("design", recipe, "--moments", folder / "scenes.h5", "-o", tmp_path / "d.h5", "--truth", 1)
     assert code == 0, err
     made = load(Design, tmp_path / "d.h5")
@@ -159,20 +164,22 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     assert trained is not None
     assert tuned.tuned_filters == ("g",)  # the only Gaussian
     assert np.log(tuned.after).mean() < np.log(tuned.before).mean()
-    assert tuned.ends.min() == pytest.approx(np.exp(np.log(tuned.after).mean()), rel=1e-6)
-    assert trained.trained[-1].endswith("(tuned)")
+    assert ((tuned.parameters >= BOUNDS[:, 0]) & (tuned.parameters <= BOUNDS[:, 1])).all()
+    assert trained.trained[0] == made.patterns[0]
+    assert trained.trained[-3:] == ("g r / r b", "g r / b g", "g r / b g (tuned)")
     assert trained.measured.shape == (len(trained.trained), 2, 3)
     assert np.isfinite(trained.measured).all()
     assert trained.crops.shape == (len(trained.trained), 2, 72, 72, 3)
     assert 0 < np.abs(trained.crops - trained.ideals.astype(float)).mean() < 60
     assert -1 <= trained.correlation(0) <= 1
     assert "rank correlation" in out
+    assert "filters of g r / b g, tuned: g 5" in out
     page = tmp_path / "page.html"
     assert l3("report", tmp_path / "d.h5", "-o", page)[0] == 0
     text = page.read_text()
-    for words in ("Design: four", "Error over light", "Error by group", "5 nm off", "Predicted and measured error"):
+    for words in ("Design: four", "Error over light", "Error by group", "5 nm off", "tuned", "rank correlation"):
         assert words in text
-    assert "nothing beats g r / b g (Bayer)" in text
+    assert made.verdict[0].partition(";")[0] in text
     assert text.count("at 4×") == 2 * (1 + len(trained.trained))
     assert "trained and judged on the same unseen scenes" in out
 
@@ -206,7 +213,8 @@ def test_pairs_are_in_order_beyond_ties() -> None:
     # Ties: a and b as measured, d and e as predicted. c is exchanged with d and e.
     assert truth_of.in_order(0) == truth_of.in_order(0, 1) == 6 / 8
     assert truth_of.correlation(0) == truth_of.correlation(0, 1) == pytest.approx(0.6)
-    assert truth_of.in_words(0) == "0.60, 75% of the pairs beyond 2% in order"
+    (line,) = truth_of.agreement(["light"])
+    assert line.endswith("(pairs beyond 2% in order) mean_delta_e 0.60 (75%), output_psnr 0.60 (75%).")
 
 
 WRONG = """
@@ -220,7 +228,7 @@ WRONG = """
     r = { channel = "r" }               | r = { channel = "q" }              | 2 | has no channel "q"
     r = { channel = "r" }               | r = { stack = ["g", "gb"] }        | 2 | gb is not a single filter
     [[level]]                           | [optimise]; pattern = ["r b"]; [[level]] | 2 | only Gaussians are tuned
-    [[level]]                           | [truth]; rivals = [["r x"]]; [[level]] | 2 | "x" is not a filter
+    name = "four"                       | name = "four"; rivals = [["r x"]]  | 2 | "x" is not a filter
     lux = 10                            | lux = 1e9                          | 2 | every filter clips
     lux = 10                            | luminance_cd_m2 = 1; lux = 10      | 2 | give either luminance_cd_m2 or lux
     illuminant = "A"                    | illuminant = "F2"                  | 2 | gather them under F2

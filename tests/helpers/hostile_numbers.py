@@ -43,7 +43,7 @@ OPTIONS = (  # {n} is the number; "=" holds on to what begins with a minus
     "evaluate table.h5 training.h5 --backend reference --viewing={n}", TRAIN + " --shard={n}/2", TRAIN + " --shard=1/{n}",
     TRAIN + " --shares={n}", TRAIN + " --seed={n}", SIMULATE + " --seed={n}", TRAIN + " --shard=1/1 --jobs={n}",
     "lab camera.toml --recipe lab.toml -o {out}/lab --seed={n}", "bench --list --device={n}",
-    "design dyes -o {out}/d.h5 --top={n}", "design dyes -o {out}/d.h5 --truth={n}",
+    "design dyes -o {out}/d.h5 --truth={n}",
     "design dyes -o {out}/d.h5 --seed={n}", "design dyes -o {out}/d.h5 --jobs={n}",
     "calibrate curves_of.toml -o {out}/c.h5 --accept --jobs={n}", SIMULATE + " --scheduler=tcp://127.0.0.1:{n}",
 )  # fmt: skip

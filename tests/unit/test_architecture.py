@@ -51,7 +51,7 @@ BUDGET = {  # at most; a change that lowers a number lowers it here, towards the
     "lines of l3cli": 54_600,  # 41 000
     "lines of l3cli/stages": 5_614,  # 5 500
     "lines of l3cli/cli": 1_735,  # 1 700
-    "lines of tests": 39_900,  # 32 000
+    "lines of tests": 40_300,  # 32 000
     "modules": 305,  # 290
     "modules in the root": 3,
     "lines of the longest module": 500,

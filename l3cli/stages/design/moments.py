@@ -1,30 +1,19 @@
 """The stage of scene moments: scenes × lens and pixel → what any array's error follows from."""
 
-import dataclasses
 import functools
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera_recipe import recipe_text
-from l3cli.artifacts.design import WEIGHTINGS, LightMoments, SceneMoments
+from l3cli.artifacts.design import LightMoments, SceneMoments
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.store import save
-from l3cli.design.moments import (
-    CONTRAST_EDGES,
-    LEVEL_EDGES,
-    SIDE,
-    Gathered,
-    gather,
-    light_moments,
-    principal_spectra,
-    spectral_power,
-)
-from l3cli.design.pixel import is_design, pixel_camera, pixel_files
+from l3cli.design.moments import empty_sums, gather, in_all_orientations, principal_spectra, spectral_power
+from l3cli.design.pixel import is_design, pixel_camera
 from l3cli.errors import RecipeError
 from l3cli.frames.scene import Scene
 from l3cli.options.commands import MomentsOptions
@@ -42,7 +31,7 @@ from l3cli.system.files import sha256
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
 
-PARTS = 16  # that the scenes are divided into, whatever the number of processes
+PARTS = 8  # that the scenes are divided into, whatever the number of processes
 
 
 def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> SceneMoments:
@@ -51,18 +40,18 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
     written."""
     console = options.console
     with OutputGuard(console) as guard:
-        guard.protect(scenes, *pixel_files(camera))
+        recipe, (pixel, pixel_files) = load_recipe(scenes, SceneRecipe), pixel_camera(camera)
+        guard.protect(scenes, *pixel_files)
         guard.guard_file(output, options.force)
-        recipe, pixel = load_recipe(scenes, SceneRecipe), pixel_camera(camera)
         _refuse(recipe, scenes)
         run, files = prepare(recipe, scenes, pixel, options.seed)
         files, _ = fitting(run, files, scenes, False, console)
-        inputs = {"camera": pixel_files(camera), **input_files(run, files)}
+        inputs = {"camera": pixel_files, **input_files(run, files)}
         guard.protect(*itertools.chain(*inputs.values()))
         before_work({"scene recipe": [scenes], **inputs}, Made(output, "scene moments"))
-        sums = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
-        text = "\n".join([read_text(scenes), *([recipe_text(camera)] if not is_design(camera) else [read_text(camera)])])
-        stage = Stage("design moments", options.chosen(), text, sums)
+        digests = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
+        text = f"{read_text(scenes)}\n{read_text(camera) if is_design(camera) else recipe_text(camera)}"
+        stage = Stage("design moments", options.chosen(), text, digests)
         wanted = [
             each for source, paths in zip(run.recipe.scene, files, strict=True) for each in wanted_scenes(source, paths)
         ]
@@ -72,26 +61,29 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
         with parts.held(options.resume, options.force), workers(options.jobs) as pool:
             spectra = parts.each("spectra", functools.partial(_spectra, run), chunks, pool, console)
             powers = functools.reduce(np.add, (part["power"] for part in spectra))
-            bases = _bases(run, powers)
+            lit = {name: run.lights[name] for name in run.recipe.illuminants}
+            whites = [photon_weights(run.camera, light, light.wavelength).sum(axis=1) for light in lit.values()]
+            bases = [principal_spectra(power, white) for power, white in zip(powers, whites, strict=True)]
             work = functools.partial(_moments, run, bases, options.patches)
-            totals: dict[str, NDArray] = {}
+            sums = [empty_sums(basis.shape[1]) for basis in bases]
             for part in parts.each("scenes", work, chunks, pool, console):
-                totals = {name: totals[name] + value if totals else value for name, value in part.items()}
-            lights = tuple(_light(totals, number, basis) for number, basis in enumerate(bases))
+                for number, of_light in enumerate(sums):
+                    for name, total in of_light.items():
+                        total += part[f"{name}-{number}"]
+            lights = [
+                LightMoments(name, basis, white, **in_all_orientations(of_light, basis.shape[1]))
+                for name, basis, white, of_light in zip(lit, bases, whites, sums, strict=True)
+            ]
             moments = SceneMoments(
                 pixel_pitch=run.camera.pixel_pitch,
                 f_number=run.camera.optics.f_number,
-                side=SIDE,
                 wavelength=run.camera.wavelength,
-                level_edge=np.array(LEVEL_EDGES),
-                contrast_edge=np.array(CONTRAST_EDGES),
-                weightings=WEIGHTINGS,
-                light=lights,
+                light=tuple(lights),
                 history=(*pixel.history, stage),
             )
             save(moments, output)
-        for each in lights:
-            console.info(f"{output}: {each.illuminant}, {each.patches.sum():.0f} patches, {each.terms} spectra")
+        spectra_of = ", ".join(f"{each.illuminant} {each.terms} spectra" for each in lights)
+        console.info(f"{output}: {lights[0].patches.sum():.0f} patches, {spectra_of}")
         return moments
 
 
@@ -105,16 +97,6 @@ def _refuse(recipe: SceneRecipe, path: Path) -> None:
         raise RecipeError(f"{path}: moments need reflectance; give the light that radiance was measured under")
     if recipe.lens.transmittance is not None:
         raise RecipeError(f"{path}: lens.transmittance belongs to the filters of a design; leave it out")
-
-
-@dataclass(frozen=True)
-class _Basis:
-    """Principal spectra under a light."""
-
-    illuminant: str
-    spectra: NDArray[np.float64]  # (wavelength, term)
-    white: NDArray[np.float64]  # (wavelength) photons/s of a perfect white of 1 cd/m²
-    lost: float
 
 
 Chunk = Sequence[tuple[int, WantedScene]]
@@ -137,32 +119,13 @@ def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
     return {"power": power}
 
 
-def _bases(run: SimulationRun, powers: NDArray[np.float64]) -> list[_Basis]:
-    bases = []
-    for name, power in zip(run.recipe.illuminants, powers, strict=True):
-        light = run.lights[name]
-        white = photon_weights(run.camera, light, light.wavelength).sum(axis=1)
-        spectra, lost = principal_spectra(power, white)
-        bases.append(_Basis(name, spectra, white, lost))
-    return bases
-
-
-def _moments(run: SimulationRun, bases: Sequence[_Basis], patches: int, chunk: Chunk) -> dict[str, NDArray]:
+def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: int, chunk: Chunk) -> dict[str, NDArray]:
     """Return the sums over the patches of some scenes, those of each light under its number."""
-    sums: dict[int, Gathered] = {}
+    sums = [empty_sums(basis.shape[1]) for basis in bases]
     for place, wanted in chunk:
         scene = _scene(wanted, run)
-        for number, basis in enumerate(bases):
-            planes, sharp, target = spectral_planes(
-                run.camera, scene, run.lights[basis.illuminant], run.recipe.lens, basis.spectra
-            )
+        for of_light, name, basis in zip(sums, run.recipe.illuminants, bases, strict=True):
+            planes, sharp, target = spectral_planes(run.camera, scene, run.lights[name], run.recipe.lens, basis)
             rng = np.random.default_rng([run.seed, place])  # the same patches under every light
-            of_scene = gather(planes, target, sharp, patches, rng)
-            sums[number] = sums[number] + of_scene if number in sums else of_scene
-    return {f"{name}-{number}": value for number, each in sums.items() for name, value in vars(each).items()}
-
-
-def _light(totals: dict[str, NDArray], number: int, basis: _Basis) -> LightMoments:
-    """Return the moments of one light from the sums over all scenes."""
-    sums = Gathered(**{field.name: totals[f"{field.name}-{number}"] for field in dataclasses.fields(Gathered)})
-    return light_moments(basis.illuminant, basis.spectra, basis.white, basis.lost, sums)
+            gather(of_light, planes, target, sharp, patches, rng)
+    return {f"{name}-{number}": value for number, of_light in enumerate(sums) for name, value in of_light.items()}
