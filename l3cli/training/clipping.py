@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 EXPOSURES = np.geomspace(0.35, 4.5, 24)  # of what fills a surface's first channel
 EVERY = 7  # of the surfaces: they are many
 RIDGE = COLOUR_RIDGE = 1e-3  # relative to the rows, and to the power of colour
+RARER = 2  # power of exposure, over what fills the first channel, with which brighter ones count less: there are fewer
+STEADY = 3.0  # weight of what changes between two exposures: steps are seen where colours, which are guessed, are not
 
 
 def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Array) -> Clipping | None:
@@ -36,7 +38,9 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     grey = np.minimum(level * of_white, 1.0)
     features = (added_terms(seen.T) - added_terms(grey.T)).reshape(-1, len(seen)).T
     missing = np.where(over[:, None] >= CLIPS, target - (seen - grey + level * of_white) @ colours, 0.0)
-    weight = 1 / (len(signals) * target[:, 1] * seen.mean(axis=1))
+    weight = np.maximum(over, 1.0) ** -RARER / (len(signals) * target[:, 1] * seen.mean(axis=1))
+    features, missing = (np.concatenate([each, _changes(each)]) for each in (features, missing))
+    weight = np.concatenate([weight, STEADY * weight[len(weight) // EXPOSURES.size :]])
     # Not by BLAS, whose sums depend on how many threads it has.
     system = np.einsum("r,ri,rj->ij", weight, features, features, optimize=False)
     right = np.einsum("r,ri,rj->ij", weight, features, missing, optimize=False)
@@ -44,6 +48,12 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     added = np.linalg.solve(system, right).reshape(len(of_white), -1, len(white))
     usual = np.append(colours, np.zeros((1, len(white))), axis=0)
     return Clipping(np.append(usual[None], added, axis=0), of_white)
+
+
+def _changes(rows: Array) -> Array:
+    """Return the changes of rows (exposure · surface, value) from each exposure to the next."""
+    by_exposure = rows.reshape(EXPOSURES.size, -1, rows.shape[1])
+    return np.diff(by_exposure, axis=0).reshape(-1, rows.shape[1])
 
 
 def _colours(signals: Array, outputs: Array) -> Array:

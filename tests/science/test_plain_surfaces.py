@@ -17,7 +17,7 @@ from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.simulation.light import make_light
 from l3cli.training.patches import white_signal
-from l3cli.training.plain_surfaces import FEWEST, PlainSurfaces, false_colours, plain_surfaces
+from l3cli.training.plain_surfaces import FEWEST, GREY_SHARE, PlainSurfaces, false_colours, plain_surfaces
 from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 
@@ -90,7 +90,7 @@ def test_paint_counts_where_noise_leaves_it_open(fiveband: CameraModel, monkeypa
     rule = make_rule(ClassRecipe(patch=5, levels=2, chromas=0), fiveband, np.zeros(32, np.uint16))
     window = neighbourhoods(fiveband.cfa, 5, 5).channel[0]
     errors = []
-    for share in (0.0, 6.0):
+    for share in (0.0, GREY_SHARE):
         monkeypatch.setattr("l3cli.training.plain_surfaces.GREY_SHARE", share)
         (moments,) = surfaces.moments(rule, window)
         assert moments is not None
@@ -99,7 +99,7 @@ def test_paint_counts_where_noise_leaves_it_open(fiveband: CameraModel, monkeypa
         paints = np.s_[-surfaces.greys :]
         shown = surfaces.signals[paints][:, window] @ transform
         errors.append(delta_e_2000(lab(shown, white), lab(surfaces.outputs[paints], white)).mean())
-    assert errors[1] < 0.95 * errors[0]
+    assert errors[1] < 0.75 * errors[0]
 
 
 def test_outputs_of_another_observer_are_not_taught(fiveband: CameraModel) -> None:

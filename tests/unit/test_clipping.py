@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import Clipping, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
-from l3cli.classes.clipping import BEGINS, CLIPS, Mosaic, clipping_maps, replaced
+from l3cli.classes.clipping import BEGINS, CLIPS, Mosaic, block_maps, clipping_maps, replaced
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.physics import spectra
+from l3cli.physics.display import daylight, delta_e_2000, displayed, displayed_xyz, lab
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
@@ -61,17 +63,22 @@ def flat(signals: NDArray, cfa: NDArray[np.uint8]) -> Mosaic:
     return Mosaic(values.astype(np.uint16), cfa, 0.0, 60000.0)
 
 
-@pytest.mark.parametrize("name", ["fiveband", "rgbw"])
-def test_light_rises_smoothly_to_white(name: str) -> None:
+def learned(name: str) -> tuple[CameraModel, NDArray, NDArray, NDArray, Clipping]:
+    """A camera, the photons and XYZ of daylight, signals (wavelength, channel) of photons, and what is learned."""
     camera = load_camera(CONFIGS / f"cameras/{name}.toml")
     grid = spectra.light_grid(camera.wavelength).astype(float)
     light = LightSpectrum(grid, spectra.at_luminance(spectra.illuminant("D65", grid), grid, 1.0).astype(np.float32), 0.0)
     radiance, weights = spectra.illuminant("D65", camera.wavelength), spectra.xyz_weights(camera.wavelength)
     radiance = radiance / (radiance @ weights.T)[1]
     white = radiance @ weights.T
-    to_signals = camera.signal_weights.T * (camera.output_unit / camera.full_scale)
     clipping = learned_clipping(camera, light, white)
     assert clipping is not None
+    return camera, radiance, white, camera.signal_weights.T * (camera.output_unit / camera.full_scale), clipping
+
+
+@pytest.mark.parametrize("name", ["fiveband", "rgbw"])
+def test_light_rises_smoothly_to_white(name: str) -> None:
+    camera, radiance, white, to_signals, clipping = learned(name)
     signals, seen = radiance @ to_signals, []
     for over in np.geomspace(0.5, 1.2 * signals.max() / signals.min(), 60):
         mosaic = flat(over / signals.max() * signals, camera.cfa)
@@ -85,6 +92,23 @@ def test_light_rises_smoothly_to_white(name: str) -> None:
     np.testing.assert_allclose(luminance[-1], 1 / signals.min(), rtol=0.002)
     dark = clipping_maps(flat(0.99 * BEGINS * signals / signals.max(), camera.cfa), clipping.response, clipping.white)
     assert not dark.any()
+
+
+@pytest.mark.parametrize(("name", "most"), [("bayer", 2.1), ("fiveband", 3.0)])
+def test_vivid_colours_become_white_in_small_steps(name: str, most: float) -> None:
+    """Largest ΔE00 of exposures 2 % apart, as displayed as white ends, mean over vivid surfaces."""
+    camera, radiance, white, to_signals, clipping = learned(name)
+    lit = spectra.reflectance_library(camera.wavelength) * radiance
+    colours = lab(lit @ spectra.xyz_weights(camera.wavelength).T, white)
+    vivid = (lit @ to_signals)[np.hypot(colours[:, 1], colours[:, 2]) > 45][::5]
+    over, largest = np.exp(np.arange(np.log(CLIPS), np.log(4), 0.02)), []
+    for surface in vivid:
+        means = np.minimum(surface[:, None, None] / surface.max() * over, 1.0)
+        outputs = block_maps(means, np.zeros(means.shape[1:]), clipping.response, clipping.white)[1:]
+        picture = displayed(outputs, white, 1 / (radiance @ to_signals).min())
+        seen = lab(displayed_xyz(picture), daylight())[0]
+        largest.append(delta_e_2000(seen[1:], seen[:-1]).max())
+    assert np.mean(largest) < most
 
 
 def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
