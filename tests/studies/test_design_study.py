@@ -89,8 +89,9 @@ def test_arrays_of_one_pixel_are_ranked_as_training_ranks_them(
     gather_moments(find_recipe("default", "scenes"), find_recipe("bayer", "cameras"), scenes, MomentsOptions())
     task = Task(recipe, scenes)
     cfas = [task.numbered(each.split("/")) for each in arrays]
-    errors = np.array([task.problem.errors(cfa) for cfa in cfas])
-    design = designed(task, cfas, errors)
+    every = [*cfas, *task.bayer(range(len(task.names)))]  # a design knows Bayer's arrays
+    errors = np.array([task.problem.errors(cfa) for cfa in every])
+    design = designed(task, every, errors)
     levels = [("D65", level) for level in task.levels]
     figures = np.array(
         [
@@ -98,7 +99,7 @@ def test_arrays_of_one_pixel_are_ranked_as_training_ranks_them(
             for cfa in cfas
         ]
     )  # (array, level, scene, figure)
-    expected = (errors * task.problem.share).sum(axis=2)
+    expected = (errors[: len(cfas)] * task.problem.share).sum(axis=2)
     for place, level in enumerate(task.levels):
         kinds = {
             "leaves": figures[:, place, 3:, 0],
@@ -107,7 +108,11 @@ def test_arrays_of_one_pixel_are_ranked_as_training_ranks_them(
         }
         found = {name: ranks(expected[:, place], measured.mean(axis=1)) for name, measured in kinds.items()}
         with capsys.disabled():
-            print(level.name, {name: [round(each, 2) for each in pair] for name, pair in found.items()})
+            for name, measured in kinds.items():
+                others = [np.delete(measured, n, axis=1).mean(axis=1) for n in range(measured.shape[1])]
+                scenes = np.mean([ranks(*pair)[0] for pair in zip(others, measured.T, strict=True)])
+                rank, in_order = found[name]
+                print(f"{level.name}, {name}: {rank:.2f}, {in_order:.0%}; one scene with the others {scenes:.2f}")
         assert found["leaves"][0] > least[place]
         assert found["leaves"][1] > fewest[place]
         assert found["compositions"][1] > 0.6
