@@ -1,10 +1,11 @@
 """A design as a section: a verdict, arrays with their curves, error over light and by group, what training measured."""
 
 import base64
+import itertools
 
 import numpy as np
 
-from l3cli.artifacts.design import Design, Truth
+from l3cli.artifacts.design import KINDS, Design, Truth
 from l3cli.report.camera import array_figure, responsivity_figures
 from l3cli.report.drawing import SERIES, Plot, spanning
 from l3cli.report.parts import Figure, Figures, Gallery, Jpeg, Key, Picture, Section, Subsection, Table, Text
@@ -63,7 +64,7 @@ def _over_light(design: Design) -> Figure:
 def _groups(design: Design) -> Table:
     """Return the errors of the best array and Bayer's in the groups of each kind."""
     places, rows = design.best(1), []
-    for kind in dict.fromkeys(" ".join(design.groups).split()):
+    for kind in itertools.chain(*KINDS):
         shares = design.share * [kind in group.split() for group in design.groups]
         if shares.any():
             errors = (design.error[places] * shares).sum(axis=2) / shares.sum(axis=1)  # (array, level)

@@ -1,6 +1,7 @@
 """l3 design: moments of scenes and designs, the same bytes for any jobs and after a stop; wrong recipes in one line."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -180,6 +181,8 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     for words in ("Design: four", "Error over light", "Error by group", "5 nm off", "tuned", "rank correlation"):
         assert words in text
     assert made.verdict[0].partition(";")[0] in text
+    rows = re.findall(r"<t[dh][^>]*>(plain|edge|dark|bright|neutral|blue)</t[dh]>", text)
+    assert rows[:4] == ["plain", "edge", "dark", "bright"]
     assert text.count("at 4×") == 2 * (1 + len(trained.trained))
     assert "trained and judged on the same unseen scenes" in out
 
