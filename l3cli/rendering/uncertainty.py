@@ -52,6 +52,7 @@ class Uncertainty:
     """Uncertainty of a frame's outputs, upright as they are."""
 
     sigma: NDArray[np.float32]  # (row, col, output) standard deviation left by the camera's noise
+    bias: NDArray[np.float32] | None  # (row, col, output) mean error of the class in training; None: not known of the table
     mask: NDArray[np.uint8]  # (row, col) CLIPPED, UNTRAINED or both; 0: as trained
     gains: NoiseGains
 
@@ -86,8 +87,9 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     sigma *= spread[..., None]
     if table.later:
         sigma *= gains.by_kind.take(labels[0], axis=0)
-    turn = frame.orientation
-    return Uncertainty(upright(sigma, turn), upright(_mask(table, labels, frame), turn), gains)
+    known, turn = table.layers[-1].bias, frame.orientation
+    bias = known and upright(known.mean.take(labels[-1], axis=0) * np.broadcast_to(scale, spread.shape)[..., None], turn)
+    return Uncertainty(upright(sigma, turn), bias, upright(_mask(table, labels, frame), turn), gains)
 
 
 @dataclass(frozen=True)
