@@ -31,14 +31,14 @@ COMPARED = (4, 3, 3)  # in coarse chroma: steps; planes; powers of luminance
 
 @dataclass(frozen=True)
 class ClassBias:
-    """What the transforms of a layer make of training rows less what is wanted."""
+    """Mean error of the transforms of the first layer on training patches."""
 
     mean: NDArray[np.float32] = data("float32", "class", "output", doc="mean over the class's own patches; 0: it has none")
 
 
 @dataclass(frozen=True)
 class PlaneBias:
-    """The same of a refinement layer."""
+    """Mean error of the transforms of a refinement layer on training rows."""
 
     mean: NDArray[np.float32] = data(
         "float32", "plane_class", "output", doc="mean over the class's own rows; 0: it has none"

@@ -87,8 +87,9 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     sigma *= spread[..., None]
     if table.later:
         sigma *= gains.by_kind.take(labels[0], axis=0)
-    known, turn = table.layers[-1].bias, frame.orientation
-    bias = known and upright(known.mean.take(labels[-1], axis=0) * np.broadcast_to(scale, spread.shape)[..., None], turn)
+    turn, bias = frame.orientation, None
+    if known := table.layers[-1].bias:
+        bias = upright(known.mean.take(labels[-1], axis=0) * np.broadcast_to(scale, spread.shape)[..., None], turn)
     return Uncertainty(upright(sigma, turn), bias, upright(_mask(table, labels, frame), turn), gains)
 
 
@@ -154,7 +155,7 @@ def _mask(table: TransformTable, labels: Sequence[Labels], frame: RawFrame) -> N
 def _raw_sigma(table: TransformTable, frame: RawFrame, unit: float, outputs: Array, scale: Array) -> Array:
     """Return the standard deviation (row, col), as a share of full scale, of raw values as bright as outputs (output, row,
     col), those of transforms times `scale`; mean over the channels."""
-    constant, linear, quadratic = map(np.mean, _noise_terms(table, frame))
+    constant, linear, quadratic = (np.mean(term) for term in _noise_terms(table, frame))
     signal = np.maximum(_brightness(table, outputs), 0) * (np.float32(unit) / scale)
     variance = (np.float32(quadratic) * signal + np.float32(linear)) * signal + np.float32(constant)
     return np.sqrt(variance, out=variance) / np.float32(table.white_level - table.black_level)
@@ -202,7 +203,7 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array) -> NoiseGa
         made.append(renderer.outputs(again))
         first.append(renderer.labels(again)[inner])
         last.append(renderer.labels(again, len(table.later))[inner])
-        spread.append(_raw_sigma(table, frame, unit, made[-1], np.float32(1))[inner])
+        spread.append(_raw_sigma(table, frame, unit, made[-1], np.ones(1, np.float32))[inner])
     deviations = np.asarray(made) - np.mean(made, axis=0)
     # Without the bias of a root of few squares.
     chi = math.exp(math.lgamma(draws / 2) - math.lgamma((draws - 1) / 2)) * math.sqrt(2 / draws)

@@ -179,7 +179,9 @@ def solve(
                 rows[batch[:, None, None], np.arange(used)[:, None], wanted] = solution[..., : len(wanted)]
                 compliance[batch, number, :used] = solution[..., len(wanted) :]
                 condition[batch] = np.maximum(condition[batch], worst)
-    own = sums.rows and np.mean([turned_rows(sums.rows, turn.taps)[turn.classes] for turn in turns], axis=0)
+    own = None
+    if sums.rows:
+        own = np.mean([turned_rows(sums.rows, turn.taps)[turn.classes] for turn in turns], axis=0)
     about = solved, samples, condition, plain_colours(sums, rule, window), white, power, own
     return Solution(rows, member @ rows, compliance, member @ compliance, *about)
 

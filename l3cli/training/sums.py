@@ -103,7 +103,7 @@ def add_rows(
     assert sums.rows is not None
     large = rounding_number(STEP)
     for index, first, last in runs:
-        total = (1 / weight[first:last]) @ rows[first:last]
+        total = np.reciprocal(weight[first:last]) @ rows[first:last]
         add_rounded(sums.rows.total[index], total if columns is None else total[columns], large)
 
 
