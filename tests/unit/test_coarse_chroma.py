@@ -21,6 +21,7 @@ from l3cli.recipes.faults import refuse_first
 from l3cli.rendering.conditions import with_edges_for
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.training.layers.coarse_chroma import LUMINANCES, rising_terms
 from l3cli.training.recipe import LayerRecipe, layer_faults
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import frame_of_all_levels, random_table, with_coarse_chroma, with_low_noise, with_refinement
@@ -124,6 +125,18 @@ def test_a_step_is_a_mean_of_nine_and_of_fewer_at_the_edges() -> None:
         np.testing.assert_allclose(softened[:, 4, 4], (there * weights).sum(axis=(1, 2)))
         corner = means[:, : 1 + apart : apart, : 1 + apart : apart]
         np.testing.assert_allclose(softened[:, 0, 0], (corner * weights[1:, 1:]).sum(axis=(1, 2)) / weights[1:, 1:].sum())
+
+
+def test_noise_that_no_terms_follow_is_met_in_the_mean() -> None:
+    """As `best` has it: of luminance in per cent, standard deviations that fall only above the dark."""
+    deviation = LUMINANCES * np.interp(np.log(LUMINANCES), np.log([0.004, 0.3]), [0.05, 0.0045])
+    variance = np.repeat((deviation / PLANE_STEP)[:, None] ** 2, 3, axis=1)
+    terms = rising_terms(LUMINANCES, variance)
+    fit = terms @ LUMINANCES ** np.arange(3)[:, None]
+    mean = np.exp(np.log(fit / deviation**2).mean(axis=1) / 2)
+    assert mean.min() > 0.8  # relative to the variance alone: 0.65
+    assert mean.max() < 1.2
+    assert terms.min() >= 0
 
 
 def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from l3cli.training.patches import expose_patches
 
 LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # of greys, of a white that fills the brightest channel
 SIDE = 128  # pixels of a grey
+ROUNDS = 5  # of the fit, each relative to the one before
 CUT = 3  # blocks at its edges that are not judged: there they have fewer neighbours
 
 Array = NDArray[np.float64]
@@ -24,7 +25,7 @@ def measured_noise(layer: LayerPass) -> CoarseChroma:
     blocks = list(map(blocks_of, greys))
     found = np.empty(COMPARED)
     for step, spacing in enumerate(SPACINGS):
-        found[step] = _terms(luminance, _variances(blocks))
+        found[step] = rising_terms(luminance, _variances(blocks))
         scale = scales_of(CoarseChroma(found[[step] * COMPARED[0]]))[step]
         blocks = [edge_avoiding(each, spacing, scale) for each in blocks]
     return CoarseChroma(found)
@@ -50,13 +51,24 @@ def _variances(planes: list[Array]) -> Array:
     return np.array([each[:, CUT:-CUT, CUT:-CUT].var(axis=(1, 2)) for each in planes])
 
 
-def _terms(luminance: Array, variances: Array) -> Array:
-    """Return the terms (plane, power) of variances (grey, plane), in steps, that rise with luminance: relative least
-    squares, none of them negative."""
-    from scipy.optimize import nnls
-
+def rising_terms(luminance: Array, variances: Array) -> Array:
+    """Return the terms (plane, power) of variances (grey, plane), in steps, that rise with luminance: least squares of what
+    fit and variance differ by over their geometric mean, none of the terms negative."""
     powers = np.stack([luminance**power for power in range(COMPARED[2])], axis=1)
     known = np.maximum(variances.T, 1.0) * PLANE_STEP**2
-    terms = np.array([nnls(powers / plane[:, None], np.ones(plane.size))[0] for plane in known])
+    terms = np.array([_fitted(powers, plane) for plane in known])
     terms[:, 0] = np.maximum(terms[:, 0], PLANE_STEP**2)
     return terms
+
+
+def _fitted(powers: Array, variance: Array) -> Array:
+    """Return the terms (power) of a plane's variance (grey). Relative to the variance alone, a fit that cannot follow it is
+    too low: layers that fade chroma in the dark leave little noise there, and blotches above."""
+    from scipy.optimize import nnls
+
+    fit = variance
+    for _ in range(ROUNDS):
+        scale = np.sqrt(variance * fit)
+        terms = nnls(powers / scale[:, None], variance / scale)[0]
+        fit = np.maximum(powers @ terms, PLANE_STEP**2)
+    return np.asarray(terms)
