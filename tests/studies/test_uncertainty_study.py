@@ -104,4 +104,4 @@ def test_measured_over_predicted(name: str, recipe: str, tmp_path: Path) -> None
     quantiles = np.quantile(np.array(every), [0, 0.1, 0.5, 0.9, 1], axis=0)
     print(f"{name} {recipe}: {len(every)} classes, least, 10 %, median, 90 %, most by output\n{quantiles.T.round(3)}")
     assert np.abs(quantiles[2] - 1).max() < 0.02
-    assert 0.95 < quantiles[1].min() <= quantiles[3].max() < 1.05
+    assert 0.94 < quantiles[1].min() <= quantiles[3].max() < 1.06
