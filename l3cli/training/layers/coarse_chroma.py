@@ -12,7 +12,6 @@ from l3cli.training.patches import expose_patches
 
 LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # of greys, of a white that fills the brightest channel
 SIDE = 128  # pixels of a grey
-ROUNDS = 5  # of the fit, each relative to the one before
 CUT = 3  # blocks at its edges that are not judged: there they have fewer neighbours
 
 Array = NDArray[np.float64]
@@ -52,23 +51,16 @@ def _variances(planes: list[Array]) -> Array:
 
 
 def rising_terms(luminance: Array, variances: Array) -> Array:
-    """Return the terms (plane, power) of variances (grey, plane), in steps, that rise with luminance: least squares of what
-    fit and variance differ by over their geometric mean, none of the terms negative."""
-    powers = np.stack([luminance**power for power in range(COMPARED[2])], axis=1)
-    known = np.maximum(variances.T, 1.0) * PLANE_STEP**2
-    terms = np.array([_fitted(powers, plane) for plane in known])
+    """Return the terms (plane, power), none of them negative, of variances (grey, plane), in steps, that rise with
+    luminance: least squares of logarithms. Relative to the variance, a fit that cannot follow it is too low: layers that
+    fade chroma in the dark leave little noise there, and blotches above."""
+    from scipy.optimize import least_squares
+
+    powers = np.maximum(luminance, 0.0)[:, None] ** np.arange(COMPARED[2])
+    start, terms = 1 / np.maximum(powers.max(axis=0), PLANE_STEP), np.empty((variances.shape[1], COMPARED[2]))
+    for plane, known in enumerate(np.log(np.maximum(variances.T, 1.0))):
+        sizes = np.log(start) + known.max(initial=0.0, where=luminance > 0) - np.array([10.0, 3.0, 0.0])
+        terms[plane] = np.exp(least_squares(lambda logs, of=known: np.log(powers @ np.exp(logs)) - of, sizes).x)
+    terms *= PLANE_STEP**2
     terms[:, 0] = np.maximum(terms[:, 0], PLANE_STEP**2)
     return terms
-
-
-def _fitted(powers: Array, variance: Array) -> Array:
-    """Return the terms (power) of a plane's variance (grey). Relative to the variance alone, a fit that cannot follow it is
-    too low: layers that fade chroma in the dark leave little noise there, and blotches above."""
-    from scipy.optimize import nnls
-
-    fit = variance
-    for _ in range(ROUNDS):
-        scale = np.sqrt(variance * fit)
-        terms = nnls(powers / scale[:, None], variance / scale)[0]
-        fit = np.maximum(powers @ terms, PLANE_STEP**2)
-    return np.asarray(terms)
