@@ -108,7 +108,7 @@ class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
     )
     draft: bool = option(
         False,
-        "A draft in seconds, to try arrays: one layer, a tenth of the patches; 0.7 to 1.4 ΔE00 worse than default.",
+        "A draft in seconds, to try arrays: one layer, a ninth of the rows; 0.7 to 1.4 ΔE00 worse than default.",
     )
 
 

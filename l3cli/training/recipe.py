@@ -181,11 +181,13 @@ def for_noise(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
 
 
 def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
-    """Return the recipe of a draft: a tenth of the patches, one layer that suppresses noise as the last, no conditions."""
+    """Return the recipe of a draft: three tenths of the patches at a third of the levels, one
+    layer that suppresses noise as the last, no conditions."""
     learning = recipe.learning
     last = recipe.layer[-1] if recipe.layer else learning
     learning = msgspec.structs.replace(
-        learning, patches=-(-learning.patches // 10), luminance_noise=last.luminance_noise, chroma_noise=last.chroma_noise,
+        learning, patches=-(-learning.patches * 3 // 10), draws=-(-learning.draws // 3),
+        first_draws=-(-learning.first_draws // 3), luminance_noise=last.luminance_noise, chroma_noise=last.chroma_noise,
         noise_left=0.0, gains=(1.0,), lights=(),
     )  # fmt: skip
     return msgspec.structs.replace(recipe, learning=learning, layer=())

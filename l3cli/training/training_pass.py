@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +24,9 @@ from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_noise
 from l3cli.training.sums import empty_sums
 from l3cli.training.symmetry import site_maps, stabilisers
 
-FEW = 1 / 5  # of the patches and mosaics, that transforms for another gain are learned from (docs/method.md#gains)
+# Shares that transforms for another gain are learned from (docs/method.md#gains): of patches; of the levels that each is drawn
+# at, as other patches tell more than the same ones once more; of mosaics.
+PATCHES, DRAWS, MOSAICS = 3 / 5, 1 / 3, 1 / 5
 FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (docs/method.md#second-pass)
 
 
@@ -79,16 +82,19 @@ def at_noise(pass_: TrainingPass, noise: NoiseScale, recipe: TrainingRecipe) -> 
     camera, exposure = pass_.head.camera.under(noise), pass_.exposure / noise.gain  # that gives as many DN
     made = make_rule(recipe.classes, camera, pass_.rule.case_of_code, dark=camera.dark_signal(exposure))
     rule = replace(pass_.rule, contrast_edges=made.contrast_edges, features=made.features)
-    learning = for_noise(recipe, camera).learning
-    patches = tuple(few_of(each, noise) for each in pass_.patches)
+    learning, patches = for_noise(recipe, camera).learning, pass_.patches
+    if noise.gain != 1:
+        draws = {name: math.ceil(getattr(learning, name) * DRAWS) for name in ("draws", "first_draws")}
+        learning = msgspec.structs.replace(learning, **draws)
+        patches = tuple(math.ceil(each * PATCHES) for each in patches)
     return replace(
         pass_, head=replace(pass_.head, camera=camera), rule=rule, recipe=learning, exposure=exposure, patches=patches
     )
 
 
-def few_of(number: int, noise: NoiseScale) -> int:
-    """Return the part of a number of patches or mosaics that transforms for a noise are learned from."""
-    return number if noise.gain == 1 else math.ceil(number * FEW)
+def few_of(mosaics: int, noise: NoiseScale) -> int:
+    """Return the part of a number of mosaics that transforms for a noise are learned from."""
+    return mosaics if noise.gain == 1 else math.ceil(mosaics * MOSAICS)
 
 
 def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fraction] | None) -> tuple[int, ...]:
