@@ -193,6 +193,28 @@ def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
     return msgspec.structs.replace(recipe, learning=learning, layer=())
 
 
+def beyond_black_level(learning: LearningRecipe, camera: CameraModel) -> Iterator[str]:
+    """Yield a warning of the lowest gain at which a camera's noise in the dark reaches down to 0 DN."""
+    for noise in sorted(learning.noises, key=lambda each: each.gain):
+        there = camera.under(noise)
+        deviation = float(np.sqrt(np.max(there.noise_terms(channel=np.arange(len(there.channels)))[0])))
+        if noise.gain > 1 and deviation > there.black_level:
+            yield (
+                f"at gain {noise.gain:g} noise in the dark is {deviation:.0f} DN, more than the black level of "
+                f"{there.black_level:.0f} DN: values below 0 are cut off, and the dark becomes too bright; name lower gains"
+            )
+            return
+
+
+def require_one_go(learning: LearningRecipe) -> None:
+    """Raise RecipeError, for a shard of a run, if transforms for each light are wanted, too."""
+    if learning.lights:
+        raise RecipeError(
+            "learning.lights: transforms for each light are learned in one go, not in shards; train without ‹shard›, on "
+            "several machines with ‹scheduler›"
+        )
+
+
 def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
     """Yield all that cannot be of [learning]."""
     if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:

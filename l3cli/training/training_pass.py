@@ -24,8 +24,8 @@ from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_noise
 from l3cli.training.sums import empty_sums
 from l3cli.training.symmetry import site_maps, stabilisers
 
-# Shares that transforms for another gain are learned from (docs/method.md#gains): of patches; of the levels that each is drawn
-# at, as other patches tell more than the same ones once more; of mosaics.
+# Shares that transforms for another gain are learned from (docs/method.md#gains): of patches; of the levels that each is
+# drawn at, as other patches tell more than the same ones once more; of mosaics.
 PATCHES, DRAWS, MOSAICS = 3 / 5, 1 / 3, 1 / 5
 FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (docs/method.md#second-pass)
 

@@ -77,6 +77,7 @@ def test_uncertainty_is_that_of_the_command(pipeline: Path, tmp_path: Path, refu
     renderer = l3.Renderer(table)
     frame = l3.read_raw(raw, table)
     found, outputs = renderer.uncertainty(frame), renderer.outputs(frame)
+    assert found.bias is not None
     np.testing.assert_array_equal(
         written.get_pixels(oiio.FLOAT), np.dstack([found.mask.astype(np.float32), found.bias, found.sigma])
     )

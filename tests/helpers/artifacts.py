@@ -114,7 +114,8 @@ def some_layer_sums(camera: CameraModel) -> tuple[PartialLayerSums, LayerSums]:
         sites=np.array([0]),
         history=table.history,
     )
-    return head, LayerSums(*(np.ones(shape) for shape in head.shapes))
+    moments, noise, count = (np.ones(shape) for shape in head.shapes)
+    return head, LayerSums(moments, noise, count)
 
 
 def some_sums(camera: CameraModel) -> tuple[PartialSums, ClassSums]:
@@ -130,4 +131,5 @@ def some_sums(camera: CameraModel) -> tuple[PartialSums, ClassSums]:
         sites=np.array([0]),
         history=(Stage("train", {"seed": 0}),),
     )
-    return head, ClassSums(*(np.ones(shape) for shape in head.shapes))
+    moments, noise, count = (np.ones(shape) for shape in head.shapes)
+    return head, ClassSums(moments, noise, count)

@@ -159,7 +159,7 @@ def test_bias_is_that_of_the_classes() -> None:
     known = replace(table, later=(replace(table.later[0], bias=PlaneBias(mean)),))
     renderer = make_renderer("opencl", known)
     wanted = upright(mean[make_renderer("opencl", table).labels(frame, 1)] * np.float32(frame.light_share), 6)
-    assert np.array_equal(uncertainty(renderer, frame).bias, wanted)
+    np.testing.assert_array_equal(uncertainty(renderer, frame).bias, wanted)
 
 
 def test_large_frames_are_sampled_and_noise_is_that_of_their_gain() -> None:

@@ -59,8 +59,8 @@ def ranks(expected: NDArray[np.floating], measured: NDArray[np.floating]) -> tup
     one, other = np.triu_indices(len(expected), 1)
     pairs = np.log([expected[one] / expected[other], measured[one] / measured[other]])
     far = (np.abs(pairs) > TIE).all(axis=0)
-    orders = (np.argsort(np.argsort(each)) for each in (expected, measured))
-    return float(np.corrcoef(*orders)[0, 1]), float((pairs.prod(axis=0) > 0)[far].mean())
+    orders = [np.argsort(np.argsort(each)) for each in (expected, measured)]
+    return float(np.asarray(np.corrcoef(orders))[0, 1]), float((pairs.prod(axis=0) > 0)[far].mean())
 
 
 @pytest.mark.parametrize(
@@ -110,9 +110,9 @@ def test_arrays_of_one_pixel_are_ranked_as_training_ranks_them(
         with capsys.disabled():
             for name, measured in kinds.items():
                 others = [np.delete(measured, n, axis=1).mean(axis=1) for n in range(measured.shape[1])]
-                scenes = np.mean([ranks(*pair)[0] for pair in zip(others, measured.T, strict=True)])
+                agree = np.mean([ranks(*pair)[0] for pair in zip(others, measured.T, strict=True)])
                 rank, in_order = found[name]
-                print(f"{level.name}, {name}: {rank:.2f}, {in_order:.0%}; one scene with the others {scenes:.2f}")
+                print(f"{level.name}, {name}: {rank:.2f}, {in_order:.0%}; one scene with the others {agree:.2f}")
         assert found["leaves"][0] > least[place]
         assert found["leaves"][1] > fewest[place]
         assert found["compositions"][1] > 0.6

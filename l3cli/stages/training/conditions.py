@@ -2,7 +2,6 @@
 (docs/method.md#noise-sets, docs/method.md#several-lights)."""
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import replace
 
 import msgspec
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import NoiseScale
 from l3cli.artifacts.table import Condition, SceneLight, TransformTable
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.errors import InputFileError, RecipeError, suggestion
+from l3cli.errors import InputFileError, suggestion
 from l3cli.physics.correlated_lights import SAME_MIRED, mired_of
 from l3cli.physics.display import XYZ
 from l3cli.stages.training.passes import Execution, first_pass, learn_first, pass_of
@@ -51,19 +50,6 @@ def _with_noises(
         execution.console.info(f"transforms for {noise}")
         made.append(learn_refinement_layers(few, learn_first(few, each, execution), execution, like=like))
     return with_noises(usual, made, run.recipe.learning.noises)
-
-
-def beyond_black_level(run: TrainingRun) -> Iterator[str]:
-    """Yield a warning of the lowest gain at which noise in the dark reaches down to 0 DN."""
-    for noise in sorted(run.recipe.learning.noises, key=lambda each: each.gain):
-        camera = run.head.camera.under(noise)
-        deviation = float(np.sqrt(np.max(camera.noise_terms(channel=np.arange(len(camera.channels)))[0])))
-        if noise.gain > 1 and deviation > camera.black_level:
-            yield (
-                f"at gain {noise.gain:g} noise in the dark is {deviation:.0f} DN, more than the black level of "
-                f"{camera.black_level:.0f} DN: values below 0 are cut off, and the dark becomes too bright; name lower gains"
-            )
-            return
 
 
 def run_for(run: TrainingRun, noise: NoiseScale) -> TrainingRun:
@@ -127,12 +113,3 @@ def _chosen(run: TrainingRun, frames: dict[int, list[int]]) -> TrainingRun:
         sources.append(replace(run.training[place], frames=len(indices), chosen=tuple(indices)))
     patches = spread_patches(run.recipe.learning.patches, [source.frames for source in sources], shares)
     return replace(run, training=tuple(sources), patches=patches, shares=shares)
-
-
-def require_one_go(run: TrainingRun) -> None:
-    """Raise RecipeError if a shard of the run is asked for and transforms for each light are wanted, too."""
-    if run.recipe.learning.lights:
-        raise RecipeError(
-            "learning.lights: transforms for each light are learned in one go, not in shards; train without ‹shard›, on "
-            "several machines with ‹scheduler›"
-        )

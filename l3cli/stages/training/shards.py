@@ -24,7 +24,7 @@ from l3cli.errors import InputFileError
 from l3cli.options.commands import ShardOptions
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import parse_recipe
-from l3cli.stages.training.conditions import require_one_go, run_for
+from l3cli.stages.training.conditions import run_for
 from l3cli.stages.training.passes import Execution, first_pass, pass_of, sum_unit, summed
 from l3cli.stages.training.refinement_layers import (
     layer_mosaics,
@@ -37,7 +37,7 @@ from l3cli.stages.training.whole import execution_of, report_table
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
 from l3cli.training.layers.learn import LayerPass, add_sums, no_sums
-from l3cli.training.recipe import TrainingRecipe, draft_of, layer_faults
+from l3cli.training.recipe import TrainingRecipe, draft_of, layer_faults, require_one_go
 from l3cli.training.sums import empty_sums
 from l3cli.training.table import add_up, assemble, by_noise, finished_layer, layer_pass, learn_site, passes_of, with_noises
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, frame_blocks
@@ -51,7 +51,7 @@ def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path
     run."""
     first = options.first
     with execution_of(training, output, options, f"partial sums, shard {shard[0]} of {shard[1]},") as (run, execution):
-        require_one_go(run)
+        require_one_go(run.recipe.learning)
         table = load(TransformTable, first) if first else None
         warn_of_left_out_layers(run, options.console)
         if table and run.has_refinement_layers and _is_of(run, table, LAYERS[len(table.later)]):

@@ -10,13 +10,14 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.options.commands import TrainOptions
 from l3cli.parallel import workers
-from l3cli.stages.training.conditions import beyond_black_level, learn_conditions, runs_by_light
+from l3cli.stages.training.conditions import learn_conditions, runs_by_light
 from l3cli.stages.training.passes import Execution, first_pass, learn_first
 from l3cli.stages.training.refinement_layers import learn_refinement_layers
 from l3cli.stages.training.run import TrainingRun, cached_for_a_run, open_run
 from l3cli.system.console import Console
 from l3cli.system.output_guard import OutputGuard
 from l3cli.system.plan import Made, before_work
+from l3cli.training.recipe import beyond_black_level
 
 
 def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> TransformTable:
@@ -43,7 +44,7 @@ def execution_of(
             training = tuple(path.absolute() for path in training)  # for workers elsewhere
         run = open_run(training, options)
         runs_by_light(run)  # refused before any work
-        for text in beyond_black_level(run):
+        for text in beyond_black_level(run.recipe.learning, run.head.camera):
             options.console.warn(text)
         frames = sum(source.frames for source in run.training)
         made = Made(output, f"{what} of {sum(run.patches)} patches in {frames} frames")
