@@ -15,7 +15,7 @@ from l3cli.training.goal import Goal
 from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, steps_back, white_channels
 from l3cli.training.plain_surfaces import output_gains, single_bands, teaches
 from l3cli.training.recipe import LearningRecipe
-from l3cli.training.sums import bias_of, moment_matrix, turned_places, turned_rows, width_of
+from l3cli.training.sums import bias_of, known_rows, moment_matrix, turned_places, turned_rows, width_of
 from l3cli.training.symmetry import Turn
 
 Array = NDArray[np.float64]
@@ -180,8 +180,8 @@ def solve(
                 compliance[batch, number, :used] = solution[..., len(wanted) :]
                 condition[batch] = np.maximum(condition[batch], worst)
     own = None
-    if sums.rows:
-        own = np.mean([turned_rows(sums.rows, turn.taps)[turn.classes] for turn in turns], axis=0)
+    if (known := known_rows(sums)) is not None:
+        own = np.mean([turned_rows(known, turn.taps)[turn.classes] for turn in turns], axis=0)
     about = solved, samples, condition, plain_colours(sums, rule, window), white, power, own
     return Solution(rows, member @ rows, compliance, member @ compliance, *about)
 

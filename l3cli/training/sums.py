@@ -120,12 +120,17 @@ def bias_of(total: Array, transforms: Array) -> Array:
     return np.asarray(left / np.maximum(total[:, used - 1, None], 1))
 
 
+def known_rows(sums: ClassSums | LayerSums) -> RowSums | None:
+    """Return the sums of rows as they are; None if a file that they are of had none."""
+    return sums.rows if sums.rows and np.isfinite(sums.rows.total).all() else None
+
+
 def add(sums: ClassSums | LayerSums, more: ClassSums | LayerSums) -> None:
     """Add `more` to `sums` in place; exact, in whatever order."""
     for total, part in ((sums.moments, more.moments), (sums.noise, more.noise), (sums.count, more.count)):
         np.add(total, part, out=total)
-    if sums.rows and more.rows:
-        np.add(sums.rows.total, more.rows.total, out=sums.rows.total)
+    if sums.rows:  # with those of an older file, that has none, they are not known
+        np.add(sums.rows.total, more.rows.total if more.rows else np.nan, out=sums.rows.total)
 
 
 def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:

@@ -406,7 +406,12 @@ def test_plain_areas_may_have_spectra_that_training_lacks(bayer: CameraModel, tm
 def test_the_default_recipe_file_spells_out_the_built_in_default() -> None:
     default = load_recipe(CONFIGS / "classes/default.toml", TrainingRecipe)
     own = LayerRecipe(
-        colour_ratios=True, level_pool=(0.8, 0.5, 0.2), brightness_power=0.65, error_power=0.15, coarse_chroma=True
+        colour_ratios=True,
+        level_pool=(0.8, 0.5, 0.2),
+        brightness_power=0.65,
+        error_power=0.15,
+        coarse_chroma=True,
+        chroma_noise=1.5,
     )
     assert default.layer == (own,)  # powers that a layer does not name are those of [learning]
     for name in ("fast", "best"):

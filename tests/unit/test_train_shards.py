@@ -231,7 +231,7 @@ def test_a_second_layer_follows_a_single_pass(bayer: CameraModel, tmp_path: Path
     assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
 
 
-def test_a_draft_is_one_layer_of_a_tenth_of_the_patches(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+def test_a_draft_is_one_layer_of_many_patches_at_few_levels(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     """In shards, too; its history says that it is one."""
     training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
     (tmp_path / "classes.toml").write_text(TWO_LAYERS.replace("draws = 2\n", "draws = 2\nnoise_left = 0.1\n"))
@@ -239,7 +239,7 @@ def test_a_draft_is_one_layer_of_a_tenth_of_the_patches(bayer: CameraModel, tmp_
     assert l3("train", *run, "-o", tmp_path / "whole.h5")[0] == 0
     draft = load(TransformTable, tmp_path / "whole.h5")
     assert (draft.later, draft.conditions, draft.history[-1].options["draft"]) == ((), (), True)
-    assert draft.first.samples.sum() == 4 * 90 * 2  # sites, patches, draws
+    assert draft.first.samples.sum() == 4 * 270 * 1  # sites, patches, draws
     _, first, _ = in_shards(l3, run, 2, tmp_path)
     assert in_shards(l3, run, 2, tmp_path, "--first", first)[1].read_bytes() == (tmp_path / "whole.h5").read_bytes()
 

@@ -21,7 +21,7 @@ from l3cli.errors import L3Error
 from l3cli.training.layers.mosaics import Exposed, FirstLayer, Mosaics, PlaneStage, Seen, margin_of, mosaics_of, sheets_of
 from l3cli.training.layers.rows import GatheredRows, Reading, empty_sums, grid_steps, require_exact, row_weights
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
-from l3cli.training.sums import add, bias_of, moment_matrix, turned_places, turned_rows, width_of
+from l3cli.training.sums import add, bias_of, known_rows, moment_matrix, turned_places, turned_rows, width_of
 from l3cli.training.symmetry import orientations, site_maps, turned_structures
 from l3cli.training.systems import fits_between, solve_positive
 from l3cli.training.training_pass import LAYER_ROWS, frame_blocks
@@ -312,7 +312,7 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     back = np.linalg.inv(layer.basis)
     weights, intercept, samples, bias = [], [], [], []
     for site, canonical in enumerate(reading.canonical.tolist()):
-        if (row_sums := sums[canonical].rows) is not None:
+        if row_sums := known_rows(sums[canonical]):
             bias.append(bias_of(row_sums.total, solved[canonical]) @ back)
         rows = np.swapaxes(solved[canonical] @ back, 1, 2)  # (class, output, tap + 1)
         taps = rows[..., :windows].reshape(*rows.shape[:2], 3, -1)
