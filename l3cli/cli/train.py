@@ -32,9 +32,9 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
       l3 train training.h5 --shard 1/4 --first first.h5 -o b1.h5   … 4/4
       l3 train --merge b1.h5 b2.h5 b3.h5 b4.h5 -o table.h5
 
-    With first_draws = 0 in the recipe, or outputs other than XYZ and the camera's channels, there is one pass: two steps,
-    without --first. Every [[layer]] of the recipe is a pass more, with --first and the table of the pass before. --merge
-    says what comes next.
+    With first_draws = 0 in the recipe, or outputs that are neither XYZ nor a spectrum, there is one pass: two steps, without
+    --first. Every [[layer]] of the recipe is a pass more, with --first and the table of the pass before. --merge says what
+    comes next.
     """
     from l3cli.stages.training.shards import merge_shards, train_shard
     from l3cli.stages.training.whole import filling

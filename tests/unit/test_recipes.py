@@ -435,7 +435,7 @@ def test_the_parametric_responsivities_meet_the_measured_ones(fiveband: CameraMo
     ours = np.array([np.interp(grid, fiveband.wavelength, curve) for curve in fiveband.responsivity])
     ours = ours / ours.max()
     assert np.sqrt(np.mean((ours - measured) ** 2, axis=1)).max() < 0.03
-    assert np.sqrt(np.mean((ours - measured) ** 2)) < 0.017  # docs/method.md#five-band-prototype says about 1.4 %
+    assert np.sqrt(np.mean((ours - measured) ** 2)) < 0.017  # configs/cameras/fiveband.toml says 1.4 %
     assert published["cfa_pattern_1based"] == (fiveband.cfa + 1).tolist()
 
 
