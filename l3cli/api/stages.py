@@ -155,9 +155,9 @@ def simulate(scenes: Name, camera: Name | CameraModel, output: Name, options: Si
 @by_keyword(TrainOptions)
 def train(training: Name | Sequence[Name], output: Name, options: TrainOptions) -> TransformTable:
     """Return the transform table learned from one or more training sets, also written to `output` (`l3 train`)."""
-    from l3cli.stages.training import whole
+    from l3cli.stages.training import train as stage
 
-    return whole.train(_paths(training), Path(output), options)
+    return stage.train(_paths(training), Path(output), options)
 
 
 @by_keyword(RenderOptions)

@@ -17,7 +17,7 @@ from l3cli.parallel import one_blas_thread, without_plots
 from l3cli.system.console import Logged
 from l3cli.system.files import close_ledger
 from l3cli.system.limits import require_address_space, require_settings
-from l3cli.system.plan import Planned
+from l3cli.system.outputs import Planned
 from l3cli.system.signals import Terminated, heed, leave_to_python
 
 if TYPE_CHECKING:

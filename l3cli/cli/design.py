@@ -33,7 +33,7 @@ def moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -
     \b
     Example: l3 design moments default --camera bayer -o scenes.h5
     """
-    from l3cli.stages.design.moments import gather_moments
+    from l3cli.stages.design import gather_moments
 
     made = gather_moments(scenes, camera, output, options)
     lights = {each.illuminant: each.terms for each in made.light}
@@ -63,7 +63,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> Result:
     \b
     Example: l3 design dyes --moments scenes.h5 -o design.h5
     """
-    from l3cli.stages.design.run import design as stage
+    from l3cli.stages.design import design as stage
 
     made = stage(recipe, output, options)
     return Result({"design": str(output), **_document(made)}, lambda: _text(made))

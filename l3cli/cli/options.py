@@ -173,6 +173,6 @@ trust = _mode(
     "Decode raw, image, MATLAB and video files in this process, not in an isolated one with limits.",
 )  # fmt: skip
 dry_run = _mode(
-    "dry_run", "l3cli.system.plan",
+    "dry_run", "l3cli.system.outputs",
     "Check everything that is checked before work, say what would be read and made, and write nothing.",
 )  # fmt: skip

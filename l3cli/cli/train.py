@@ -36,9 +36,8 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
     --first. Every [[layer]] of the recipe is a pass more, with --first and the table of the pass before. --merge says what
     comes next.
     """
-    from l3cli.stages.training.shards import merge_shards, train_shard
-    from l3cli.stages.training.whole import filling
-    from l3cli.stages.training.whole import train as train_whole
+    from l3cli.stages.training.train import filling, merge_shards, train_shard
+    from l3cli.stages.training.train import train as train_whole
 
     chosen = options.chosen() != ShardOptions().chosen() or options.inputs() or options.shard or options.scheduler
     if options.merge and chosen:

@@ -17,7 +17,7 @@ from l3cli.io.video import Y4M, Pacing, VideoChoice, check_video, is_video, new_
 from l3cli.physics.display import FLOAT_BITS
 from l3cli.system.files import UNFINISHED, atomic_output, refuse_existing, refuse_protected
 from l3cli.system.locks import sole_writer_of_folder
-from l3cli.system.output_guard import OutputGuard, refuse_unwritable
+from l3cli.system.outputs import OutputGuard, refuse_unwritable
 
 STDOUT = Path("-")
 PICTURE_WRITERS = 2  # threads that compress picture files

@@ -17,8 +17,8 @@ from l3cli.frames.frame import shifted_cfa
 from l3cli.frames.measurement import CaptureFolder, RawFile
 from l3cli.io.images import mono_of, opened
 from l3cli.io.isolated import isolated
+from l3cli.io.raw import RawContent
 from l3cli.io.raw.cfa_codes import FilterArray, find_phase
-from l3cli.io.raw.content import RawContent
 from l3cli.io.raw.files import BY_SUFFIX, format_of, read_raw
 from l3cli.io.raw.tiff import read_plain
 from l3cli.spectra.file import SUFFIXES, read_table

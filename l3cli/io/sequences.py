@@ -36,7 +36,7 @@ from l3cli.io.file_names import (
 from l3cli.io.images import picture_size, read_image
 from l3cli.io.isolated import isolated
 from l3cli.io.pictures.registry import suffixes
-from l3cli.io.raw.content import MultiFrameFile
+from l3cli.io.raw import MultiFrameFile
 from l3cli.io.raw.files import RawOverrides, format_of, frame_of, is_frame, read_raw, read_stack, read_stdin
 from l3cli.io.scenes import rgb
 from l3cli.io.video import CONTAINERS, DecodedVideo, InTurn, Stated, is_video, pyav, unit_of

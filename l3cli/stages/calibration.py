@@ -38,12 +38,11 @@ from l3cli.io.measurements import (
 from l3cli.options.commands import CalibrateOptions, DraftOptions
 from l3cli.parallel import ordered_map
 from l3cli.recipes.toml import parse_recipe
-from l3cli.report.data_sheet import data_sheet
+from l3cli.report.camera import data_sheet
 from l3cli.report.parts import render_page
 from l3cli.stages.export import write
 from l3cli.system.files import is_noting, write_whole
-from l3cli.system.output_guard import OutputGuard
-from l3cli.system.plan import Made, before_work, is_dry
+from l3cli.system.outputs import Made, OutputGuard, before_work, is_dry
 from l3cli.system.text import counted
 
 

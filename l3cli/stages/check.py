@@ -17,8 +17,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_recipe_faults, load_camera
 from l3cli.artifacts.recipe_source import Meaning, RecipeSource, key_in, keys_of
 from l3cli.classes import chroma, contrast, level, saturation
-from l3cli.design.pixel import pixel_of
-from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves, level_name
+from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves, level_name, pixel_of
 from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
 from l3cli.io.file_names import find_scenes
 from l3cli.io.measurement_check import measurement_faults, measurement_lines, measurement_meaning

@@ -10,8 +10,7 @@ from l3cli.evaluation.comparison import Comparison, curve_of, named_by_files, re
 from l3cli.options.commands import CompareOptions
 from l3cli.system.files import write_whole
 from l3cli.system.limits import read_bounded
-from l3cli.system.output_guard import OutputGuard
-from l3cli.system.plan import Made, before_work
+from l3cli.system.outputs import Made, OutputGuard, before_work
 
 GIVE = 'give what "l3 evaluate --json" prints'
 

@@ -48,8 +48,7 @@ from l3cli.simulation.sensor import expose
 from l3cli.system.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256
-from l3cli.system.output_guard import OutputGuard
-from l3cli.system.plan import Made, before_work
+from l3cli.system.outputs import Made, OutputGuard, before_work
 
 PlanesOf = Callable[[TrainingFrame], dict[str, NDArray[np.floating]]]  # of every pipeline
 BRIGHT = 1e4  # cd/m² of a white behind edges, for exposures in which dark current does not count

@@ -21,8 +21,7 @@ from l3cli.rendering.white.source import given_white
 from l3cli.stages.rendering.render import mix_of_given
 from l3cli.system.console import Console
 from l3cli.system.files import write_whole
-from l3cli.system.output_guard import OutputGuard
-from l3cli.system.plan import Made, before_work
+from l3cli.system.outputs import Made, OutputGuard, before_work
 
 LOW_NOISE_README = """
 ## Low-noise transforms

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from l3cli import __version__
-from l3cli.artifacts.store import describe, load
+from l3cli.artifacts.store import Intact, Link, chain, describe, load, verify
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.verify import Intact, Link, chain, verify
 from l3cli.errors import DeviceError, L3Error
 from l3cli.io.decoder_process import LANDLOCK, SECCOMP, measures
 from l3cli.options.commands import BenchOptions

@@ -20,8 +20,7 @@ from l3cli.simulation.sensor import DefectRecipe
 from l3cli.spectra.units import PHOTON_RADIANCE
 from l3cli.system.files import note_output, refuse_existing, refuse_protected
 from l3cli.system.locks import sole_writer_of_folder
-from l3cli.system.output_guard import OutputGuard, refuse_unwritable
-from l3cli.system.plan import Made, before_work
+from l3cli.system.outputs import Made, OutputGuard, before_work, refuse_unwritable
 
 MONO = "spectra/mono.csv"  # spectra of the monochromator's steps
 

@@ -41,8 +41,7 @@ from l3cli.stages.check import CAMERA, Judgement
 from l3cli.stages.evaluation import FrameRenderers, document_of, evaluate_frame, figures_by_gain, for_frames
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import note_places, sha256, write_whole
-from l3cli.system.output_guard import OutputGuard
-from l3cli.system.plan import Made, before_work
+from l3cli.system.outputs import Made, OutputGuard, before_work
 from l3cli.system.text import short_names
 
 # of all evaluated frames, of all pixels that can be looked into, of classes elsewhere, of all training sets: see page.LIMIT

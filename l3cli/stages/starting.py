@@ -17,7 +17,7 @@ from l3cli.calibration import figures, model
 from l3cli.calibration.photo import responsivity
 from l3cli.calibration.photo.recipe import PhotoCamera, SensorNoise, gains_of, noise_of, without_photo
 from l3cli.calibration.photo.responsivity import ColourMatrix
-from l3cli.design.pixel import camera_texts
+from l3cli.design.recipe import camera_texts
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import shifted_cfa
 from l3cli.frames.measurement import Body, Measurements, Stated
@@ -32,8 +32,7 @@ from l3cli.options.commands import InitOptions
 from l3cli.recipes.builtin import COMMON, CURVES, curves_of, folder_files, known_camera, recipe_folder, summary
 from l3cli.system.console import Console
 from l3cli.system.files import atomic_output, blamed_on, refuse_protected, require_regular
-from l3cli.system.output_guard import OutputGuard
-from l3cli.system.plan import Made, before_work
+from l3cli.system.outputs import Made, OutputGuard, before_work
 
 NEW_FOLDER = "mine"  # as the documentation calls it
 SHOWN = "picture"  # and the photo's suffix: a link to it, for make cannot hold every name

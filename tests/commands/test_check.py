@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.classes.rule import make_rule
-from l3cli.design.pixel import pixel_of
-from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves
+from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves, pixel_of
 from l3cli.errors import L3Error
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import load_recipe

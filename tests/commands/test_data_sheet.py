@@ -8,7 +8,7 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
-from l3cli.report.data_sheet import data_sheet, deviation_figure
+from l3cli.report.camera import data_sheet, deviation_figure
 from l3cli.report.parts import Figures, Table
 from tests.helpers.calls import L3, Refused
 from tests.helpers.pages import Tags

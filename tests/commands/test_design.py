@@ -11,7 +11,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.design import Design, SceneMoments, Truth
 from l3cli.artifacts.store import load
 from l3cli.design.task import BOUNDS
-from l3cli.stages.design import parts, run, truth
+from l3cli.stages import design as stage
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.recipes import FEW_CLASSES
@@ -90,7 +90,7 @@ def test_a_stopped_run_goes_on(
     call = ("design", "moments", "scenes.toml", "--camera", "design.toml", "--patches", 2000, "-o", tmp_path / "m.h5")
     saved: list[Path] = []
     again: list[Path] = []
-    write = parts.write_whole
+    write = stage.write_whole
     with monkeypatch.context() as patch:
 
         def stop(path: Path, content: bytes) -> None:
@@ -99,7 +99,7 @@ def test_a_stopped_run_goes_on(
             saved.append(path)
             write(path, content)
 
-        patch.setattr(parts, "write_whole", stop)
+        patch.setattr(stage, "write_whole", stop)
         assert l3(*call)[0] == 130
     assert len(list((tmp_path / "m.h5.parts").glob("*.npz"))) == 4
     assert "leave --resume out" in refused(2, *call, "--resume", "--seed", 1)
@@ -109,7 +109,7 @@ def test_a_stopped_run_goes_on(
         write(path, content)
 
     with monkeypatch.context() as patch:
-        patch.setattr(parts, "write_whole", follow)
+        patch.setattr(stage, "write_whole", follow)
         assert l3(*call, "--resume")[0] == 0
     assert [path.name for path in again] == ["scenes-00001.npz", "scenes-00002.npz"]  # of three scenes two parts each
     assert (tmp_path / "m.h5").read_bytes() == (folder / "scenes.h5").read_bytes()
@@ -148,10 +148,10 @@ def test_a_design_ranks_arrays_beside_bayer_of_their_filters(folder: Path, l3: L
 def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     folder: Path, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(truth, "UNSEEN", truth.UNSEEN.replace("[180, 320]", "[80, 128]").replace("[160, 160]", "[48, 48]"))
-    monkeypatch.setattr(truth, "LEARNED", truth.LEARNED.replace("[160, 160]", "[64, 64]").replace("24", "2"))
-    monkeypatch.setattr(truth, "find_recipe", lambda name, kind: folder / "classes.toml")
-    monkeypatch.setattr(run, "STARTS", 2)
+    monkeypatch.setattr(stage, "UNSEEN", stage.UNSEEN.replace("[180, 320]", "[80, 128]").replace("[160, 160]", "[48, 48]"))
+    monkeypatch.setattr(stage, "LEARNED", stage.LEARNED.replace("[160, 160]", "[64, 64]").replace("24", "2"))
+    monkeypatch.setattr(stage, "find_recipe", lambda name, kind: folder / "classes.toml")
+    monkeypatch.setattr(stage, "STARTS", 2)
     (folder / "classes.toml").write_text(FEW_CLASSES)
     recipe = folder / "truth.toml"
     pattern = DESIGN.index("[[pattern]]"), DESIGN.index("[[level]]")

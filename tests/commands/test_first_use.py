@@ -178,8 +178,7 @@ def test_headers_give_the_size_that_reading_gives(tmp_path: Path, bayer: CameraM
     from scipy.io import savemat
 
     from l3cli.io.images import picture_size
-    from l3cli.io.scenes import iset
-    from l3cli.io.scenes.registry import format_of
+    from l3cli.io.scenes import format_of, iset
     from tests.helpers.cubes import a_cube, basis_file
 
     cube, path = a_cube(), tmp_path / "cube"

@@ -23,7 +23,7 @@ from tests.helpers.paths import ROOT
 IMPORTS = (
     "numpy colour h5py OpenImageIO rawpy scipy.optimize scipy.ndimage scipy.interpolate tifffile jinja2 l3cli.cli.render "
     "l3cli.stages.rendering.render l3cli.stages.report l3cli.cli.train l3cli.cli.lab l3cli.cli.calibrate "
-    "l3cli.stages.training.shards l3cli.stages.simulation.simulate "
+    "l3cli.stages.training.train l3cli.stages.simulation.simulate "
     "l3cli.cli.evaluate l3cli.cli.report l3cli.cli.compare l3cli.cli.info l3cli.cli.simulate l3cli.cli.init "
     "l3cli.calibration.model l3cli.training.table l3cli.simulation.frame l3cli.simulation.procedural "
     "l3cli.rendering.reference l3cli.evaluation.evaluation l3cli.io.measurements l3cli.io.curves l3cli.simulation.lab "

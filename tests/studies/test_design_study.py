@@ -15,13 +15,12 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.design import TIE, SceneMoments, shown
 from l3cli.artifacts.store import load
 from l3cli.design.error import Level, noise_of, seen_by, spectra_of
-from l3cli.design.ranking import designed
 from l3cli.design.search import Problem
-from l3cli.design.task import Task
+from l3cli.design.task import Task, designed
 from l3cli.options.commands import MomentsOptions
 from l3cli.recipes.builtin import find_recipe
-from l3cli.stages.design import truth
-from l3cli.stages.design.moments import gather_moments
+from l3cli.stages import design as stage
+from l3cli.stages.design import gather_moments
 from tests.helpers.paths import ROOT
 
 pytestmark = pytest.mark.slow
@@ -81,8 +80,8 @@ def test_arrays_of_one_pixel_are_ranked_as_training_ranks_them(
 ) -> None:
     """By the ΔE00 of unseen leaves, which the moments are of, and less strictly of compositions, of which one alone ranks
     arrays of like error otherwise than another does."""
-    unseen = truth.UNSEEN.replace("seed = 7\n", "seed = 7\ncount = 3\n").replace("count = 2\n", "count = 4\n")
-    monkeypatch.setattr(truth, "UNSEEN", unseen)
+    unseen = stage.UNSEEN.replace("seed = 7\n", "seed = 7\ncount = 3\n").replace("count = 2\n", "count = 4\n")
+    monkeypatch.setattr(stage, "UNSEEN", unseen)
     recipe, scenes = tmp_path / "design.toml", tmp_path / "scenes.h5"
     pattern = f"[[pattern]]\narrays = {[each.split('/') for each in arrays]}\n"
     recipe.write_text(DESIGN + pattern + SHARE + "".join(map(DARKER.format, lights)))
@@ -95,7 +94,7 @@ def test_arrays_of_one_pixel_are_ranked_as_training_ranks_them(
     levels = [("D65", level) for level in task.levels]
     figures = np.array(
         [
-            truth.trained(truth.Trial(design.camera(shown(cfa, task.names), task.curves), levels, 0))["figures"]
+            stage.trained(stage.Trial(design.camera(shown(cfa, task.names), task.curves), levels, 0))["figures"]
             for cfa in cfas
         ]
     )  # (array, level, scene, figure)

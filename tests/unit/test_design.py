@@ -9,8 +9,21 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from l3cli.artifacts.design import GROUPS, SIDE, LightMoments
-from l3cli.design.error import RIDGE, Level, Noise, Seen, array_errors, seen_by, spectra_of, wanted_outputs
-from l3cli.design.moments import Sums, empty_sums, gather, groups_of, in_all_orientations
+from l3cli.design.error import (
+    RIDGE,
+    Level,
+    Noise,
+    Seen,
+    Sums,
+    array_errors,
+    empty_sums,
+    gather,
+    groups_of,
+    in_all_orientations,
+    seen_by,
+    spectra_of,
+    wanted_outputs,
+)
 from l3cli.design.search import (
     Problem,
     anneal,

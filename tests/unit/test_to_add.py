@@ -170,7 +170,7 @@ DECIMAL = '''
 
 import numpy as np
 
-from l3cli.io.raw.content import RawContent
+from l3cli.io.raw import RawContent
 
 def read(path):
     """Values (row, col) in DN."""
@@ -220,7 +220,7 @@ ADDITIONS: dict[str, dict[str, str | Edits]] = {
             ),
             ("Source = (\n", "Source = (\n    GreyText |"),
         ],
-        "l3cli/io/scenes/registry.py": [
+        "l3cli/io/scenes/__init__.py": [
             ("FORMATS = (\n", 'FORMATS = (\n    SceneFormat("grey text", "grey_text"),\n'),
         ],
     },

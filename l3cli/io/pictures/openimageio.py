@@ -1,9 +1,11 @@
-"""Pictures (PNG, TIFF, JPEG) and linear values (EXR, TIFF) as OpenImageIO writes them."""
+"""Pictures (PNG, TIFF, JPEG, JPEG XL) and linear values (EXR, TIFF) as OpenImageIO writes them."""
 
 import contextlib
 import errno
 import os
+import struct
 from collections.abc import Iterator
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +16,29 @@ from numpy.typing import NDArray
 from l3cli.errors import L3Error
 from l3cli.io.images import EXPOSURE_TIME
 from l3cli.io.pictures.icc import icc_profile
-from l3cli.io.pictures.registry import Label, Picture
+from l3cli.io.pictures.registry import NOTHING, Label, Picture
 from l3cli.io.tags import SHOT, shot_entries
 from l3cli.physics.spaces import SRGB, Space
 from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 from l3cli.system.files import atomic_output, write_whole
 from l3cli.system.signals import uninterrupted
 
-EXR, PNG = ".exr", ".png"
+EXR, PNG, JPEG_XL = ".exr", ".png", ".jxl"
 # Noise hardly shrinks: what packs tightest takes seven times as long for a tenth of the size.
 COMPRESSION: dict[str, dict[str, str | int]] = {
     # Differences to the mean of two neighbours: hardly any of their strings come again, and to look for them takes long.
     PNG: {"compression": "rle", "png:compressionLevel": 1, "png:filter": 64},
     ".jpg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
     ".jpeg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
-    ".jxl": {"compression": "lossless", "jpegxl:effort": 1},
+    JPEG_XL: {"compression": "lossless", "jpegxl:effort": 1},
 }
 EXIF_SRGB, EXIF_OTHER = 1, 65535  # values of Exif's ColorSpace
+XMP = (
+    '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+    '<rdf:Description rdf:about="" xmlns:tiff="http://ns.adobe.com/tiff/1.0/" xmlns:exif="http://ns.adobe.com/exif/1.0/"'
+    ' xmlns:exifEX="http://cipa.jp/exif/1.0/"{}/>'
+    "</rdf:RDF></x:xmpmeta>"
+)
 
 
 def encode(path: Path, picture: Picture) -> bytes:
@@ -53,7 +61,11 @@ def encode(path: Path, picture: Picture) -> bytes:
     _add_label(spec, picture.label)
     for name, value in COMPRESSION.get(suffix, {"compression": "none"}).items():
         spec.attribute(name, value)
-    return encoded(path.name, spec, pixels)
+    content = encoded(path.name, spec, pixels)
+    if suffix != JPEG_XL or picture.label == NOTHING:
+        return content
+    packet = _xmp(picture.label).encode()  # OpenImageIO writes no Exif into JPEG XL: the label is a box like the others
+    return content + struct.pack(">I4s", 8 + len(packet), b"xml ") + packet
 
 
 def _spec(pixels: NDArray[Any]) -> Any:
@@ -77,6 +89,26 @@ def _add_label(spec: Any, label: Label) -> None:
     if iso := round(label.shot.iso):
         spec.attribute("Exif:PhotographicSensitivity", min(iso, 65535))  # of 16 bits, as Exif has it
         spec.attribute("Exif:ISOSpeed", iso)  # OpenImageIO writes the other one into no TIFF
+
+
+def _xmp(label: Label) -> str:
+    """Return a label as an XMP packet."""
+    from xml.sax.saxutils import quoteattr
+
+    shot = label.shot
+    day, _, hour = shot.date.partition(" ")
+    texts = {
+        "tiff:Make": shot.make,
+        "tiff:Model": shot.model,
+        "exifEX:LensModel": shot.lens,
+        "tiff:Software": label.software,
+        "exif:DateTimeOriginal": f"{day.replace(':', '-')}T{hour}" if shot.date else "",
+        "tiff:ImageDescription": label.description,
+    }
+    numbers = {"exif:ExposureTime": label.exposure, "exif:FNumber": shot.f_number, "exif:FocalLength": shot.focal_length}
+    numbers["exifEX:PhotographicSensitivity"] = round(shot.iso)
+    texts |= {name: str(Fraction(value).limit_denominator(10**6)) for name, value in numbers.items() if value}
+    return XMP.format("".join(f" {name}={quoteattr(text)}" for name, text in texts.items() if text))
 
 
 def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None = None) -> None:

@@ -91,7 +91,7 @@ FORMATS = (
     PictureFormat((".png",), "openimageio", (8, 16)),
     PictureFormat((".tif", ".tiff"), "openimageio", (8, 16, FLOAT_BITS)),
     PictureFormat((".jpg", ".jpeg"), "openimageio", (8,)),
-    PictureFormat((".jxl",), "jpeg_xl", (8, 16)),
+    PictureFormat((".jxl",), "openimageio", (8, 16)),
     PictureFormat((".exr",), "openimageio", holds="linear"),
     PictureFormat((".dng",), "dng", holds="raw"),
 )

@@ -18,8 +18,8 @@ from l3cli.errors import InputFileError
 from l3cli.frames.correction import plan_correction
 from l3cli.frames.frame import tiled, with_one_black_level
 from l3cli.io.isolated import isolated
+from l3cli.io.raw import RawContent
 from l3cli.io.raw.cfa_codes import LETTERS
-from l3cli.io.raw.content import RawContent
 from l3cli.io.raw.libraw import opened
 from l3cli.io.raw.opcodes import Opcodes, bad_pixels, gain_of_pixels, read_opcodes
 from l3cli.io.tags import (

@@ -20,8 +20,8 @@ from l3cli.errors import InputFileError
 from l3cli.frames.correction import Correction, DarkFrame, HotTest, without_dark
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.shading import shading_of_gain
+from l3cli.io.raw import MultiFrameFile, RawContent
 from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
-from l3cli.io.raw.content import MultiFrameFile, RawContent
 from l3cli.io.raw.headerless import Layout, layout_of, stdin
 from l3cli.io.tags import believable_shot
 from l3cli.system.files import STDIN, naming, require_regular

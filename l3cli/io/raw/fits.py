@@ -15,8 +15,8 @@ import numpy as np
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.io.isolated import isolated
+from l3cli.io.raw import MultiFrameFile, RawContent
 from l3cli.io.raw.cfa_codes import codes_of
-from l3cli.io.raw.content import MultiFrameFile, RawContent
 from l3cli.system.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.container import datasets, require_within_file
 from l3cli.errors import InputFileError
 from l3cli.io.isolated import isolated
-from l3cli.io.raw.content import MultiFrameFile, RawContent
+from l3cli.io.raw import MultiFrameFile, RawContent
 from l3cli.system.files import stamp
 from l3cli.system.limits import require_picture
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.io.raw.content import InOrder, MultiFrameFile, RawContent
+from l3cli.io.raw import InOrder, MultiFrameFile, RawContent
 from l3cli.system.limits import require_picture, require_values
 
 

@@ -13,8 +13,8 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import with_one_black_level
 from l3cli.frames.measurement import Stated, StatedMatrix
 from l3cli.io.isolated import isolated, named_in_utf8
+from l3cli.io.raw import RawContent
 from l3cli.io.raw.cfa_codes import codes_of
-from l3cli.io.raw.content import RawContent
 from l3cli.io.tags import BROKEN, COLOUR_FILTER_ARRAY, camera_names, exif_of, number, numbers, shot_of_page
 from l3cli.system.files import require_regular
 from l3cli.system.limits import require_picture

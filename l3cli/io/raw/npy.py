@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.raw.content import MultiFrameFile, RawContent
+from l3cli.io.raw import MultiFrameFile, RawContent
 from l3cli.system.files import require_regular
 from l3cli.system.limits import require_picture
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.errors import InputFileError
-from l3cli.io.raw.content import RawContent
+from l3cli.io.raw import RawContent
 from l3cli.system.files import open_regular
 from l3cli.system.limits import require_picture
 

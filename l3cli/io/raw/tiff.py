@@ -17,7 +17,7 @@ import numpy as np
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.images import mono_of, open_image, opened, require_bearable, require_whole_stack
 from l3cli.io.isolated import isolated, named_in_utf8
-from l3cli.io.raw.content import MultiFrameFile, RawContent
+from l3cli.io.raw import MultiFrameFile, RawContent
 from l3cli.io.tags import COLOUR_FILTER_ARRAY, ONE_OF_MANY, UPRIGHT, flip_of, shot_of_spec
 from l3cli.system.files import open_regular, stamp
 from l3cli.system.limits import most_pixels

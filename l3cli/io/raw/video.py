@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.io.isolated import isolated
-from l3cli.io.raw.content import InOrder, MultiFrameFile
+from l3cli.io.raw import InOrder, MultiFrameFile
 from l3cli.io.video import DecodedVideo, InTurn, StatedTimes, storable_rate
 
 AT_A_TIME = 500  # frames whose times are read

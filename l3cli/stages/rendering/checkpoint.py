@@ -26,7 +26,7 @@ from l3cli.rendering.temporal.chunks import CHUNK
 from l3cli.system.checkpoint import Checkpoint, key_in
 from l3cli.system.files import fingerprint, is_noting, require_regular, sha256
 from l3cli.system.limits import read_bounded
-from l3cli.system.plan import Made, before_work, is_dry
+from l3cli.system.outputs import Made, before_work, is_dry
 
 KINDS = {"stream": "y4m stream of", "video": "video of", "pattern": "numbered pictures of", "folder": "pictures of"}
 

@@ -43,8 +43,7 @@ from l3cli.system.files import (
     sha256,
 )
 from l3cli.system.locks import sole_writer_of_folder
-from l3cli.system.output_guard import OutputGuard, refuse_unwritable
-from l3cli.system.plan import Planned, is_dry
+from l3cli.system.outputs import OutputGuard, Planned, is_dry, refuse_unwritable
 
 
 def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> tuple[Path, ...]:

@@ -25,7 +25,7 @@ from l3cli.rendering.display import Display
 from l3cli.rendering.rendition import Rendition, rendered, shown
 from l3cli.rendering.white.scene_white import WhiteBalance
 from l3cli.system.files import require_same
-from l3cli.system.plan import is_dry
+from l3cli.system.outputs import is_dry
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable

@@ -41,7 +41,7 @@ from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of
 from l3cli.stages.rendering.sequence import SequenceJob, Tally, render_frames
 from l3cli.system.console import Console
 from l3cli.system.files import sha256
-from l3cli.system.output_guard import OutputGuard
+from l3cli.system.outputs import OutputGuard
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler

@@ -12,7 +12,7 @@ from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.io.file_names import find_scenes
-from l3cli.io.scenes.registry import format_of, is_folder
+from l3cli.io.scenes import format_of, is_folder
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import read_text
 from l3cli.simulation import recipe as asked

@@ -34,8 +34,7 @@ from l3cli.stages.simulation.units import (
 from l3cli.system.checkpoint import incomplete_folder, parts_folder, refuse_other_run
 from l3cli.system.console import Console
 from l3cli.system.files import note_inputs, note_places, refuse_existing
-from l3cli.system.output_guard import OutputGuard
-from l3cli.system.plan import Made, before_work, is_dry
+from l3cli.system.outputs import Made, OutputGuard, before_work, is_dry
 
 NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
 

@@ -1,16 +1,21 @@
-"""The guard of a stage's files: what it reads is not replaced, what it writes is refused before any work if it cannot be
-written, and kept from other runs until the stage ends."""
+"""Outputs of a stage before its work: what it reads is not replaced, what it writes is refused if it cannot be written and
+kept from other runs until the stage ends; in a dry run, what it would read and make, of which nothing is written, not even a
+lock."""
 
 import contextlib
 import itertools
 import os
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from l3cli.errors import L3Error, RecipeError
+from l3cli.errors import L3Error, RecipeError, listed
 from l3cli.system.console import Console
-from l3cli.system.files import protecting, refuse_existing, refuse_filled_folder, refuse_protected
-from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder
+from l3cli.system.files import note_inputs, note_places, protecting, refuse_existing, refuse_filled_folder, refuse_protected
+from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder, without_writing
 
 
 class OutputGuard(contextlib.ExitStack):
@@ -80,3 +85,76 @@ def refuse_unwritable(path: Path) -> None:
         raise L3Error(f"{folder} is a file, not a folder; name another output than {path}")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise L3Error(f"{folder} cannot be written to; name an output in a folder of your own")
+
+
+_DRY: ContextVar[bool] = ContextVar("dry run", default=False)
+SHOWN = 3  # files of a role that are named
+
+
+@dataclass(frozen=True)
+class Made:
+    """An output: a file, or a folder with `count` files."""
+
+    path: Path
+    what: str
+    size: int | None = None  # bytes, where they are known
+
+
+class Planned(Exception):
+    """End of a dry run, at the work that it leaves out."""
+
+    def __init__(self, reads: Mapping[str, Iterable[Path]], makes: Iterable[Made]) -> None:
+        super().__init__("dry run")
+        self.reads, self.makes = {role: list(dict.fromkeys(paths)) for role, paths in reads.items()}, list(makes)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Return the files that would be read and made, in words."""
+        read = filter(None, (_read(role, paths) for role, paths in self.reads.items()))
+        return (*read, *map(_made, self.makes), "dry run: nothing has been written")
+
+    def document(self) -> dict[str, Any]:
+        """Return the same, ready for JSON."""
+        reads = {role: [str(path) for path in paths] for role, paths in self.reads.items()}
+        makes = [{"path": str(made.path), "what": made.what, "bytes": made.size} for made in self.makes]
+        return {"dry_run": {"reads": reads, "makes": makes}}
+
+
+@contextlib.contextmanager
+def dry_run() -> Iterator[None]:
+    """End stages, within the block, by Planned where their work would begin."""
+    token = _DRY.set(True)
+    try:
+        with without_writing():
+            yield
+    finally:
+        _DRY.reset(token)
+
+
+def is_dry() -> bool:
+    """Return whether this is a dry run."""
+    return _DRY.get()
+
+
+def before_work(reads: Mapping[str, Iterable[Path]], *makes: Made) -> None:
+    """Note the files that are read, by their role, and what is made of them; in a dry run raise Planned."""
+    if is_dry():
+        raise Planned(reads, makes)
+    note_inputs(reads)
+    note_places(made.path for made in makes)
+
+
+def _read(role: str, paths: list[Path]) -> str:
+    if not paths:
+        return ""
+    names = [f"{path}" for path in paths[:SHOWN]]
+    named = listed(names) + (f" and {len(paths) - SHOWN} more" if len(paths) > SHOWN else "")
+    size = sum(path.stat().st_size for path in paths if path.is_file())
+    total = f", {size} bytes" if size else ""
+    return f"reads {role}: {f'{len(paths)} files{total}, ' if len(paths) > 1 else ''}{named}{total * (len(paths) == 1)}"
+
+
+def _made(made: Made) -> str:
+    size = "" if made.size is None else f", {made.size} bytes"
+    replaced = ", replacing the one that is there" if made.path.is_file() else ""
+    return f"makes {made.path}: {made.what}{size}{replaced}"

@@ -1,0 +1,383 @@
+"""The stages of designs: scenes × lens and pixel → moments, from which any array's error follows; moments × library of
+filters → arrays by their predicted error; the best ones trained and judged, so that nobody must believe the closed form."""
+
+import dataclasses
+import functools
+import hashlib
+import io
+import itertools
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import recipe_text
+from l3cli.artifacts.design import Design, LightMoments, SceneMoments, Truth, Tuned, shown
+from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingFrame, open_training_set
+from l3cli.design.error import (
+    Cfa,
+    Level,
+    clips_everything,
+    empty_sums,
+    gather,
+    in_all_orientations,
+    principal_spectra,
+    spectral_power,
+)
+from l3cli.design.recipe import OptimiseRecipe, curve_files, is_design, pixel_camera
+from l3cli.design.search import canonical
+from l3cli.design.task import Task, designed
+from l3cli.errors import L3Error, RecipeError, listed
+from l3cli.evaluation.evaluation import raw_of
+from l3cli.evaluation.quality import Target
+from l3cli.frames.frame import least_period
+from l3cli.frames.scene import Scene
+from l3cli.options.commands import DesignOptions, MomentsOptions, SimulateOptions, TrainOptions
+from l3cli.parallel import WorkerPool, workers
+from l3cli.physics.display import displayed, srgb_codes, white_luminance
+from l3cli.recipes.builtin import find_recipe
+from l3cli.recipes.toml import load_recipe, read_text, toml_value
+from l3cli.simulation.frame import SimulationRun, spectral_planes
+from l3cli.simulation.light import SCENE_LIGHT, photon_weights
+from l3cli.simulation.recipe import SceneRecipe
+from l3cli.simulation.sources import Spectral, WantedScene, holds_codes, wanted_scenes
+from l3cli.stages.evaluation import FrameRenderers
+from l3cli.stages.simulation.preparation import fitting, input_files, prepare, scene_over_time
+from l3cli.stages.simulation.simulate import simulate
+from l3cli.stages.simulation.units import key_of
+from l3cli.stages.training.train import train
+from l3cli.system.checkpoint import PartsFolder, parts_folder
+from l3cli.system.console import Console, Silent
+from l3cli.system.files import dated, sha256, write_whole
+from l3cli.system.outputs import Made, OutputGuard, before_work
+
+T = TypeVar("T")
+Arrays = Mapping[str, NDArray]
+
+
+class Parts(PartsFolder):
+    """The finished parts of a run: each some arrays, by name."""
+
+    def each(
+        self, what: str, work: Callable[[T], Arrays], items: Sequence[T], pool: WorkerPool, console: Console
+    ) -> Iterator[dict[str, NDArray]]:
+        """Yield the arrays that `work` makes of each item, in order, those of a run before as they are stored."""
+        paths = [self.folder / f"{what}-{number:05d}.npz" for number in range(len(items))]
+        done = [self.checkpoint.items.get(path.name) == list(dated(path) or ()) for path in paths]
+        fresh = pool(work, [item for item, stored in zip(items, done, strict=True) if not stored])
+        for path, stored in console.progress(zip(paths, done, strict=True), len(paths), what):
+            if not stored:
+                content = io.BytesIO()
+                np.savez(content, **next(fresh))  # type: ignore[arg-type]
+                write_whole(path, content.getvalue())
+                self.checkpoint.add(path.name, dated(path))
+            with np.load(path, allow_pickle=False) as arrays:
+                yield {name: arrays[name] for name in arrays.files}
+
+
+PARTS = 8  # that the scenes are divided into, whatever the number of processes
+
+
+def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> SceneMoments:
+    """Write the moments of a scene recipe behind the lens and pixel of a camera (model, recipe or design recipe), whatever
+    its filters. RecipeError or InputFileError if recipe, camera or files cannot be used, L3Error if the output cannot be
+    written."""
+    console = options.console
+    with OutputGuard(console) as guard:
+        recipe, (pixel, pixel_files) = load_recipe(scenes, SceneRecipe), pixel_camera(camera)
+        guard.protect(scenes, *pixel_files)
+        guard.guard_file(output, options.force)
+        _refuse(recipe, scenes)
+        run, files = prepare(recipe, scenes, pixel, options.seed)
+        files, _ = fitting(run, files, scenes, False, console)
+        inputs = {"camera": pixel_files, **input_files(run, files)}
+        guard.protect(*itertools.chain(*inputs.values()))
+        before_work({"scene recipe": [scenes], **inputs}, Made(output, "scene moments"))
+        digests = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
+        text = f"{read_text(scenes)}\n{read_text(camera) if is_design(camera) else recipe_text(camera)}"
+        stage = Stage("design moments", options.chosen(), text, digests)
+        wanted = [
+            each for source, paths in zip(run.recipe.scene, files, strict=True) for each in wanted_scenes(source, paths)
+        ]
+        size = -(-len(wanted) // PARTS)
+        chunks = [list(enumerate(wanted))[start : start + size] for start in range(0, len(wanted), size)]
+        parts = Parts(parts_folder(output), key_of(stage))
+        with parts.held(options.resume, options.force), workers(options.jobs) as pool:
+            spectra = parts.each("spectra", functools.partial(_spectra, run), chunks, pool, console)
+            powers = functools.reduce(np.add, (part["power"] for part in spectra))
+            lit = {name: run.lights[name] for name in run.recipe.illuminants}
+            whites = [photon_weights(run.camera, light, light.wavelength).sum(axis=1) for light in lit.values()]
+            bases = [principal_spectra(power, white) for power, white in zip(powers, whites, strict=True)]
+            work = functools.partial(_moments, run, bases, options.patches)
+            sums = [empty_sums(basis.shape[1]) for basis in bases]
+            for part in parts.each("scenes", work, chunks, pool, console):
+                for number, of_light in enumerate(sums):
+                    for name, total in of_light.items():
+                        total += part[f"{name}-{number}"]
+            lights = [
+                LightMoments(name, basis, white, **in_all_orientations(of_light, basis.shape[1]))
+                for name, basis, white, of_light in zip(lit, bases, whites, sums, strict=True)
+            ]
+            moments = SceneMoments(
+                pixel_pitch=run.camera.pixel_pitch,
+                f_number=run.camera.optics.f_number,
+                wavelength=run.camera.wavelength,
+                light=tuple(lights),
+                history=(*pixel.history, stage),
+            )
+            save(moments, output)
+        spectra_of = ", ".join(f"{each.illuminant} {each.terms} spectra" for each in lights)
+        console.info(f"{output}: {lights[0].patches.sum():.0f} patches, {spectra_of}")
+        return moments
+
+
+def _refuse(recipe: SceneRecipe, path: Path) -> None:
+    """Raise RecipeError for scenes without spectra that any light may be laid on."""
+    if SCENE_LIGHT in recipe.illuminants:
+        raise RecipeError(f'{path}: moments are of named lights; leave "{SCENE_LIGHT}" out of illuminants')
+    if recipe.pair or not recipe.scene or any(map(holds_codes, recipe.scene)):
+        raise RecipeError(f"{path}: moments are of spectral scenes; leave pairs and pictures of codes out")
+    if any(isinstance(each, Spectral) and each.holds != "reflectance" and each.light is None for each in recipe.scene):
+        raise RecipeError(f"{path}: moments need reflectance; give the light that radiance was measured under")
+    if recipe.lens.transmittance is not None:
+        raise RecipeError(f"{path}: lens.transmittance belongs to the filters of a design; leave it out")
+
+
+Chunk = Sequence[tuple[int, WantedScene]]
+
+
+def _scene(wanted: WantedScene, run: SimulationRun) -> Scene:
+    scene = scene_over_time(wanted, run)(0)
+    assert isinstance(scene, Scene)
+    return scene
+
+
+def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
+    """Return the second moments of photons (light, wavelength, wavelength) of some scenes."""
+    power = np.zeros((len(run.recipe.illuminants), run.camera.wavelength.size, run.camera.wavelength.size))
+    for _, wanted in chunk:
+        scene = _scene(wanted, run)
+        for number, name in enumerate(run.recipe.illuminants):
+            rate = photon_weights(run.camera, run.lights[name], scene.wavelength)
+            power[number] += spectral_power(scene.reflectance, rate)
+    return {"power": power}
+
+
+def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: int, chunk: Chunk) -> dict[str, NDArray]:
+    """Return the sums over the patches of some scenes, those of each light under its number."""
+    sums = [empty_sums(basis.shape[1]) for basis in bases]
+    for place, wanted in chunk:
+        scene = _scene(wanted, run)
+        for of_light, name, basis in zip(sums, run.recipe.illuminants, bases, strict=True):
+            planes, sharp, target = spectral_planes(run.camera, scene, run.lights[name], run.recipe.lens, basis)
+            rng = np.random.default_rng([run.seed, place])  # the same patches under every light
+            gather(of_light, planes, target, sharp, patches, rng)
+    return {f"{name}-{number}": value for number, of_light in enumerate(sums) for name, value in of_light.items()}
+
+
+CLASSES = "single"
+CROP = 72  # pixels of the first scene that are shown
+FIGURES = ("mean_delta_e", "scielab", "output_psnr")
+LEARNED = """illuminants = {lights}
+exposure_share = [0.9]
+[[scene]]
+source = "dead leaves"
+size = [160, 160]
+count = 24
+[[scene]]
+source = "surfaces"
+size = [160, 160]
+count = 2
+patches = [4, 4]
+"""
+UNSEEN = """illuminants = ["{light}"]
+luminances_cd_m2 = [{luminance}]
+{exposure}
+[[scene]]
+source = "composition"
+size = [180, 320]
+seed = 7
+[[scene]]
+source = "dead leaves"
+size = [160, 160]
+seed = 8
+count = 2
+"""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An array that is to be trained, and where it is judged."""
+
+    camera: CameraModel
+    levels: Sequence[tuple[str, Level]]  # illuminant, and exposure
+    seed: int
+
+
+def trained(trial: Trial) -> dict[str, NDArray]:
+    """Return FIGURES (level, scene, figure) of an array that is trained and judged on unseen scenes, crops of the first as
+    sRGB codes (level, row, col, 3), ours and ideal, and the SHA-256 of what the scenes show."""
+    with tempfile.TemporaryDirectory(prefix="l3-") as name:
+        folder, shown, ends = Path(name), hashlib.sha256(), []
+        save(trial.camera, folder / "camera.h5")
+        lights = toml_value(list(dict.fromkeys(light for light, _ in trial.levels)))
+        training = _simulated(LEARNED.format(lights=lights), folder, "training", trial.seed)
+        train((training,), folder / "table.h5", TrainOptions(classes=find_recipe(CLASSES, "classes"), seed=trial.seed))
+        table = load(TransformTable, folder / "table.h5")
+        for number, (light, level) in enumerate(trial.levels):
+            exposure = f"exposure_share = [{level.share}]" if level.share is not None else f"exposure_s = [{level.seconds}]"
+            text = UNSEEN.format(light=light, luminance=level.luminance, exposure=exposure)
+            ends.append(_judged(table, _simulated(text, folder, f"unseen{number}", trial.seed + 1), shown))
+        figures, crops, ideals = map(np.array, zip(*ends, strict=True))
+        digest = np.frombuffer(shown.digest(), np.uint8)
+        return {"figures": figures, "crops": crops, "ideals": ideals, "digest": digest}
+
+
+def _simulated(text: str, folder: Path, name: str, seed: int) -> Path:
+    recipe, frames = folder / f"{name}.toml", folder / f"{name}.h5"
+    recipe.write_text(text)
+    simulate(recipe, folder / "camera.h5", frames, SimulateOptions(seed=seed))
+    return frames
+
+
+def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> tuple[NDArray, NDArray, NDArray]:
+    """Return FIGURES (frame, figure) of a training set, and the crops of the first, ours and ideal; `shown` takes in what
+    they show."""
+    rows, crops = [], list[NDArray]()
+    renderers = FrameRenderers("reference", table, Silent())
+    with open_training_set(frames) as reader:
+        for index in range(len(reader)):
+            frame = reader.frame(index)
+            assert isinstance(frame, TrainingFrame)
+            assert frame.shown is not None
+            shown.update(f"{np.round(frame.shown.scene, 3).tolist()} {frame.luminance} {frame.illuminant}".encode())
+            outputs = renderers.of(frame).outputs(raw_of(frame, index, reader.head.camera))
+            outputs = outputs * (table.output_unit / frame.exposure)
+            quality = Target(frame.target, frame.white, table.first.rule.radius).judge(outputs)[0]
+            rows.append([getattr(quality, name) for name in FIGURES])
+            if not crops:
+                scale = white_luminance(frame.target[1])
+                inside = tuple(slice((size - CROP) // 2, (size + CROP) // 2) for size in frame.target.shape[1:])
+                cut = [planes[:, *inside] for planes in (outputs, frame.target)]
+                crops = [srgb_codes(displayed(planes, frame.white, scale)) for planes in cut]
+    ours, ideal = crops
+    return np.array(rows), ours, ideal
+
+
+AT_ONCE = 64  # arrays that a process judges in a go
+RUNS, STARTS = 2, 4  # of annealing, from random arrays; of tuning, the first of them from the given filters
+TUNED = " (tuned)"  # behind the name of an array with tuned filters
+
+
+def design(recipe: Path, output: Path, options: DesignOptions) -> Design:
+    """Write the design of a recipe: its arrays by predicted error. RecipeError or InputFileError if recipe, moments or files
+    cannot be used, L3Error if the output cannot be written."""
+    if options.moments is None:
+        raise RecipeError('‹moments› is missing; make them with "l3 design moments"')
+    console = options.console
+    with OutputGuard(console) as guard:
+        guard.protect(recipe, options.moments)
+        guard.guard_file(output, options.force)
+        task = Task(recipe, options.moments)
+        files = [*pixel_camera(recipe)[1], *curve_files(task.wanted, recipe.parent)]
+        guard.protect(*files)
+        task.require_same_pixel()
+        seen, noise = task.problem.seen, task.problem.noise
+        if wrong := [each.name for each in task.levels if clips_everything(seen[each.light], each, noise)]:
+            raise RecipeError(f"{listed(wrong)}: every filter clips in every part of the scenes; expose less")
+        lists = [task.arrays_of(pattern, number) for number, pattern in enumerate(task.wanted.pattern)]
+        before_work({"recipe": files, "moments": [options.moments]}, Made(output, "design"))
+        sums = {"recipe": [sha256(path) for path in files], "moments": [sha256(options.moments)]}
+        stage = Stage("design", options.chosen(), read_text(recipe), sums)
+        parts = Parts(parts_folder(output), key_of(stage))
+        with parts.held(options.resume, options.force), workers(options.jobs) as pool:
+            run = _Run(task, parts, pool, options)
+            arrays = list(run.candidates(lists))
+            made = designed(task, arrays, run.judged(arrays))
+            if task.wanted.optimise is not None:
+                made = dataclasses.replace(made, tuned=run.tuned(task.wanted.optimise))
+            if options.truth is not None:
+                made = dataclasses.replace(made, truth=run.truth(made, options.truth))
+            made = dataclasses.replace(made, history=(*task.scenes.history, stage))
+            save(made, output)
+        console.info(f"{output}: {made.tried} arrays, {len(made.filters)} filters, {len(made.levels)} levels")
+        return made
+
+
+@dataclasses.dataclass(frozen=True)
+class _Run:
+    """The steps of a design, whose parts are stored as they are finished."""
+
+    task: Task
+    parts: Parts
+    pool: WorkerPool
+    options: DesignOptions
+
+    def _each(self, what: str, work: Any, items: Sequence[Any]) -> Iterator[dict[str, NDArray]]:
+        return self.parts.each(what, work, items, self.pool, self.options.console)
+
+    def candidates(self, lists: Sequence[list[Cfa] | None]) -> Iterator[Cfa]:
+        """Yield every array that is judged, Bayer's of the library among them, each once."""
+        runs = [(number, run) for number, arrays in enumerate(lists) if arrays is None for run in range(RUNS)]
+        work = functools.partial(self.task.annealed, self.options.seed)
+        annealed = [part["cfa"] for part in self._each("annealings", work, runs)] if runs else []
+        known: set[tuple[Any, ...]] = set()
+        bayer = self.task.bayer(range(len(self.task.curves)))
+        for cfa in map(least_period, itertools.chain(*filter(None, lists), annealed, bayer)):
+            key = (cfa.shape, canonical(cfa))
+            if key not in known:
+                known.add(key)
+                yield cfa
+
+    def judged(self, arrays: Sequence[Cfa]) -> NDArray[np.float64]:
+        """Return the errors (array, level, group)."""
+        groups = [arrays[start : start + AT_ONCE] for start in range(0, len(arrays), AT_ONCE)]
+        return np.concatenate([part["errors"] for part in self._each("arrays", self.task.judged, groups)])
+
+    def tuned(self, asked: OptimiseRecipe) -> Tuned:
+        """Return the tuned filters of an array, from the start that leads to the least error."""
+        task = self.task
+        ends = list(self._each("tunings", functools.partial(task.descended, self.options.seed), range(STARTS)))
+        parameters = min(ends, key=lambda end: float(end["score"]))["parameters"]
+        curves, cfa = task.tuned_curves(parameters), task.numbered(asked.pattern)
+        problem = task.problem_of(curves)
+        bayer = min(task.bayer(np.unique(cfa).tolist()), key=problem.score, default=None)
+        return Tuned(
+            pattern=shown(cfa, task.names),
+            parameters=parameters,
+            tuned_filters=tuple(task.wanted.tuned),
+            tuned_efficiency=curves,
+            before=task.problem.means(cfa),
+            after=problem.means(cfa),
+            bayer=np.zeros(len(task.levels)) if bayer is None else problem.means(bayer),
+        )
+
+    def truth(self, made: Design, most: int) -> Truth:
+        """Return arrays trained and judged: the best ones, Bayer's, the rivals of the recipe and the tuned one."""
+        task, names = self.task, self.task.names
+        given = [made.patterns[place] for place in made.best(most)]
+        given += [shown(task.numbered(rows), names) for rows in task.wanted.rivals]
+        wanted = {text: (text, task.curves) for text in given}
+        if made.tuned is not None:
+            text, curves = made.tuned.pattern, made.tuned.tuned_efficiency
+            wanted |= {text: (text, task.curves), f"{text}{TUNED}": (text, curves)}
+        levels = [(task.lights[level.light].illuminant, level) for level in task.levels]
+        trials, expected = [], []
+        for text, curves in wanted.values():
+            trials.append(Trial(made.camera(text, curves), levels, self.options.seed))
+            expected.append(task.problem_of(curves).means(task.numbered(text.split("/"))))
+        ends = list(self._each("trainings", trained, trials))
+        digests = {end["digest"].tobytes().hex() for end in ends}
+        if len(digests) > 1:
+            raise L3Error("the arrays were not judged on the same scenes; report this as a fault of l3")
+        figures, crops = (np.array([end[name] for end in ends]) for name in ("figures", "crops"))
+        figures = figures.mean(axis=2)  # over scenes
+        return Truth(tuple(wanted), np.array(expected), FIGURES, figures, crops, ends[0]["ideals"], digests.pop())

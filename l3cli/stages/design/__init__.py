@@ -1,1 +1,0 @@
-"""The design stages: scenes → moments (`moments`), a design recipe → arrays and their errors (`run`)."""
