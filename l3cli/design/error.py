@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.artifacts.design import GROUPS, KINDS, SHARP, SIDE, SOFT, WEIGHTINGS, LightMoments
 
-Array = NDArray[np.float64]
-Sums = dict[str, Array]  # patches, weight, mean and moment as LightMoments has them; they add up
+Array = NDArray[np.floating]
+Sums = dict[str, NDArray[np.float64]]  # patches, weight, mean and moment as LightMoments has them; they add up
 
 EDGE, LEVELS = 0.25, (0.06, 0.25)  # from which contrast; mean luminance over white
 NEUTRAL = 5.0  # chroma over luminance
@@ -107,7 +107,6 @@ def in_all_orientations(sums: Sums, terms: int) -> Sums:
     return sums | {"mean": mean, "moment": moment}
 
 
-Array = NDArray[np.floating]
 Cfa = NDArray[np.integer]  # (row, col) number of the filter of each site
 
 OPPONENT = np.vstack([[[0, 116 / 3, 0]], CHROMA])  # d(L*, a*, b*) / d(XYZ over white), chroma halved
