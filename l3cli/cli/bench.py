@@ -14,7 +14,7 @@ from l3cli.options.commands import BenchOptions
 @declared.of(BenchOptions)
 def bench(options: BenchOptions) -> Result:
     """Time the rendering of synthetic frames on an OpenCL device by stage, uint16 in host memory to sRGB in host memory:
-    medians of 40 frames. The variant for the other type of device and the numpy reference get small frames.
+    medians of 40 frames; and of tiny ones by the numpy reference.
 
     \b
     Example: l3 bench --device 0 --json

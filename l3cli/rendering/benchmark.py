@@ -23,7 +23,6 @@ from l3cli.classes.windows import VARIANCE_FRACTION
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.rendering.display import Display, make_display
-from l3cli.rendering.opencl.layout import VARIANTS
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 
@@ -182,17 +181,12 @@ FULL = (
     Case(1280, 720, 9, "five-band", "fast", 1),
     Case(1280, 720, 9, "five-band", "fast", 8),
 )
-SMALL = (Case(320, 240, 9, "five-band", "fast"), Case(320, 240, 5, "bayer", "fast"))  # for what is not made for speed here
 TINY = (Case(64, 48, 9, "five-band", "fast"),)
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
-    """Return all measurements for a device, or those of one variant: full frames with the variant made for it, small ones
-    with the other, tiny ones with the reference."""
-    usual = OpenCLRenderer(synthetic_table(TINY[0], np.random.default_rng(0)), device).variant
-    planned: list[Callable[[], dict[str, Any]]] = []
-    for name in VARIANTS if variant is None else (variant,):
-        planned += [functools.partial(measure, case, device, name) for case in (FULL if name == usual else SMALL)]
+    """Return all measurements of a variant on a device, by default of the one made for it and of the reference."""
+    planned: list[Callable[[], dict[str, Any]]] = [functools.partial(measure, case, device, variant) for case in FULL]
     return planned + [functools.partial(measure_reference, case) for case in TINY if variant is None]
 
 

@@ -74,7 +74,11 @@ VECTOR(short, pairs, 2 * LANES);
 
 // Have the caches fetch the line at p, which is read a row later: no processor guesses where the next row of a tile lies. A line for
 // every LANES pixels, while others are computed: many at once would have to wait for one another.
+#ifdef __NVPTX__ // NVIDIA's compiler refuses the address space, and a graphics card hides the wait itself
+#define FETCH(p)
+#else
 #define FETCH(p) __builtin_prefetch((const void *)(size_t)(p))
+#endif
 
 // Products of neighbours, added in pairs and to `sum`: one instruction where the compiler has it.
 INLINE ints add_pairs(ints sum, pairs a, pairs b) {

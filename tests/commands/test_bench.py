@@ -17,7 +17,6 @@ STAGES = ["upload", "classes", "transforms", "encode", "download"]
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmark, "FULL", (benchmark.Case(80, 50, 5, "bayer", "fast"),))
-    monkeypatch.setattr(benchmark, "SMALL", (benchmark.Case(40, 30, 5, "bayer", "fast", 2),))
     monkeypatch.setattr(benchmark, "TINY", (benchmark.Case(20, 10, 5, "bayer", "fast"),))
 
 
@@ -26,16 +25,15 @@ def test_json_states_what_was_measured_how(l3: L3) -> None:
     assert (code, err) == (0, "")
     document = json.loads(out)
     assert document["devices"][0].startswith("0: ")
-    assert [(result["backend"], result["width"]) for result in document["results"]] == [
-        ("opencl", 80), ("opencl", 40), ("reference", 20),
-    ]  # fmt: skip
-    assert {result["variant"] for result in document["results"]} == {"processor", "graphics", "reference"}
+    assert [(result["backend"], result["width"]) for result in document["results"]] == [("opencl", 80), ("reference", 20)]
+    graphics = json.loads(l3("bench", "--json", "--quiet", "--variant", "graphics")[1])["results"]
+    assert [(result["backend"], result["variant"]) for result in graphics] == [("opencl", "graphics")]
     for result in document["results"]:
         assert set(result) >= FIELDS
         assert list(result["stages_ms"]) == STAGES
         assert all(time >= 0 for time in result["stages_ms"].values())
         assert result["mp_per_s"] == pytest.approx(result["width"] * result["height"] / result["frame_ms"] / 1e3)
-    assert all(result["stages_sum_ms"] > 0 for result in document["results"][:2])
+    assert all(result["stages_sum_ms"] > 0 for result in (document["results"][0], *graphics))
 
 
 def test_stages_of_two_layers_stand_next_to_those_of_one(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
