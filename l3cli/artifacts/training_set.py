@@ -106,12 +106,7 @@ class TrainingFrame(TrainingPair):
     """
 
     electrons: NDArray[np.float32] = data(
-        "float32",
-        "channel",
-        "row",
-        "col",
-        unit="e-",
-        doc="mean photo-electrons of every channel, noise-free, unclipped",
+        "float32", "channel", "row", "col", unit="e-", doc="mean photo-electrons of every channel, noise-free, unclipped"
     )
     seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
     shown: Shown | None = group(default=None)  # None: an older file

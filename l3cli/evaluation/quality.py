@@ -8,16 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import RecipeError
-from l3cli.physics.display import (
-    LUMA,
-    daylight,
-    delta_e_2000,
-    displayed,
-    displayed_xyz,
-    lab,
-    srgb_curve,
-    white_luminance,
-)
+from l3cli.physics.display import LUMA, daylight, delta_e_2000, displayed, displayed_xyz, lab, srgb_curve, white_luminance
 
 Array = NDArray[np.floating]
 BLUR = 4.0  # pixels, σ of the Gaussian that leaves blotches and takes grain

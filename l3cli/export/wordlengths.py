@@ -124,10 +124,7 @@ def short_words(table: TransformTable) -> ShortWords:
         axis=-1
     ) / 2**split
     return ShortWords(
-        whole.astype(np.int32),
-        np.rint(intercept).astype(np.int32),
-        (fraction - split).astype(np.uint8),
-        split,
+        whole.astype(np.int32), np.rint(intercept).astype(np.int32), (fraction - split).astype(np.uint8), split
     )
 
 

@@ -107,8 +107,7 @@ class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
         None, "Proportion of patches from each training set, not by frames.", Shares(), metavar="A,B…"
     )
     draft: bool = option(
-        False,
-        "A draft in seconds, to try arrays: one layer, a ninth of the rows; 0.7 to 1.4 ΔE00 worse than default.",
+        False, "A draft in seconds, to try arrays: one layer, a ninth of the rows; 0.7 to 1.4 ΔE00 worse than default."
     )
 
 

@@ -149,10 +149,7 @@ def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...])
     return _step_matrix(fine, grid, extended=True) @ smooth
 
 
-OBSERVERS = {
-    "CIE 1931": "CIE 1931 2 Degree Standard Observer",
-    "CIE 1964": "CIE 1964 10 Degree Standard Observer",
-}
+OBSERVERS = {"CIE 1931": "CIE 1931 2 Degree Standard Observer", "CIE 1964": "CIE 1964 10 Degree Standard Observer"}
 
 
 INFRARED = 740.0, 780.0, 1000.0  # nm, of near_infrared: where it begins, is whole, and ends

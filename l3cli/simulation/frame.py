@@ -11,14 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, Optics
-from l3cli.artifacts.training_set import (
-    LightSpectrum,
-    Shown,
-    TrainingFrame,
-    TrainingPair,
-    TrainingSet,
-    TrainingSetReader,
-)
+from l3cli.artifacts.training_set import LightSpectrum, Shown, TrainingFrame, TrainingPair, TrainingSet, TrainingSetReader
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame, as_taken
 from l3cli.frames.scene import ChannelPicture, Scene

@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 from l3cli.frames.scene import NO_ILLUMINANT, SHOWN, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ
-from l3cli.physics.spectra import (
-    BLACKEST,
-    WHITEST,
-    kubelka_munk,
-    with_saturation,
-    with_titanium_white,
-)
+from l3cli.physics.spectra import BLACKEST, WHITEST, kubelka_munk, with_saturation, with_titanium_white
 from l3cli.simulation.light import make_light, matching_weights
 
 Array = NDArray[np.floating]
@@ -186,14 +180,7 @@ def _hair(rng: np.random.Generator, of: Surfaces) -> Array:
     return rng.uniform(0.01, 0.04) + np.exp(rng.normal(np.log(0.06), 0.8)) * slope
 
 
-_DRAW = {
-    "library": _library,
-    "mixture": _mixture,
-    "gaussian": _gaussian,
-    "skin": _skin,
-    "leaf": _leaf,
-    "hair": _hair,
-}
+_DRAW = {"library": _library, "mixture": _mixture, "gaussian": _gaussian, "skin": _skin, "leaf": _leaf, "hair": _hair}
 
 
 def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64], name: str) -> Scene:

@@ -84,11 +84,7 @@ def with_analog_gain(camera: CameraModel, gain: float) -> CameraModel:
 
 
 def expose(
-    camera: CameraModel,
-    electrons: NDArray[np.floating],
-    exposure: float,
-    rng: np.random.Generator,
-    noises: str = "all",
+    camera: CameraModel, electrons: NDArray[np.floating], exposure: float, rng: np.random.Generator, noises: str = "all"
 ) -> NDArray[np.uint16]:
     """Return one raw frame (row, col) in DN of mean photo-electrons after `exposure` seconds (docs/method.md#sensor), with
     those `noises`: one of NOISES, or the name of a noise model of an installed package. Shot noise is drawn from the Poisson

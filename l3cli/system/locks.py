@@ -11,15 +11,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from l3cli.errors import L3Error
-from l3cli.system.files import (
-    LOCK,
-    blamed_on,
-    initial_mode,
-    open_quietly,
-    refuse_protected,
-    shortened,
-    sweep,
-)
+from l3cli.system.files import LOCK, blamed_on, initial_mode, open_quietly, refuse_protected, shortened, sweep
 from l3cli.system.signals import uninterrupted
 
 _WITHOUT_WRITING: ContextVar[bool] = ContextVar("without writing", default=False)

@@ -52,10 +52,7 @@ ONLY = {  # tags of which one value is read, and the complaint about any other
         1,
         "stores pixels in blocks (SubTileBlockSize), which are not read; convert the camera's own file to DNG",
     ),
-    "ColorimetricReference": (
-        0,
-        "holds a picture's values, not a scene's (ColorimetricReference); give the raw file",
-    ),
+    "ColorimetricReference": (0, "holds a picture's values, not a scene's (ColorimetricReference); give the raw file"),
 }
 MOST_STOPS = 20.0  # EV, of a BaselineExposure that is believed
 FRAME_RATE = 51044  # the tag of CinemaDNG

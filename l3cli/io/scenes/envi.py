@@ -10,11 +10,7 @@ from l3cli.frames.scene import SpectralCube
 from l3cli.system.limits import read_bounded, require_picture
 
 TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
-AXES = {
-    "bsq": ("bands", "lines", "samples"),
-    "bil": ("lines", "bands", "samples"),
-    "bip": ("lines", "samples", "bands"),
-}
+AXES = {"bsq": ("bands", "lines", "samples"), "bil": ("lines", "bands", "samples"), "bip": ("lines", "samples", "bands")}
 UNITS = {"nanometers": 1.0, "nm": 1.0, "micrometers": 1e3, "um": 1e3, "µm": 1e3, "microns": 1e3}
 DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube")
 

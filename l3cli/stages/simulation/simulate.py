@@ -22,15 +22,7 @@ from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
-from l3cli.stages.simulation.units import (
-    StoredFrames,
-    is_of_run,
-    key_of,
-    received,
-    remove_finished,
-    simulate_unit,
-    units_of,
-)
+from l3cli.stages.simulation.units import StoredFrames, is_of_run, key_of, received, remove_finished, simulate_unit, units_of
 from l3cli.system.checkpoint import incomplete_folder, parts_folder, refuse_other_run
 from l3cli.system.console import Console
 from l3cli.system.files import note_inputs, note_places, refuse_existing

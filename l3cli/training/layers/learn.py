@@ -296,15 +296,7 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     if not layer.pictures:
         noise = (min(recipe.luminance_noise, 1.0),) * 3  # as in the first layer
     white, windows = np.array([0.0, 1.0, 0.0]), 3 * recipe.side**2
-    goal = LayerGoal(
-        recipe.level_pool,
-        recipe.parent_patches,
-        recipe.ridge,
-        noise,
-        white,
-        windows,
-        recipe.coarse_chroma,
-    )
+    goal = LayerGoal(recipe.level_pool, recipe.parent_patches, recipe.ridge, noise, white, windows, recipe.coarse_chroma)
     sums = {site: _symmetric(layer, rule, site, one) for site, one in sums.items()}
     solved = dict(
         zip(sums, solve_layer(list(sums.values()), copies, rule, goal, layer.learning.equal_response), strict=True)
