@@ -11,7 +11,7 @@ from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, ROUNDING
 from l3cli.errors import InputFileError, suggestion
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
-from l3cli.recipes.toml import Recipe
+from l3cli.recipes.toml import Positive, Recipe
 from l3cli.spectra.file import read_table
 from l3cli.spectra.table import CurveTable
 
@@ -28,18 +28,14 @@ class Gaussian(Recipe):
 
     peak: float
     centre_nm: float
-    sigma_nm: float
-    sigma_above_nm: float | None = None
-
-    @property
-    def narrowest(self) -> float:
-        return self.sigma_nm if self.sigma_above_nm is None else min(self.sigma_nm, self.sigma_above_nm)
+    sigma_nm: Positive
+    sigma_above_nm: Positive | None = None
 
 
 class ResponsivityRecipe(Recipe):
     wavelength_nm: tuple[float, float, float] | None = None  # first, last, step; of a file by default its own grid
     # quantum efficiency e-/photon at the peak of the whole set, lens and filters included; of a file by default what it says
-    peak_efficiency: float | None = None
+    peak_efficiency: Positive | None = None
     gaussians: dict[str, list[Gaussian]] | None = None  # channel → sum of Gaussians
     file: str | None = None  # CSV: wavelength in nm, one column a channel, by name or in the order of cfa.channels
     columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → its column, where that has another name

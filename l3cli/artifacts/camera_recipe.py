@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import msgspec
 import numpy as np
@@ -26,22 +26,37 @@ from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.artifacts.store import load
 from l3cli.errors import RecipeError, suggestion
 from l3cli.recipes.faults import Fault, fault, refuse_first
-from l3cli.recipes.toml import CountOrNone, Recipe, Seed, load_recipe, parse_recipe, parse_toml, read_text
+from l3cli.recipes.toml import (
+    Count,
+    CountOrNone,
+    NotNegative,
+    Positive,
+    Recipe,
+    Seed,
+    load_recipe,
+    parse_recipe,
+    parse_toml,
+    read_text,
+)
 
 MOST_NOISE = 1e4  # e-
 MOST_ISO = 1e7  # of any camera's base
 PITCHES_UM, LEAST_F_NUMBER, LEAST_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # beyond, a length was given in another unit
 PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # of a camera of which only a raw file is known
 MOST_PRNU = 0.2  # of any sensor that can be corrected
+Bits = Annotated[int, msgspec.Meta(ge=1, le=MAX_BITS)]  # of a raw value
+ReadNoise = Annotated[float, msgspec.Meta(ge=0, le=MOST_NOISE)]
 
 
 class ChannelRecipe(Recipe):
     """Readout of a channel where it differs from that of the others."""
 
     like: str | None = None  # the channel with the same filter, whose responsivity it has
-    exposure: float = 1.0  # its exposure time over that of the frame, which is the longest
-    gain: float = 1.0  # its conversion gain over sensor.gain_dn_per_e, which is the lowest
-    read_noise_e: float | None = None  # at that gain; default: noise.read_noise_e
+    # its exposure time over that of the frame, which is the longest
+    exposure: Annotated[float, msgspec.Meta(ge=SHORTEST, le=1)] = 1.0
+    # its conversion gain over sensor.gain_dn_per_e, which is the lowest
+    gain: Annotated[float, msgspec.Meta(ge=1, le=MOST_GAIN)] = 1.0
+    read_noise_e: ReadNoise | None = None  # at that gain; default: noise.read_noise_e
 
 
 def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> Iterator[Fault]:
@@ -49,15 +64,6 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
     for name, one in channel.items():
         if name not in channels:
             yield fault(f'"{name}" is not a channel of cfa.channels; {suggestion(name, channels)}', ("channel", name))
-        numbers = (
-            ("exposure", one.exposure, SHORTEST, 1.0, "a share of the frame's exposure time"),
-            ("gain", one.gain, 1.0, MOST_GAIN, "a multiple of sensor.gain_dn_per_e"),
-            ("read_noise_e", one.read_noise_e, 0.0, MOST_NOISE, "electrons"),
-        )
-        for key, value, least, most, what in numbers:
-            if value is not None and not least <= value <= most:
-                message = f"channel.{name}.{key} is {value:g}, and must lie in {least:g}…{most:g}: {what}"
-                yield fault(message, ("channel", name, key))
         if one.like is None:
             continue
         like = ("channel", name, "like")
@@ -111,11 +117,11 @@ def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], re
 
 
 class SensorRecipe(Recipe):
-    rows: int
-    cols: int
-    pixel_pitch_um: float
-    bits: int
-    gain_dn_per_e: float
+    rows: Count
+    cols: Count
+    pixel_pitch_um: Positive
+    bits: Bits
+    gain_dn_per_e: Positive
     black_level_dn: float
     white_level_dn: float | None = None  # default: the lower of well and converter
     fixed_pattern_seed: Seed = 0
@@ -127,12 +133,12 @@ class CfaRecipe(Recipe):
 
 
 class NoiseRecipe(Recipe):
-    well_capacity_e: float
-    read_noise_e: float = 0.0
-    dark_current_e_per_s: float = 0.0
-    dsnu_e: float = 0.0
-    prnu: float = 0.0
-    column_noise_e: float = 0.0
+    well_capacity_e: Positive
+    read_noise_e: NotNegative = 0.0
+    dark_current_e_per_s: NotNegative = 0.0
+    dsnu_e: NotNegative = 0.0
+    prnu: NotNegative = 0.0
+    column_noise_e: NotNegative = 0.0
 
 
 def noise_of(recipe: NoiseRecipe) -> Noise:
@@ -150,10 +156,11 @@ def noise_of(recipe: NoiseRecipe) -> Noise:
 class GainRecipe(Recipe):
     """Analog gains beside that of [sensor] (docs/method.md#gains)."""
 
-    iso: float = 0.0  # ISO speed of sensor.gain_dn_per_e; 0: not known
-    gains: tuple[float, ...] = ()  # over sensor.gain_dn_per_e, at which read noise is known beside it
-    read_noise_e: tuple[float, ...] = ()  # at each of these gains; leave read_noise_before_e out
-    read_noise_before_e: float | None = None  # before the amplifier: the rest of noise.read_noise_e is the converter's
+    iso: Annotated[float, msgspec.Meta(ge=0, le=MOST_ISO)] = 0.0  # ISO speed of sensor.gain_dn_per_e; 0: not known
+    # over sensor.gain_dn_per_e, at which read noise is known beside it
+    gains: tuple[Annotated[float, msgspec.Meta(ge=1 / MOST_GAIN, le=MOST_GAIN)], ...] = ()
+    read_noise_e: tuple[ReadNoise, ...] = ()  # at each of these gains; leave read_noise_before_e out
+    read_noise_before_e: NotNegative | None = None  # before the amplifier: the rest of noise.read_noise_e is the converter's
 
 
 def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None:
@@ -172,31 +179,26 @@ def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None
 
 def gain_faults(recipe: GainRecipe, read_noise: float) -> Iterator[Fault]:
     """Yield the faults of [gain] of a camera of such read noise."""
-    if not 0 <= recipe.iso <= MOST_ISO:
-        yield fault(f"gain.iso is {recipe.iso:g}, and must lie in 0…{MOST_ISO:g}", "gain.iso")
     if len(recipe.gains) != len(recipe.read_noise_e):
         message = f"gain.gains names {len(recipe.gains)} gains, gain.read_noise_e {len(recipe.read_noise_e)}"
         yield fault(f"{message}; give one of each", "gain.read_noise_e", "gain.gains")
     for gain in recipe.gains:
-        if not 1 / MOST_GAIN <= gain <= MOST_GAIN or gain == 1 or recipe.gains.count(gain) > 1:
-            message = f"gain.gains: {gain:g} must lie in {1 / MOST_GAIN:g}…{MOST_GAIN:g}, once"
-            yield fault(f"{message}, and not be 1, of which noise.read_noise_e tells", "gain.gains")
-    for noise in recipe.read_noise_e:
-        if not 0 <= noise <= MOST_NOISE:
-            yield fault(f"gain.read_noise_e: {noise:g} must lie in 0…{MOST_NOISE:g} e-", "gain.read_noise_e")
+        if gain == 1 or recipe.gains.count(gain) > 1:
+            message = f"gain.gains: {gain:g} stands there twice, or is 1, of which noise.read_noise_e tells; leave it out"
+            yield fault(message, "gain.gains")
     before = recipe.read_noise_before_e
     if before is not None and recipe.gains:
         message = "gain: give read_noise_before_e, or gains with read_noise_e"
         yield fault(message, "gain.read_noise_before_e", "gain.gains")
-    elif before is not None and not 0 <= before <= read_noise:
-        message = f"gain.read_noise_before_e is {before:g}, and must lie in 0…{read_noise:g}, noise.read_noise_e"
+    elif before is not None and before > read_noise:
+        message = f"gain.read_noise_before_e is {before:g}, more than noise.read_noise_e of {read_noise:g}"
         yield fault(message, "gain.read_noise_before_e")
 
 
 class OpticsRecipe(Recipe):
-    focal_length_mm: float
-    f_number: float
-    object_distance_m: float = 0.0
+    focal_length_mm: Positive
+    f_number: Positive
+    object_distance_m: NotNegative = 0.0  # 0: infinity
 
 
 class CameraRecipe(Recipe):
@@ -308,30 +310,6 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
 def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
     """Yield all that cannot be of a recipe's numbers and names."""
     sensor, noise, optics = recipe.sensor, recipe.noise, recipe.optics
-    if not 1 <= sensor.bits <= MAX_BITS:
-        yield fault(f"sensor.bits is {sensor.bits}; a raw value has 1 to {MAX_BITS} bits", "sensor.bits")
-    positive = [
-        ("sensor.rows", sensor.rows),
-        ("sensor.cols", sensor.cols),
-        ("sensor.pixel_pitch_um", sensor.pixel_pitch_um),
-        ("sensor.gain_dn_per_e", sensor.gain_dn_per_e),
-        ("responsivity.peak_efficiency", recipe.responsivity.peak_efficiency),
-        ("noise.well_capacity_e", noise.well_capacity_e),
-        ("optics.focal_length_mm", optics.focal_length_mm),
-        ("optics.f_number", optics.f_number),
-    ]
-    for key, value in positive:
-        if value is not None and not value > 0:
-            yield fault(f"{key} is {value:g}, and must be above zero", key)
-    for channel, terms in (recipe.responsivity.gaussians or {}).items():
-        for number, term in enumerate(terms):
-            if not term.narrowest > 0:
-                message = f"a sigma of the Gaussians of {channel} is {term.narrowest:g}, and must be above zero"
-                yield fault(message, ("responsivity", "gaussians", channel, number))
-    for name in noise.__struct_fields__:
-        key, value = f"noise.{name}", getattr(noise, name)
-        if name != "well_capacity_e" and not value >= 0:
-            yield fault(f"{key} is {value:g}, and must not be negative", key)
     if recipe.responsivity.peak_efficiency is not None:
         yield from share_faults(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0)
     if recipe.gain is not None:
@@ -347,7 +325,7 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
     """Yield the faults of a sensor whose numbers are right one by one, but not together."""
     sensor = recipe.sensor
-    black, white = sensor.black_level_dn, white_level(recipe) if 1 <= sensor.bits <= MAX_BITS else 0.0
+    black, white = sensor.black_level_dn, white_level(recipe)
     try:
         check_sensor(sensor.rows, sensor.cols, sensor.bits, black, white)
     except ValueError as error:
@@ -375,17 +353,17 @@ def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
     """Yield the faults of a pixel pitch, focal length or f-number whose size shows that it is in another unit, and of an
     object within the focal length."""
     least, most = PITCHES_UM
-    if pitch_um > 0 and not least <= pitch_um <= most:
+    if not least <= pitch_um <= most:
         meant = next(
             (f"; {pitch_um * each:g} is meant?" for each in (1e3, 1e6, 1e-3) if least <= pitch_um * each <= most), ""
         )
         message = f"sensor.pixel_pitch_um is {pitch_um:g}, and must lie in {least:g}…{most:g} µm{meant}"
         yield fault(message, "sensor.pixel_pitch_um")
     focal, f_number = optics.focal_length_mm, optics.f_number
-    if 0 < focal < LEAST_FOCAL_MM:
+    if focal < LEAST_FOCAL_MM:
         message = f"optics.focal_length_mm is {focal:g} mm; is {focal * 1000:g} meant?"
         yield fault(message, "optics.focal_length_mm")
-    if 0 < f_number < LEAST_F_NUMBER:
+    if f_number < LEAST_F_NUMBER:
         yield fault(f"optics.f_number is {f_number:g}; no lens in air is below {LEAST_F_NUMBER}", "optics.f_number")
     if 0 < optics.object_distance_m <= focal * 1e-3:
         message = "optics.object_distance_m is nearer than the focal length; give 0 for infinity"

@@ -19,6 +19,7 @@ from l3cli.recipes.toml import (
     KIND_KEYS,
     Count,
     KeyPath,
+    NotNegative,
     Positive,
     Recipe,
     Share,
@@ -31,6 +32,7 @@ from l3cli.spectra.file import read_table
 from l3cli.system.text import printable
 
 MOST_FILTERS, MOST_SIDE = 16, 8
+Side = Annotated[int, msgspec.Meta(ge=1, le=MOST_SIDE)]
 LEAST_EFFICIENCY = 1e-3  # at a filter's peak: less passes nothing
 Curves = NDArray[np.float64]  # (filter, wavelength)
 
@@ -43,7 +45,7 @@ class PixelRecipe(Recipe):
     bare: float | str = 0.6
     pitch_um: Positive | None = None
     well_e: Positive | None = None  # the converter's range goes with it
-    read_noise_e: Annotated[float, msgspec.Meta(ge=0)] | None = None
+    read_noise_e: NotNegative | None = None
     f_number: Positive | None = None
 
 
@@ -63,7 +65,7 @@ class FilterRecipe(Recipe):
 class PatternRecipe(Recipe):
     """Arrays to try: all of a shape, of so many of each filter, or those of a list."""
 
-    shape: tuple[Count, Count] | None = None  # rows, cols
+    shape: tuple[Side, Side] | None = None  # rows, cols
     filters: list[str] = msgspec.field(default_factory=list)  # that may stand in it; default: all
     counts: dict[str, Count] | None = None  # filter → how many of the sites
     arrays: list[list[str]] = msgspec.field(default_factory=list)  # each as rows of names, separated by spaces
@@ -93,9 +95,9 @@ class DesignRecipe(Recipe):
     title: ClassVar[str] = "a design recipe"
 
     name: str
-    filters: dict[str, FilterRecipe]
-    pattern: list[PatternRecipe]
-    level: list[LevelRecipe]
+    filters: Annotated[dict[str, FilterRecipe], msgspec.Meta(min_length=1, max_length=MOST_FILTERS)]
+    pattern: Annotated[list[PatternRecipe], msgspec.Meta(min_length=1)]
+    level: Annotated[list[LevelRecipe], msgspec.Meta(min_length=1)]
     pixel: PixelRecipe = msgspec.field(default_factory=PixelRecipe)
     output: Literal["XYZ", "bands", "reflectance"] = "XYZ"
     # of XYZ: "lab" about ΔE00; "scielab" with chroma as coarse as eyes see it; "luminance" alone; "linear" in % of white
@@ -122,11 +124,6 @@ class DesignRecipe(Recipe):
 
 def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
     """Yield all that cannot be of a design recipe, beside the content of files."""
-    for required in ("filters", "pattern", "level"):
-        if not getattr(recipe, required):
-            yield fault(f"{required} must have an entry", required)
-    if len(recipe.filters) > MOST_FILTERS:
-        yield fault(f"{len(recipe.filters)} filters; a library holds {MOST_FILTERS} at most", "filters")
     for name, one in recipe.filters.items():
         yield from inside(_filter_faults(name, one, recipe.filters), "filters", name)
     arrays: list[tuple[str, KeyPath, list[str]]] = []
@@ -175,8 +172,6 @@ def _pattern_faults(where: str, pattern: PatternRecipe, known: Mapping[str, Filt
         yield fault(f"{where}: counts name the filters; leave filters out", "filters")
     if pattern.shape is not None:
         (rows, cols), total = pattern.shape, sum(counts.values())
-        if max(rows, cols) > MOST_SIDE:
-            yield fault(f"{where}: shape is {rows}×{cols}, larger than {MOST_SIDE}×{MOST_SIDE}", WHOLE)
         if counts and total != rows * cols:
             yield fault(f"{where}: counts add up to {total}, and the shape has {rows * cols} sites", "counts", WHOLE)
 

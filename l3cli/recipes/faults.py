@@ -176,8 +176,13 @@ def example(kind: Any) -> Any:
     """Return some value of a declared type, in its range."""
     if get_origin(kind) is Annotated:
         kind, *marks = get_args(kind)
-        least = [mark.ge for mark in marks if isinstance(mark, msgspec.Meta) and mark.ge is not None]
-        return least[0] if least else example(kind)
+        (meta,) = (mark for mark in marks if isinstance(mark, msgspec.Meta))
+        if meta.min_length and get_origin(kind) is not dict:
+            return [example(get_args(kind)[0])] * meta.min_length
+        ends = [end for end in (meta.ge, meta.le) if end is not None]
+        if ends:
+            return ends[0]
+        return example(kind) if meta.lt is None else (meta.gt or 0.0) + meta.lt / 1000
     if get_origin(kind) in UNIONS:
         return example(get_args(kind)[0])
     if get_origin(kind) is Literal:

@@ -1,6 +1,7 @@
 """TOML recipes → typed structures: every key is declared, units stand in the keys' names, unknown keys are refused; and the
 lines of keys, which tomllib does not tell."""
 
+import copy
 import json
 import re
 import tomllib
@@ -12,7 +13,7 @@ import msgspec
 
 from l3cli.errors import MOST_SHOWN, InputFileError, RecipeError, shortened, suggestion
 from l3cli.system.limits import read_bounded
-from l3cli.system.text import LARGEST_WHOLE
+from l3cli.system.text import LARGEST_WHOLE, counted
 
 LARGEST = 1e24  # of any number in a recipe: beyond lies what no lamp gives and floats run over at
 DEEPEST = 100  # tables and lists in one another
@@ -29,6 +30,7 @@ Count = Annotated[int, msgspec.Meta(ge=1, le=MOST)]
 CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MOST)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 KeyPath = tuple[str | int, ...]  # keys, and numbers of entries from 0: ("scene", 1, "size")
 BOUNDS = {">=": "the least is", "<=": "the most is", ">": "give more than", "<": "give less than"}
@@ -82,8 +84,9 @@ def parse_recipe(text: str, recipe: type[R], name: str) -> R:
     try:
         return msgspec.convert(content, recipe)
     except msgspec.ValidationError as error:
-        line = line_of(place(str(error)), key_lines(text))
-        raise RecipeError(f"{name}:{line}: {plain(str(error), recipe, content)}") from error
+        message = _with_free_keys(str(error), recipe, content)
+        line = line_of(place(message), key_lines(text))
+        raise RecipeError(f"{name}:{line}: {plain(message, recipe, content)}") from error
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
@@ -254,8 +257,10 @@ def _named(key: KeyPath) -> str:
 def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     """Return msgspec's message in the words of a recipe: keys and tables, not fields and objects, and what was meant."""
     what, _, where = message.partition(" - at ")
-    if bound := re.fullmatch(r"Expected `(?:int|float)` (<=|>=|<|>) (\S+)", what):
-        return f"{_written(where)} is {_value_at(content, where)}; {BOUNDS[bound[1]]} {bound[2]}"
+    if bound := re.fullmatch(r"Expected `(?:int|float|array|object)` (of length )?(<=|>=|<|>) (\S+)", what):
+        value = _value_at(content, where)
+        held = f"has {counted(len(value), 'value')}" if bound[1] else f"is {value}"
+        return f"{_written(where)} {held}; {BOUNDS[bound[2]]} {bound[3].removesuffix('.0')}"
     table = _written(where)
     what = what.replace("Object missing required field", "missing key").replace(
         "Object contains unknown field", "unknown key"
@@ -287,10 +292,30 @@ def _written(where: str) -> str:
 
 
 def _value_at(content: Any, where: str) -> Any:
-    """Return the value at the place that msgspec names."""
+    """Return the value at the place that msgspec names; None for a key with a point in it."""
     for key, number in re.findall(PART, where):
-        content = content[int(number)] if number else content[key]
+        content = content[int(number)] if number else content.get(key, {})
     return content
+
+
+def _with_free_keys(message: str, recipe: type[Recipe], content: Any) -> str:
+    """Return msgspec's message with the key in the place of each "[...]", which stands for any of a table of free keys."""
+    while "[...]" in message:
+        content = copy.deepcopy(content)
+        before = message.partition(" - at ")[2].partition("[...]")[0]
+        table, wrong = _value_at(content, before), ""
+        entries = dict(table)
+        for key, value in entries.items():
+            table.clear()
+            table[key] = value
+            try:
+                msgspec.convert(content, recipe)
+            except msgspec.ValidationError as error:
+                wrong = wrong or key * (str(error) == message)
+        message = message.replace("[...]", f".{wrong}", 1)
+        table.clear()
+        table.update(entries)
+    return message
 
 
 def _keys(recipe: type[Recipe], table: str) -> tuple[str, ...]:

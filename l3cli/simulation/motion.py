@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.recipes.faults import Fault, fault
-from l3cli.recipes.toml import Count, Recipe, Share
+from l3cli.recipes.toml import Count, NotNegative, Recipe, Share
 
 Array = NDArray[np.float64]
 Zoom = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 Radius = Annotated[float, msgspec.Meta(gt=0, le=256)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 FARTHEST_SHAKE = 3.0  # standard deviations
 LEAST_ZOOM = 1e-6
 SUBFRAMES = 8  # moments that an open shutter averages

@@ -14,7 +14,7 @@ from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault, inside
-from l3cli.recipes.toml import KeyPath, Recipe
+from l3cli.recipes.toml import CountOrNone, KeyPath, NotNegative, Positive, Recipe
 from l3cli.simulation.light import CAMERA, MEASURED, OUTPUTS, SCENE_LIGHT, UNLIT, Curve, mixture, read_curve
 from l3cli.simulation.sensor import noise_plugin, with_analog_gain
 from l3cli.simulation.sources import (
@@ -29,6 +29,7 @@ from l3cli.simulation.sources import (
     wanted_scenes,
 )
 
+Several = Annotated[list[Positive], msgspec.Meta(min_length=1)]
 EXPOSURES = {"exposure_share": "share", "exposure_saturated": "saturated", "exposure_mean": "mean", "exposure_s": "seconds"}
 
 
@@ -37,11 +38,13 @@ class Lens(Recipe):
 
     diffraction: bool = True
     off_axis: bool = False  # darker corners; a table does not know where in the frame it is applied
-    defocus_um: float = 0.0  # standard deviation of a Gaussian blur on the sensor
-    transmittance: float | str | None = None  # number or CSV, on top of what the camera's responsivity holds
-    focal_length_mm: float | None = None
-    f_number: float | None = None
-    magnification: float | None = None  # |image size / object size|; 0: infinity
+    defocus_um: NotNegative = 0.0  # standard deviation of a Gaussian blur on the sensor
+    transmittance: Annotated[float, msgspec.Meta(gt=0, le=1)] | str | None = (
+        None  # number or CSV, on top of what the camera's responsivity holds
+    )
+    focal_length_mm: Positive | None = None
+    f_number: Positive | None = None
+    magnification: NotNegative | None = None  # |image size / object size|; 0: infinity
 
 
 class SensorSetting(Recipe):
@@ -62,9 +65,11 @@ class Pair(Recipe):
 
     raw: str  # relative to the recipe
     picture: str  # encoded sRGB, or EXR with channels named like the target's outputs
-    offset: tuple[int, int] = (0, 0)  # row and column of the raw that the picture's first pixel shows
+    offset: tuple[CountOrNone, CountOrNone] = (0, 0)  # row and column of the raw that the picture's first pixel shows
     phase: tuple[int, int] | None = None  # CFA row and column of the raw's first pixel; default: as the file says
-    scale: float | None = None  # picture value × scale = share of full scale that a white as bright gives; default: fitted
+    scale: Positive | None = (
+        None  # picture value × scale = share of full scale that a white as bright gives; default: fitted
+    )
 
 
 class SceneRecipe(Recipe):
@@ -73,12 +78,13 @@ class SceneRecipe(Recipe):
     scene: list[Source] = msgspec.field(default_factory=list)
     pair: list[Pair] = msgspec.field(default_factory=list)
     # CIE names, "3200K", "D6000K", CSV files, mixtures "0.7 D65 + 0.3 lamp.csv", or "scene": its own
-    illuminants: list[str] = msgspec.field(default_factory=lambda: ["D65"])
-    luminances_cd_m2: list[float] = msgspec.field(default_factory=lambda: [100.0])  # of a perfect white
-    exposure_share: list[float] | None = None  # automatic: share of full scale that white reaches in its brightest channel
-    exposure_saturated: list[float] | None = None  # automatic: share of all pixels that reach full scale
-    exposure_mean: list[float] | None = None  # automatic: share of full scale that the mosaic's mean reaches, unclipped
-    exposure_s: list[float] | None = None  # fixed
+    illuminants: Annotated[list[str], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["D65"])
+    luminances_cd_m2: Several = msgspec.field(default_factory=lambda: [100.0])  # of a perfect white
+    exposure_share: Several | None = None  # automatic: share of full scale that white reaches in its brightest channel
+    # automatic: share of all pixels that reach full scale
+    exposure_saturated: Annotated[list[Annotated[float, msgspec.Meta(gt=0, lt=1)]], msgspec.Meta(min_length=1)] | None = None
+    exposure_mean: Several | None = None  # automatic: share of full scale that the mosaic's mean reaches, unclipped
+    exposure_s: Several | None = None  # fixed
     lens: Lens = msgspec.field(default_factory=Lens)
     sensor: SensorSetting = msgspec.field(default_factory=SensorSetting)
     target: TargetRecipe = msgspec.field(default_factory=TargetRecipe)
@@ -148,7 +154,6 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
         elif recipe.target.outputs == UNLIT and not can_be_relit(source):
             message = f"{name} holds radiance without its light, so its reflectance is not known; give light"
             yield fault(message, (*key, "light"), "target.outputs")
-    yield from _lens_faults(recipe.lens)
     if recipe.sensor.noise_model is not None:
         yield from _noise_faults(recipe.sensor, recipe.sensor.noise_model)
     outputs = recipe.target.outputs
@@ -163,26 +168,9 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
         yield fault(message, "target.illuminant")
     if recipe.target.illuminant == SCENE_LIGHT:
         yield fault(f'target.illuminant cannot be "{SCENE_LIGHT}"; leave it out', "target.illuminant")
-    for number, pair in enumerate(recipe.pair):
-        if min(pair.offset) < 0 or not (pair.scale is None or pair.scale > 0):
-            wrong = "offset" if min(pair.offset) < 0 else "scale"
-            message = f"pair {pair.raw}: offset must not be negative and scale must be above zero"
-            yield fault(message, f"pair.{number}.{wrong}")
     if recipe.pair and outputs == CAMERA:
         message = "the target of a pair is a picture; target.outputs cannot be the camera's bands"
         yield fault(message, "target.outputs", "pair")
-
-
-def _lens_faults(lens: Lens) -> Iterator[Fault]:
-    if lens.defocus_um < 0:
-        yield fault("lens.defocus_um must not be negative", "lens.defocus_um")
-    for name, value in (("focal_length_mm", lens.focal_length_mm), ("f_number", lens.f_number)):
-        if value is not None and value <= 0:
-            yield fault(f"lens.{name} is {value:g}, and must be above zero", f"lens.{name}")
-    if (lens.magnification or 0) < 0:
-        yield fault(f"lens.magnification is {lens.magnification:g}; 0 is infinity", "lens.magnification")
-    if isinstance(lens.transmittance, float) and not 0 < lens.transmittance <= 1:
-        yield fault("lens.transmittance must lie in 0…1 and let some light through", "lens.transmittance")
 
 
 def _noise_faults(setting: SensorSetting, model: str) -> Iterator[Fault]:
@@ -198,25 +186,14 @@ def _noise_faults(setting: SensorSetting, model: str) -> Iterator[Fault]:
 
 def _exposure_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fault]:
     try:
-        unit, exposures = recipe.exposures()
+        unit, _ = recipe.exposures()
     except RecipeError as error:
         given = [key for key in EXPOSURES if getattr(recipe, key) is not None]
         yield fault(str(error), *given, *(key for key in EXPOSURES if key not in given))
         return
-    key = next(each for each in EXPOSURES if getattr(recipe, each) is not None)
-    lists = {"illuminants": recipe.illuminants, "luminances_cd_m2": recipe.luminances_cd_m2, key: exposures}
-    if empty := [each for each, values in lists.items() if not values]:
-        yield fault("illuminants, luminances_cd_m2 and the exposures must each have an entry", *empty)
-        return
-    numbers = {"luminances_cd_m2": recipe.luminances_cd_m2, key: exposures}
-    for each, values in numbers.items():
-        if not all(0 < value < float("inf") for value in values):
-            yield fault("luminances and exposures must be above zero", each)
-    if unit == "saturated" and max(exposures) >= 1:
-        yield fault("exposure_saturated is a share of the pixels, below 1", key)
     if unit == "seconds" and camera is not None and not camera.absolute:
         message = f"{camera.name} has only a relative responsivity; use exposure_share, not exposure_s"
-        yield fault(message, key)
+        yield fault(message, "exposure_s")
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
 """The sensor (docs/method.md#sensor): mean photo-electrons → digital numbers; defects of a real one."""
 
 import functools
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -12,15 +11,14 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import RecipeError, shortened, suggestion
-from l3cli.recipes.faults import Fault, fault
-from l3cli.recipes.toml import Recipe, Share
+from l3cli.recipes.toml import NotNegative, Recipe, Share
 from l3cli.system.plugins import NOISE, blamed, plugins
 
 MOST_ELECTRONS = 1e15  # beyond any well, within what a Poisson generator takes
 
 
 NOISES = ("all", "shot", "none")  # shot: only that of light and dark current; none: only rounding
-MOST_SPECKS, LARGEST_SPECK = 10_000, 1000  # per million pixels; pixels in radius
+OfMillion = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 
 
 @dataclass(frozen=True)
@@ -169,23 +167,13 @@ def _noisy_by(
 class DefectRecipe(Recipe):
     """The defects of the virtual lab's sensor."""
 
-    hot_pixels_per_million: float = 25.0
-    hot_current_e_per_s: float = 4000.0  # dark current of a hot pixel
-    dead_pixels_per_million: float = 10.0
-    dust_specks_per_million: float = 4.0  # soft shadows of a few pixels' radius
+    hot_pixels_per_million: OfMillion = 25.0
+    hot_current_e_per_s: NotNegative = 4000.0  # dark current of a hot pixel
+    dead_pixels_per_million: OfMillion = 10.0
+    dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # soft shadows of a few pixels' radius
     dust_depth: Share = 0.03  # share of the light that a speck takes in its middle
-    dust_radius_px: float = 12.0
-    column_noise_e: float = 2.0  # standard deviation of the columns' offsets
-
-
-def defect_faults(recipe: DefectRecipe) -> Iterator[Fault]:
-    """Yield the faults of defects that are more than pixels, or of dust from which no frame could be cleaned."""
-    for key in ("hot_pixels_per_million", "dead_pixels_per_million"):
-        if getattr(recipe, key) > 1e6:
-            yield fault("defects: of a million pixels no more than a million can be hot or dead", f"defects.{key}")
-    if not (recipe.dust_specks_per_million <= MOST_SPECKS and 0 < recipe.dust_radius_px <= LARGEST_SPECK):
-        message = f"defects: give up to {MOST_SPECKS} specks of dust per million pixels, 0…{LARGEST_SPECK} px in radius"
-        yield fault(message, "defects.dust_radius_px", "defects.dust_specks_per_million")
+    dust_radius_px: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 12.0
+    column_noise_e: NotNegative = 2.0  # standard deviation of the columns' offsets
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +17,7 @@ from l3cli.errors import L3Error, RecipeError
 from l3cli.frames.scene import NO_ILLUMINANT, Scene, SpectralCube
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
-from l3cli.recipes.toml import Count, Recipe, Seed, Share
+from l3cli.recipes.toml import Count, CountOrNone, Positive, Recipe, Seed, Share
 from l3cli.simulation.light import Light
 from l3cli.simulation.motion import Motion, motion_faults, room
 from l3cli.spectra.file import other_unit
@@ -28,11 +29,15 @@ SMALLEST = 16  # pixels of a scene's shorter side
 class Framing(Recipe, kw_only=True):
     """Part of a scene that is used, its orientation and scale, in this order."""
 
-    crop: tuple[int, int, int, int] | None = None  # first row, first column, rows, columns, in the scene's own samples
+    crop: tuple[CountOrNone, CountOrNone, CountOrNone, CountOrNone] | None = (
+        None  # first row, first column, rows, columns, in the scene's own samples
+    )
     flip: Literal["rows", "cols"] | None = None
     rotate: Literal[0, 90, 180, 270] = 0  # degrees counter-clockwise
-    scale: float | None = None  # pixels a sample; what then exceeds the sensor is cut off all round
-    field_of_view_deg: float | None = None  # the scene's width as the lens sees it, instead of scale
+    scale: Positive | None = None  # pixels a sample; what then exceeds the sensor is cut off all round
+    field_of_view_deg: Annotated[float, msgspec.Meta(gt=0, lt=179)] | None = (
+        None  # the scene's width as the lens sees it, instead of scale
+    )
     motion: Motion | None = None  # a clip, whose frames are parts of the scene
 
 
@@ -118,7 +123,7 @@ class Spectral(FileSource, kw_only=True):
     wavelengths_nm: list[float] | None = None  # of the bands; default: the file's own
     wavelength_range_nm: tuple[float, float, float] | None = None  # first, last, step, instead of a list
     holds: Literal["reflectance", "radiance", "photons"] = "reflectance"  # radiance: power per nm; photons: counts per nm
-    white: float | None = None  # stored value of a perfect white; default: 1, or the top of an integer type
+    white: Positive | None = None  # stored value of a perfect white; default: 1, or the top of an integer type
     light: str | None = None  # CSV of the light that radiance was measured under, or an illuminant's name
 
 
@@ -180,11 +185,8 @@ def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iter
     whole = source.scale is None and source.field_of_view_deg is None
     if not whole and source.scale is not None and source.field_of_view_deg is not None:
         yield fault(f"{name}: give either scale or field_of_view_deg", "field_of_view_deg", "scale")
-    if not (source.scale or 1) > 0 or not 0 < (source.field_of_view_deg or 1) < 179:
-        message = f"{name}: scale and field_of_view_deg must be above zero, and the latter below 179"
-        yield fault(message, "scale" if not (source.scale or 1) > 0 else "field_of_view_deg")
-    if source.crop and (min(source.crop) < 0 or min(source.crop[2:]) < 1):
-        yield fault(f"{name}: crop is first row, first column, rows, columns, none of them negative", "crop")
+    if source.crop and min(source.crop[2:]) < 1:
+        yield fault(f"{name}: crop is first row, first column, rows, columns; take one of these or more", "crop")
     if isinstance(source, Synthetic):
         try:
             fits = camera if whole and not source.crop and source.motion is None else None
@@ -228,8 +230,6 @@ def _spectral_faults(source: Spectral, name: str) -> Iterator[Fault]:
         if not (0 < first < last and step > 0):
             message = f"{name}: wavelength_range_nm must be first < last with a positive step"
             yield fault(message, "wavelength_range_nm")
-    if source.white is not None and not source.white > 0:
-        yield fault(f"{name}: white must be above zero", "white")
     if source.light is not None and source.holds == "reflectance":
         yield fault(f"{name}: reflectance needs no light; leave it out or say what else the cube holds", "light")
 

@@ -17,7 +17,7 @@ from l3cli.classes import contrast, level
 from l3cli.classes.rule import ClassRecipe
 from l3cli.errors import RecipeError
 from l3cli.recipes.faults import Fault, fault
-from l3cli.recipes.toml import Count, CountOrNone, Positive, Recipe, Share
+from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe, Share
 
 MOST_PATCHES = 1_000_000_000
 MOST_REFINEMENT = 3  # layers after the first
@@ -26,9 +26,9 @@ MOST_OF_HIGHLIGHTS = 0.5  # where highlights begin: darker than that are the dar
 LEAST_SENSITIVE = 1 / 16  # of channels, relative: beyond, planes do not hold both dark and light (docs/method.md#exposures)
 LEAST_BETWEEN = 1 / 4  # the same where a layer between reads planes, in 16 bits (docs/method.md#planes)
 LEAST_STEP = 0.001  # between such edges, which are stored as integers
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 APART = 4.001  # times, of gains between which transforms are mixed (docs/method.md#gains)
-MOST_GAINS = (1 / 1024, 1024)  # over the camera's
+MOST_GAIN = 1024  # and its inverse, over the camera's
+ErrorPower = Annotated[float, msgspec.Meta(ge=0, le=0.5)]
 MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
 
 
@@ -44,7 +44,7 @@ class LearningRecipe(Recipe):
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
     darkest: float = 0.0  # levels are drawn log-uniformly from here; 0: from where the camera's noise equals the signal
     brightest: float = 2.5  # levels are drawn up to here, clipped at the white level
-    highlight_share: float = 0.25  # share of the draws that lies above `highlight_from`
+    highlight_share: Share = 0.25  # share of the draws that lies above `highlight_from`
     highlight_from: float = 0.15  # begin of the highlights, which end at `brightest`
     achromatic: Share = 0.0  # share of the patches that show their scene without colour (docs/method.md#patches)
     rescale: bool = True  # False: patches stay at the level of their frame, however often they are drawn
@@ -55,16 +55,16 @@ class LearningRecipe(Recipe):
     # little noise (docs/method.md#noise-sets); 0: none
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
     # analog gains over the camera's for which transforms are learned, 1 among them (docs/method.md#gains)
-    gains: tuple[Positive, ...] = (1.0,)
+    gains: tuple[Annotated[float, msgspec.Meta(ge=1 / MOST_GAIN, le=MOST_GAIN)], ...] = (1.0,)
     # lights of the training for each of which transforms are learned besides those of all, as its frames name them; the
     # white of a scene chooses (docs/method.md#several-lights)
     lights: tuple[str, ...] = ()
     level_power: Share = 1.0  # rows weigh level^-power: 1 for errors relative to the level, 0 for errors as they are
-    brightness_power: float = 0.5  # rows weigh (Y / level)^-power, 0…1 (docs/method.md#row-weights)
-    error_power: float = 0.25  # second pass: (e² + ¼)^-power, e the error of the first (docs/method.md#second-pass)
-    ridge: float = 1e-5  # relative to the mean power of a tap
-    luminance_noise: float = 1.5  # weight of the noise covariance for Y (docs/method.md#noise-weights)
-    chroma_noise: float = 2.0  # the same for the two chroma rows
+    brightness_power: Share = 0.5  # rows weigh (Y / level)^-power (docs/method.md#row-weights)
+    error_power: ErrorPower = 0.25  # second pass: (e² + ¼)^-power, e the error of the first (docs/method.md#second-pass)
+    ridge: Positive = 1e-5  # relative to the mean power of a tap
+    luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y (docs/method.md#noise-weights)
+    chroma_noise: NotNegative = 2.0  # the same for the two chroma rows
     level_pool: tuple[float, ...] = (0.5, 0.25)  # weight of classes one, two… levels away (docs/method.md#thin-classes)
     parent_patches: CountOrNone = (
         200  # pseudo-patches of the parent, all chromas of its level, contrast and case, added to every class
@@ -123,8 +123,8 @@ class LayerRecipe(Recipe):
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y
     chroma_noise: NotNegative = 2.0  # the same for the two chroma rows
     # rows weigh (Y / level)^-power and (e² + ¼)^-power, e the error of the layers before; as in [learning] if not given
-    brightness_power: Annotated[float, msgspec.Meta(ge=0, le=1)] | None = None
-    error_power: Annotated[float, msgspec.Meta(ge=0, le=0.5)] | None = None
+    brightness_power: Share | None = None
+    error_power: ErrorPower | None = None
     colour_ratios: bool = (
         False  # further taps of the last layer: chroma as shading would make it (docs/method.md#colour-ratios)
     )
@@ -143,7 +143,7 @@ class TrainingRecipe(Recipe):
 
     classes: ClassRecipe = msgspec.field(default_factory=ClassRecipe)
     learning: LearningRecipe = msgspec.field(default_factory=LearningRecipe)
-    layer: tuple[LayerRecipe, ...] = ()  # layers after the first
+    layer: Annotated[tuple[LayerRecipe, ...], msgspec.Meta(max_length=MOST_REFINEMENT)] = ()  # layers after the first
 
 
 def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
@@ -220,17 +220,8 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
     if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:
         keys = ("learning.darkest", "learning.highlight_from", "learning.brightest")
         yield fault("learning needs 0 ≤ darkest < highlight_from < brightest", *keys)
-    if not 0 <= recipe.highlight_share <= 1:
-        yield fault("learning.highlight_share must lie in 0…1", "learning.highlight_share")
-    weights = {"ridge": recipe.ridge > 0, "luminance_noise": recipe.luminance_noise >= 0}
-    weights["chroma_noise"] = recipe.chroma_noise >= 0
-    if wrong := [f"learning.{key}" for key, right in weights.items() if not right]:
-        yield fault("learning.ridge must be positive, the noise weights not negative", *wrong)
-    if not all(MOST_GAINS[0] <= gain <= MOST_GAINS[1] for gain in recipe.gains) or 1 not in recipe.gains:
-        least, most = MOST_GAINS
-        yield fault(
-            f"learning.gains must lie in {least:g}…{most:g} times the camera's, whose own, 1, is one", "learning.gains"
-        )
+    if 1 not in recipe.gains:
+        yield fault("learning.gains are over the camera's, whose own, 1, is one", "learning.gains")
     if learned_gains(recipe.gains) and recipe.noise == "none":
         yield fault('learning.gains differ in noise, and learning.noise is "none"', "learning.gains", "learning.noise")
     if recipe.noise_left and recipe.noise == "none":
@@ -240,17 +231,10 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
     if recipe.spectral_window not in (0, *WINDOWS):
         message = f"learning.spectral_window is {recipe.spectral_window}, not 0 or one of {', '.join(map(str, WINDOWS))}"
         yield fault(message, "learning.spectral_window")
-    powers = {"brightness_power": 0 <= recipe.brightness_power <= 1, "error_power": 0 <= recipe.error_power <= 0.5}
-    if wrong := [f"learning.{key}" for key, right in powers.items() if not right]:
-        yield fault("learning.brightness_power must lie in 0…1, error_power in 0…0.5", *wrong)
 
 
 def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
     """Yield all that cannot be of [[layer]]."""
-    if len(layers) > MOST_REFINEMENT:
-        yield fault(
-            f"layer: {len(layers)} layers after the first; {MOST_REFINEMENT} can be learned", f"layer.{MOST_REFINEMENT}"
-        )
     for number, recipe in enumerate(layers):
         name, key = f"layer[{number + 1}]", f"layer.{number}"
         if recipe.colour_ratios and number + 1 < len(layers):

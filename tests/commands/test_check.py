@@ -43,11 +43,11 @@ CAMERA = [
     ("prnu = 0.005", "prnu = 0.5", ("0.5 % is 0.005",)),
     ("focal_length_mm = 25", "focal_length_mm = 0.025", ("is 25 meant?",)),
     ('"g b"', '"g x"', ('"x" is not a channel',)),
-    ("sigma_nm = 40", "sigma_nm = 0", ("a sigma of the Gaussians of g is 0",)),
+    ("sigma_nm = 40", "sigma_nm = 0", ("responsivity.gaussians.g[1].sigma_nm is 0; give more than 0",)),
     ("well_capacity_e = 15000", "well_capacity_e = nan", ("noise.well_capacity_e is nan",)),
 ]
 SCENES = """illuminants = ["D656", "lamp.csv", "0 D65"]  # "D656" is unknown | lamp.csv does not exist | shares must be above
-exposure_share = [0.9, -1]  # above zero
+exposure_share = [0.9, -1]  # exposure_share[2] is -1; give more than 0
 lens.transmittance = "none.csv"  # none.csv does not exist
 lens.f_number = -3  # lens.f_number is -3
 [target]
@@ -63,7 +63,7 @@ axes = "row col"  # axes names row, col and band
 [[pair]]
 raw = "a.dng"  # a.dng does not exist
 picture = "a.png"  # a.png does not exist
-offset = [-1, 0]  # offset must not be negative
+offset = [-1, 0]  # pair[1].offset[1] is -1; the least is 0
 """
 CLASSES = """[classes]
 patch = 4  # classes.patch is 4
@@ -71,26 +71,26 @@ contrasts = [2, 1]  # contrasts must be positive and increase
 lowest_level = 2  # 0 < lowest_level < highest_level
 [learning]
 darkest = 0.5  # darkest < highlight_from
-ridge = 0  # learning.ridge must be positive
+ridge = 0  # learning.ridge is 0; give more than 0
 level_power = 2  # learning.level_power is 2; the most is 1
 [[layer]]
 side = 4  # windows have odd sides
 strengths = [2, 1]  # each 0.001 above the last
 """
-LAB = """falloff = 2  # falloff in 0…1
+LAB = """falloff = 2  # falloff is 2; give less than 1
 [mono]
-step_nm = 0  # mono needs step_nm above 0
+step_nm = 0  # mono.step_nm is 0; give more than 0
 overexposed = -1  # the least is 0
 [chart]
 illuminants = ["D99"]  # illuminant "D99" is unknown
 [white]
-levels = [0.1, -1.0]  # levels and exposures must be given and above 0
-trials = 1  # two trials or more
+levels = [0.1, -1.0]  # white.levels[2] is -1.0; give more than 0
+trials = 1  # white.trials is 1; the least is 2
 [defects]
-dust_radius_px = -1  # must not be negative
+dust_radius_px = -1  # defects.dust_radius_px is -1; give more than 0
 """
 MEASUREMENTS = """name = "measured"
-uncertainty.lamp_drift = 2  # lamp_drift in 0…1
+uncertainty.lamp_drift = 2  # uncertainty.lamp_drift is 2; give less than 1
 [sensor]
 rows = 192
 cols = 256
@@ -116,7 +116,7 @@ frames = ["there.tif"]
 spectrum = "light.csv"
 column = "450nm"
 [[white]]
-frames = []  # capture needs frames
+frames = []  # white[1].frames has 0 values; the least is 1
 exposure_ms = 3
 monitor = 20  # monitor is 20
 """
@@ -360,7 +360,7 @@ def test_measurements_of_a_known_camera(tmp_path: Path, l3: L3) -> None:
         ("camera.toml", "dark1.npy", 1, "dark1.npy"),
         ("dark2.npy", "dark3.npy", 3, "dark3.npy does not exist; it is named as a frame"),
         ("exposure_s = 0.02", "", 2, "needs one of exposure_s, exposure_ms and exposure_us"),
-        ("exposure_ms = 5", "exposure_ms = -5", 7, "needs one of exposure_s, exposure_ms and exposure_us, above 0"),
+        ("exposure_ms = 5", "exposure_ms = -5", 7, "white[1].exposure_ms is -5; give more than 0"),
         ("exposure_ms = 5", "exposure_min = 5", 7, "unknown key `exposure_min`"),
         ("[[white]]", "[[whites]]", 5, "unknown key `whites`"),
         ('base = "camera.toml"', "base = 5", 1, "Expected `str`, got `int` in [base]"),

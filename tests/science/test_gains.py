@@ -123,9 +123,9 @@ def test_a_recipe_names_gains(tmp_path: Path, l3: L3) -> None:
     assert equal(load(CameraModel, tmp_path / "camera.h5"), camera)
     for keys, words in (
         ("gains = [2.0]", "names 1 gains, gain.read_noise_e 0"),
-        ("gains = [1.0]\nread_noise_e = [1.0]", "must lie in"),
-        ("gains = [2.0, 2.0]\nread_noise_e = [1.0, 1.0]", "once"),
-        ("read_noise_before_e = 1000.0", "must lie in 0"),
+        ("gains = [1.0]\nread_noise_e = [1.0]", "stands there twice, or is 1"),
+        ("gains = [2.0, 2.0]\nread_noise_e = [1.0, 1.0]", "2 stands there twice"),
+        ("read_noise_before_e = 1000.0", "more than noise.read_noise_e"),
         ("iso = -1", "gain.iso is -1"),
     ):
         path.write_text(recipe + f"\n[gain]\n{keys}\n")
@@ -479,7 +479,7 @@ def test_gains_that_cannot_be_are_refused(tmp_path: Path, l3: L3) -> None:
     path = tmp_path / "classes.toml"
     for keys, words in (
         ("gains = [2, 4]\n", "whose own, 1, is one"),
-        ("gains = [1, 1e9]\n", "learning.gains must lie in"),
+        ("gains = [1, 1e9]\n", "learning.gains[2] is 1000000000.0; the most is 1024"),
         ('gains = [1, 4]\nnoise = "none"\n', "differ in noise"),
     ):
         path.write_text(CLASSES + keys + LAYER)

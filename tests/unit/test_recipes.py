@@ -61,7 +61,7 @@ source = "cube"
 file = "x"
 wavelengths_nm = [1, "a"]
 """
-PHOTO = 'name = "x"\n[photo]\nframes = ["a", 1]\nlayout = [4]\n[[white]]\n[[white]]\nframes = []\nexposure_s = "1"\n'
+PHOTO = 'name = "x"\n[photo]\nframes = ["a", 1]\nlayout = [4]\n[[white]]\n[[white]]\nframes = ["a"]\nexposure_s = "1"\n'
 
 
 @pytest.mark.parametrize(
@@ -312,7 +312,7 @@ WRONG = [
     ("measurements", MEASURED, "exposure_ms = 3", 'exposure_ms = "3"'),
     ("measurements", MEASURED, "[5, 6], [7, 8]", "[5, 6, 7], [7, 8]"),
     ("measurements", MEASURED, "[4, 6]", "[0, 6]"),
-    ("measurements", 'base = "a.h5"\ndark = []\nwhite = []', "dark = []\n", ""),
+    ("measurements", 'base = "a.h5"\n[[dark]]\nframes = ["a"]\n[[white]]\nframes = ["b"]', "[[dark]]", "[[darks]]"),
     ("lab", "[mono]\nradiance = 1e18", "1e18", "0"),
     ("lab", "[chart]\ntrials = 1", "trials = 1", "trials = 0"),
     ("scenes", '[[scene]]\nsource = "skin"\nsize = [16, 16]', "skin", "skinn"),
