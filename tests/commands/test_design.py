@@ -221,7 +221,7 @@ def test_pairs_are_in_order_beyond_ties() -> None:
 
 
 WRONG = """
-    shape = [2, 2]                      | shape = [2, 9]                     | 2 | larger than 8×8
+    shape = [2, 2]                      | shape = [2, 9]                     | 2 | shape[2] is 9; the most is 8
     arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "r g"]]          | 2 | fewer than 3 independent outputs
     arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "b x"]]          | 2 | "x" is not a filter
     counts = { g = 4, r = 2, b = 2 }    | counts = { g = 4, r = 2 }          | 2 | counts add up to 6, and the shape has 8
