@@ -33,6 +33,7 @@ ROUNDS = 4  # in which gains and factors settle
 PRIOR = 50  # pixels for which a class follows the classes that it is one of
 TILES = (1, 2, 4, 8, 16)  # pixels, sides of regions whose means are compared; pieces hold whole ones
 FEWEST = 9  # tiles of a frame
+LITTLE = 1e-30  # where noise changes no raw value, as in a black frame of a quiet camera, σ is 0
 LEAST = 32  # pixels, side of a frame
 SEED = 20
 
@@ -170,7 +171,8 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
     assert table.camera is not None
     every = np.arange(len(table.channels))
     camera: CameraModel = replace(table.camera, noise_left=frame.noise_share)
-    constant, linear, quadratic = camera.noise_terms(frame.dark, every)
+    dark = frame.dark * (table.white_level - table.black_level) / (frame.white_level - frame.black_level)
+    constant, linear, quadratic = camera.noise_terms(dark, every)
     return np.broadcast_to(constant, every.size), np.broadcast_to(linear, every.size), quadratic
 
 
@@ -269,7 +271,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     for _ in range(ROUNDS):
         for factor, cell, wanted in zip(factors, cells, seen, strict=True):
             mean = np.broadcast_to(predicted.mean(axis=0), predicted.shape)
-            change = (wanted + prior) / (_summed(cell, mean) + prior)
+            change = (wanted + prior) / np.maximum(_summed(cell, mean) + prior, LITTLE)
             factor *= change
             predicted = predicted * change[cell]
     gains = math.prod(_filled(factor, axis) for factor, axis in zip(factors, axes, strict=False))
@@ -295,4 +297,4 @@ def _areas(deviations: Array) -> Array:
             break
         cut = deviations[..., : rows * side, : cols * side].reshape(*deviations.shape[:2], rows, side, cols, side)
         areas.append(side**2 * np.square(cut.mean(axis=(3, 5))).mean(axis=(0, 2, 3)))
-    return np.array(areas) / areas[0]
+    return np.array(areas) / np.maximum(areas[0], LITTLE)

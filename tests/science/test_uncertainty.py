@@ -118,6 +118,19 @@ def test_gains_of_a_scene_serve_its_other_frames() -> None:
     assert like.sigma.mean(axis=(0, 1)) == pytest.approx(uncertainty(renderer, other).sigma.mean(axis=(0, 1)), rel=0.05)
 
 
+def test_dark_current_is_of_the_frames_scale_and_a_frame_without_noise_has_none() -> None:
+    table = even_table(BAYER, 1)
+    renderer, frame = make_renderer("reference", table), replace(noisy_frame(table, 0.1, 1), dark=300.0)
+    wide = replace(frame, values=16 * frame.values, black_level=16 * frame.black_level, white_level=16 * frame.white_level)
+    assert np.array_equal(uncertainty(renderer, replace(wide, dark=4800.0)).sigma, uncertainty(renderer, frame).sigma)
+    assert table.camera is not None
+    quiet = replace(table, camera=replace(table.camera, gain=0.01, noise=replace(table.camera.noise, read_noise=1.0)))
+    black = replace(frame, values=np.full_like(frame.values, table.black_level), dark=0.0)
+    found = uncertainty(make_renderer("reference", quiet), black)
+    assert not found.sigma.any()
+    assert not found.of_mean(np.ones(black.values.shape, bool)).any()
+
+
 def test_masks_name_what_was_not_trained() -> None:
     table = even_table(BAYER, 2)
     bright = noisy_frame(table, 2.0, 1)
