@@ -151,13 +151,13 @@ def other_phase(frame: RawFrame, table: TransformTable) -> str:
 def other_gain(frame: RawFrame, table: TransformTable) -> str:
     """Return a warning of an analog gain that a table has no transforms near to; else ""."""
     gains = gains_of(table)
-    beyond = max(frame.gain / gains[-1], gains[0] / frame.gain)
-    if beyond < FAR:
+    ratio = min(max(frame.gain, gains[0]), gains[-1]) / frame.gain
+    if 1 / FAR < ratio < FAR:
         return ""
     there = f"gains {gains[0]:g} to {gains[-1]:g}" if len(gains) > 1 else "the gain of its camera alone"
     return (
         f"its analog gain is {frame.gain:.3g} times that of the table's camera; the table has transforms for {there}, "
-        f"which take noise for {1 / beyond:.2g} of what it is; name it among learning.gains and train again"
+        f"which take noise for {ratio:.3g} times what it is; name it among learning.gains and train again"
     )
 
 

@@ -67,8 +67,11 @@ class OutputGuard(contextlib.ExitStack):
             self._console.report(f"warning: {output} lies on storage without file locks: see that no other run writes it")
 
     def _remember(self, path: Path, *globs: str) -> None:
-        """Refuse outputs in place of what is read, as far as that is known, and remember them for what will be."""
+        """Refuse outputs in place of what is read, as far as that is known, or of another, and remember them for what will
+        be."""
         _refuse_protected(path, globs)
+        if any(path.resolve() == other.resolve() for other, _ in self._guarded):
+            raise RecipeError(f"{path} is named for two outputs; name two files")
         self._guarded.append((path, globs))
 
 

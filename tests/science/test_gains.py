@@ -231,7 +231,8 @@ def test_frames_are_rendered_by_the_transforms_for_their_gain(several: Transform
         wanted = ReferenceRenderer(at_gain(several, nearest_step(gain))).outputs(frame)
         np.testing.assert_array_equal(renderer.outputs(dataclasses.replace(frame, gain=gain)), wanted)
     assert other_gain(dataclasses.replace(frame, gain=20.0), several) == ""
-    assert "gains 1 to 16" in other_gain(dataclasses.replace(frame, gain=64.0), several)
+    assert "gains 1 to 16, which take noise for 0.25 times" in other_gain(dataclasses.replace(frame, gain=64.0), several)
+    assert "take noise for 100 times what it is" in other_gain(dataclasses.replace(frame, gain=0.01), several)
     assert "gain of its camera alone" in other_gain(
         dataclasses.replace(frame, gain=4.0), dataclasses.replace(several, conditions=())
     )

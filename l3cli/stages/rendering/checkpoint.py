@@ -27,6 +27,7 @@ from l3cli.system.checkpoint import Checkpoint, key_in
 from l3cli.system.files import fingerprint, is_noting, require_regular, sha256
 from l3cli.system.limits import read_bounded
 from l3cli.system.outputs import Made, before_work, is_dry
+from l3cli.system.text import counted
 
 KINDS = {"stream": "y4m stream of", "video": "video of", "pattern": "numbered pictures of", "folder": "pictures of"}
 
@@ -65,7 +66,7 @@ def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> 
         raise RecipeError(f"{sequence.what} does not say how many frames it has; choose those of all shards with ‹frames›")
     count = sequence.count - sequence.lost
     if count < shards:
-        raise RecipeError(f"{sequence.what} has {count} frames, too few for {shards} shards")
+        raise RecipeError(f"{sequence.what} has {counted(count, 'frame')}, too few for {shards} shards")
     # A shard that begins within a chunk filters what lies before it there, too.
     grid = CHUNK if temporal and count >= shards * CHUNK else 1
     first, last = (count * index // shards for index in (number - 1, number))

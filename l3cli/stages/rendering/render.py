@@ -121,13 +121,13 @@ def render(
         key = options.run_key(digest, os.environ.get("L3_DEVICE"), choice, mix and astuple(mix), known.unlabelled_gain)
         job = SequenceJob(sequence, destination, transforms, rendition, source, choice, pacing, chunks, options)
         digests = functools.partial(FrameDigests, inputs[0], job.follows)
+        if options.uncertainty is not None:  # first: a frame that is too small leaves no picture that stands in the way
+            write_uncertainty(options.uncertainty, transforms, sequence, engine, options)
         with (
             checkpointed(destination, key, options, sequence, digests) as checkpoint,
             executor_of(setup, transforms, scheduler, renderers or Renderers()) as executor,
         ):
             tally = render_frames(job, executor, checkpoint, digests())
-        if options.uncertainty is not None:
-            write_uncertainty(options.uncertainty, transforms, sequence, engine, options)
         for text in filter(None, (odd_exposure_time(known.exposure, transforms), cache_warning())):
             console.warn(text)
         return tally
