@@ -33,7 +33,7 @@ exposure_share = [0.9]
 [[scene]]
 source = "dead leaves"
 size = [32, 40]
-count = 6
+count = 12
 [[scene]]
 source = "rgb"
 file = "picture.png"
@@ -138,13 +138,6 @@ def _content(folder: Path) -> dict[str, bytes]:
 # ------------------------------------------------------------------------------------------------- the same bytes
 
 
-def test_simulate_gives_the_same_bytes(cluster: Cluster, made: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
-    command = ("simulate", made / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "training.h5")
-    assert l3(*command, "--quiet", "--scheduler", cluster.address) == (0, "", "")
-    assert (tmp_path / "training.h5").read_bytes() == (made / "training.h5").read_bytes()
-    assert [path.name for path in tmp_path.iterdir()] == ["training.h5"]
-
-
 def test_train_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: L3) -> None:
     command = ("train", made / "training.h5", "--classes", made / "classes.toml", "-o", tmp_path / "table.h5")
     code, _, err = l3(*command, "--scheduler", cluster.address)
@@ -203,32 +196,6 @@ def test_what_a_frame_cannot_be_is_reported_of_the_first(cluster: Cluster, made:
     assert "its values reach 65535 DN" in err
 
 
-def test_a_killed_worker_changes_nothing(cluster: Cluster, made: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
-    """One is killed while it works and holds results; dask has others do its work again."""
-    output = tmp_path / "training.h5"
-    (tmp_path / "picture.png").write_bytes((made / "picture.png").read_bytes())
-    (tmp_path / "scenes.toml").write_text(SCENES.replace("[32, 40]", "[64, 64]").replace("count = 6", "count = 12"))
-    command = ("simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "--quiet", "-o")
-    assert l3(*command, tmp_path / "here.h5")[0] == 0
-    left: list[int] = []
-
-    def kill() -> None:
-        parts = tmp_path / "training.h5.parts"
-        _wait_until(lambda: len(list(parts.glob("*.h5"))) >= 4, 0.005)
-        cluster.workers[0].kill()
-        left.append(26 - len(list(parts.glob("*.h5"))))
-
-    killer = threading.Thread(target=kill)
-    killer.start()
-    code, _, err = l3(*command, output, "--scheduler", cluster.address)
-    killer.join()
-    cluster.workers.pop(0).wait()
-    cluster.add(1)  # for those that come after
-    assert code == 0, err
-    assert left[0] > 2  # it was killed while there was work
-    assert output.read_bytes() == (tmp_path / "here.h5").read_bytes()
-
-
 # ----------------------------------------------------------------------------------------------- what goes wrong
 
 
@@ -265,16 +232,28 @@ def test_a_worker_of_another_version_is_refused(cluster: Cluster, monkeypatch: p
         list(pool(squared, range(1)))
 
 
-def test_a_run_ends_without_workers_and_without_its_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No worker at the beginning; all lost while they are at work; the scheduler gone."""
+def test_a_run_over_tls_ends_without_workers_and_without_its_scheduler(
+    tmp_path: Path, bayer_recipe: Path, made: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No worker at the beginning; one with a certificate gives the same bytes; lost at work; the scheduler gone."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    ca, certificate, key = (tmp_path / name for name in ("ca.pem", "certificate.pem", "key.pem"))
+    new = ("openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2")
+    subprocess.run([*new, "-subj", "/CN=localhost", "-keyout", key, "-out", certificate], check=True, capture_output=True)
+    shutil.copy(certificate, ca)  # it signs itself
     monkeypatch.setattr(elsewhere, "ANSWER", 2.0)
-    with a_cluster(tmp_path, 0) as cluster:
-        there = _there(cluster)
+    with a_cluster(tmp_path, 0, "--tls-ca-file", ca, "--tls-cert", certificate, "--tls-key", key) as cluster:
+        there = _there(cluster, ca, certificate, key)
         with monkeypatch.context() as hasty:
             hasty.setattr(elsewhere, "PATIENCE", 1.0)
             with pytest.raises(L3Error, match="no worker for 1 s"), workers(1, there):
                 pass
         cluster.add(1)
+        tls = ("--scheduler", cluster.address, "--tls-ca", ca, "--tls-cert", certificate, "--tls-key", key)
+        command = ("simulate", made / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "training.h5", "--quiet")
+        assert l3(*command, *tls)[::2] == (0, "")
+        assert (tmp_path / "training.h5").read_bytes() == (made / "training.h5").read_bytes()
         with workers(1, there) as pool, monkeypatch.context() as hasty:
             hasty.setattr(elsewhere, "PATIENCE", 1.0)
             with pytest.raises(L3Error, match="no worker for 1 s"):
@@ -282,7 +261,7 @@ def test_a_run_ends_without_workers_and_without_its_scheduler(tmp_path: Path, mo
         cluster.add(1)
         with workers(1, there) as pool, pytest.raises(L3Error, match="the scheduler has gone"):
             _go_on(pool(_process, range(10_000)), cluster.scheduler.kill)
-        with pytest.raises(L3Error, match="no scheduler answers"), workers(1, _there(cluster)):
+        with pytest.raises(L3Error, match="no scheduler answers"), workers(1, there):
             pass
 
 
@@ -294,7 +273,7 @@ def _go_on(results: Iterator[object], fault: Callable[[], None]) -> None:
         pass
 
 
-def _there(cluster: Cluster, *tls: Path) -> Scheduler:
+def _there(cluster: Cluster, ca: Path, certificate: Path, key: Path) -> Scheduler:
     """Its scheduler, which answers."""
     host, port = cluster.address.rpartition("/")[2].split(":")
 
@@ -302,28 +281,11 @@ def _there(cluster: Cluster, *tls: Path) -> Scheduler:
         with socket.socket() as probe:
             return probe.connect_ex((host, int(port))) == 0
 
-    if cluster.scheduler.poll() is None:
-        _wait_until(answers)
-    ca, certificate, key = tls or (None, None, None)
+    _wait_until(answers)
     return Scheduler(cluster.address, ca, certificate, key)
 
 
 # ------------------------------------------------------------------------------------------- doors and their keys
-
-
-def test_tls_opens_to_those_with_a_certificate(tmp_path: Path, bayer_recipe: Path, made: Path, l3: L3) -> None:
-    if shutil.which("openssl") is None:
-        pytest.skip("openssl is not installed")
-    ca, certificate, key = (tmp_path / name for name in ("ca.pem", "certificate.pem", "key.pem"))
-    new = ("openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2")
-    subprocess.run([*new, "-subj", "/CN=localhost", "-keyout", key, "-out", certificate], check=True, capture_output=True)
-    shutil.copy(certificate, ca)  # it signs itself
-    tls = ("--tls-ca", ca, "--tls-cert", certificate, "--tls-key", key)
-    with a_cluster(tmp_path, 1, "--tls-ca-file", ca, "--tls-cert", certificate, "--tls-key", key) as cluster:
-        command = ("simulate", made / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "training.h5")
-        code, _, err = l3(*command, "--quiet", "--scheduler", _there(cluster, ca, certificate, key).address, *tls)
-        assert (code, err) == (0, "")
-        assert (tmp_path / "training.h5").read_bytes() == (made / "training.h5").read_bytes()
 
 
 def test_wrong_doors_are_one_line(
@@ -377,3 +339,26 @@ def test_a_scheduler_open_to_others_is_warned_of(cluster: Cluster, monkeypatch: 
     monkeypatch.setattr(elsewhere, "_is_loopback", lambda address: False)
     with workers(1, Scheduler(cluster.address, warn=warnings.append)):
         assert warnings == [elsewhere.WITHOUT_TLS]
+
+
+def test_simulate_gives_the_same_bytes_when_a_worker_is_killed(
+    cluster: Cluster, made: Path, bayer_recipe: Path, tmp_path: Path, l3: L3
+) -> None:
+    """It is killed while it works and holds results; dask has others do its work again. The last test: none has two workers
+    after it."""
+    command = ("simulate", made / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "training.h5", "--quiet")
+    left: list[int] = []
+
+    def kill() -> None:
+        parts = tmp_path / "training.h5.parts"
+        _wait_until(lambda: len(list(parts.glob("*.h5"))) >= 4, 0.005)
+        cluster.workers[0].kill()
+        left.append(26 - len(list(parts.glob("*.h5"))))
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    assert l3(*command, "--scheduler", cluster.address) == (0, "", "")
+    killer.join()
+    assert left[0] > 2  # it was killed while there was work
+    assert (tmp_path / "training.h5").read_bytes() == (made / "training.h5").read_bytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["training.h5"]
