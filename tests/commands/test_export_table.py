@@ -111,7 +111,7 @@ def library_of(folder: Path, prefix: str) -> Any:
 
 
 @needs_compiler
-@pytest.mark.parametrize(("white", "exposure"), [(None, None), ("A", "0.7"), ("0.37,0.37", None)])
+@pytest.mark.parametrize(("white", "exposure"), [(None, None), ("0.37,0.37", "0.7")])
 def test_c_source_shows_what_l3_render_shows(
     pipeline: Path, tmp_path: Path, l3: L3, white: str | None, exposure: str | None
 ) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import l3 as program
 from l3cli.io.pictures.registry import write_picture
 from tests.helpers.calls import L3, Refused
@@ -74,17 +73,6 @@ def test_a_misspelt_name_brings_the_one_that_was_meant(
     missing = f"configs/{kind}/{EXAMPLES[kind]}.toml"  # as a checkout has it, typed where there is none
     assert f'{missing} does not exist; without a path "{EXAMPLES[kind]}" is' in refused(3, *place, missing, *after)
     assert parsed(place, "mine/nothing.toml") == Path("mine/nothing.toml")  # whoever opens it says so
-
-
-def test_a_name_gives_the_bytes_of_its_file(l3: L3, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    calls = {"names": ("small", "bayer"), "files": (CONFIGS / "scenes/small.toml", CONFIGS / "cameras/bayer.toml")}
-    for output, (scenes, camera) in calls.items():
-        code, _, err = l3("simulate", scenes, "--camera", camera, "-o", output, "--quiet")
-        assert (code, err) == (0, "")
-    assert (tmp_path / "names").read_bytes() == (tmp_path / "files").read_bytes()
-    with open_training_set(tmp_path / "names") as reader:
-        assert (CONFIGS / "scenes/small.toml").read_text() in reader.head.history[-1].recipe
 
 
 def test_the_shell_is_offered_names_next_to_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

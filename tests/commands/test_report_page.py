@@ -135,13 +135,6 @@ def test_figures_are_those_of_the_artifacts(page: Path, stages: Path, l3: L3) ->
     for stage in table.history:
         assert f"l3 {stage.command}" in text
     assert CLASSES.strip() in text
-
-
-def test_the_same_artifacts_give_the_same_bytes(page: Path, stages: Path, tmp_path: Path, l3: L3) -> None:
-    code, out, err = l3("report", *artifacts(stages), "-o", tmp_path / "deep/again.html")
-    assert (code, out) == (0, "")
-    assert "again.html: " in err
-    assert (tmp_path / "deep/again.html").read_bytes() == page.read_bytes()
     assert str(stages) not in page.read_text()
 
 

@@ -96,9 +96,10 @@ def test_pictures_hold_the_raw_frame_and_a_white_that_is_white(l3: L3, bayer_rec
 
 @pytest.mark.usefixtures("same_workers")
 def test_the_same_bytes_whatever_the_number_of_jobs(l3: L3, bayer_recipe: Path, tmp_path: Path) -> None:
-    for jobs in (1, 2):
+    """And whether a recipe is called by its name or by its file."""
+    for jobs, scenes in ((1, CONFIGS / "scenes/small.toml"), (2, "small")):
         arguments = ("--camera", bayer_recipe, "-o", tmp_path / f"{jobs}.h5", "--jobs", jobs, "--quiet")
-        assert l3("simulate", CONFIGS / "scenes/small.toml", *arguments) == (0, "", "")
+        assert l3("simulate", scenes, *arguments) == (0, "", "")
     first = (tmp_path / "1.h5").read_bytes()
     assert first == (tmp_path / "2.h5").read_bytes()
     other = ("--camera", bayer_recipe, "-o", tmp_path / "other.h5", "--seed", 1)
