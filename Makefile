@@ -206,7 +206,7 @@ format: ## format the sources, fix what ruff can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: ## frame times by stage; beside the bare multiply-adds, Menon; simulation and training
+bench: ## frame times by stage; beside the bare multiply-adds, Menon; simulation
 	$(call needs,test)
 	$(L3) bench
 	$(BIN)/python -m pytest -m slow -s tests/studies/test_speed_study.py

@@ -55,3 +55,25 @@ def in_shards(l3: L3, run: tuple, shards: int, folder: Path, *first: object) -> 
     code, _, err = l3("train", "--merge", *paths[::-1], "-o", table)
     assert code == 0, err
     return paths, table, err
+
+
+def frame_of_squares(camera: CameraModel, seed: int, side: int = 160) -> TrainingFrame:
+    """A frame of squares of many colours and sizes, lit unevenly."""
+    rng = np.random.default_rng(seed)
+    share = np.full((len(camera.channels), side, side), 0.3)
+    for size in np.geomspace(80, 3, 400).astype(int):
+        row, col = rng.integers(0, side - size, 2)
+        share[:, row : row + size, col : col + size] = rng.random((len(share), 1, 1))
+    share *= np.linspace(0.3, 1.0, side)
+    target = np.einsum("oc,crk->ork", rng.random((3, len(share))), share) * camera.saturation_exposure / 0.01
+    return TrainingFrame(
+        raw=np.zeros((side, side), np.uint16),
+        electrons=(share * camera.full_scale).astype(np.float32),
+        target=target.astype(np.float32),
+        white=np.array([95.0, 100.0, 109.0]),
+        scene="synthetic",
+        illuminant="D65",
+        luminance=100.0,
+        exposure=0.01,
+        seed=(0, seed),
+    )

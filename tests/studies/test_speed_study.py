@@ -1,4 +1,4 @@
-"""Rendering beside what it cannot beat and what others write; simulation and training on one core.
+"""Rendering beside what it cannot beat and what others write; simulation on one core.
 
 python -m pytest -m slow -s tests/studies/test_speed_study.py      (two minutes; `make bench` runs it after `l3 bench`)
 
@@ -27,7 +27,6 @@ from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.simulation import light
 from l3cli.simulation.frame import simulate
 from l3cli.simulation.recipe import Lens
-from tests.helpers.training_speed import measure
 
 FRAMES = 40  # timed frames of each case
 SIMULATED = 5  # frames, of which the fastest counts
@@ -116,15 +115,8 @@ def test_simulation(fiveband: CameraModel, diffraction: bool) -> None:
     lens, times = Lens(diffraction=diffraction), []
     for index in range(SIMULATED):
         start = time.process_time()
-        frame = simulate(camera, scene, falling, exposure, lens, (0, index))
+        simulate(camera, scene, falling, exposure, lens, (0, index))
         times.append(time.process_time() - start)
     size = camera.rows * camera.cols / 1e6
     print(f"1280×720, 31 bands, diffraction {'on' if diffraction else 'off'}: {size / min(times):.2f} MP/s of a core")
-    assert frame.raw.shape == (camera.rows, camera.cols)
-
-
-def test_training(fiveband: CameraModel) -> None:
-    figures = measure(fiveband, 60_000)
-    stages = ", ".join(f"{name} {time:.0f}" for name, time in figures["stages_ns"].items())
-    print(f"{figures['rows']} rows in {figures['cpu_s']:.1f} CPU s: {figures['rows_per_s']:.0f} rows/s; ns a row: {stages}")
-    assert sum(figures["stages_ns"].values()) == pytest.approx(1e9 / figures["rows_per_s"])
+    assert size / min(times) > 1.0  # it was 5

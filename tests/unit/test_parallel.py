@@ -89,7 +89,8 @@ def test_a_worker_that_is_killed_is_reported_and_not_waited_for() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+    ("number", "code", "word"),
+    [pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.soak), (signal.SIGTERM, 143, "terminated")],
 )
 def test_an_ended_run_leaves_one_line_and_nobody(tmp_path: Path, number: int, code: int, word: str) -> None:
     run = _simulation(tmp_path)

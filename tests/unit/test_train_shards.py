@@ -41,8 +41,7 @@ from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import empty_sums
 from l3cli.training.training_pass import BATCH, LAST, SUM_BYTES, TrainingPass, frame_blocks, spread_patches, work_shares
 from tests.helpers.calls import L3, Refused
-from tests.helpers.training_sets import a_frame, a_set, in_shards
-from tests.helpers.training_speed import synthetic_frame
+from tests.helpers.training_sets import a_frame, a_set, frame_of_squares, in_shards
 
 SMALL = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"
 
@@ -305,7 +304,7 @@ def test_memory_does_not_grow_with_frames_or_jobs(tmp_path: Path, fiveband: Came
     head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="synthetic")
     with write_training_set(tmp_path / "training.h5", head) as writer:
         for seed in range(60):
-            writer.append(synthetic_frame(fiveband, seed))
+            writer.append(frame_of_squares(fiveband, seed))
     for jobs, times in ((1, 1), (1, 10), (2, 1), (2, 10)):
         files = [str(tmp_path / "training.h5")] * times
         command = [sys.executable, "-c", "from l3cli.cli import main; main()", "train", *files, "--jobs", str(jobs)]
