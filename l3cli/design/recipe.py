@@ -147,7 +147,7 @@ WHOLE: KeyPath = ()  # the table itself
 
 def _filter_faults(name: str, one: FilterRecipe, known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
     kinds = [each for each in ("centre_nm", "file", "stack", "channel") if getattr(one, each) is not None]
-    if " " in name or "/" in name or not name:
+    if name.split() != [name] or "/" in name:
         yield fault(f'filter "{name}": a name has neither blanks nor /', WHOLE)
     if len(kinds) > 1:
         yield fault(f"filter {name}: give one of centre_nm, file, stack and channel", kinds[1])

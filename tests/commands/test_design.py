@@ -217,6 +217,7 @@ WRONG = """
     counts = { g = 4, r = 2, b = 2 }    | counts = { g = 4, r = 4 }          | 2 | fewer than 3 independent outputs
     g = { centre_nm = 535, sigma_nm = 40 } | g = { centre_nm = 535 }         | 2 | centre_nm and sigma_nm go together
     g = { centre_nm = 535, sigma_nm = 40 } | g = { centre_nm = 900, sigma_nm = 9, floor = 0 } | 2 | filter g passes nothing
+    r = { channel = "r" }               | "r\\tx" = {}                       | 2 | neither blanks nor /
     r = { channel = "r" }               | r = { channel = "q" }              | 2 | has no channel "q"
     r = { channel = "r" }               | r = { stack = ["g", "gb"] }        | 2 | gb is not a single filter
     [[level]]                           | [optimise]; pattern = ["r b"]; [[level]] | 2 | only Gaussians are tuned
