@@ -129,6 +129,8 @@ class Truth:
 
     def agreement(self, levels: Sequence[str]) -> list[str]:
         """Return a sentence a level: how the prediction ranks the arrays by each figure, and how many pairs are in order."""
+        if len(self.trained) == 1:
+            return ["One array has no rank."]
         lines = []
         for place, level in enumerate(levels):
             shares = [self.in_order(place, number) for number in range(len(self.figures))]

@@ -66,9 +66,9 @@ def _groups(design: Design) -> Table:
     places, rows = design.best(1), []
     for kind in itertools.chain(*KINDS):
         shares = design.share * [kind in group.split() for group in design.groups]
-        if shares.any():
-            errors = (design.error[places] * shares).sum(axis=2) / shares.sum(axis=1)  # (array, level)
-            rows.append((kind, *(f"{each:.2f}" for each in errors.T.ravel())))
+        if (share := shares.sum(axis=1)).any():  # (level)
+            errors = (design.error[places] * shares).sum(axis=2) / np.where(share > 0, share, np.nan)  # (array, level)
+            rows.append((kind, *(f"{each:.2f}" if np.isfinite(each) else "–" for each in errors.T.ravel())))
     headings = ("patches", *(f"{level}, {design.patterns[place]}" for level in design.levels for place in places))
     return Table(f"Predicted error ({design.unit}) by contrast, brightness and hue", headings, tuple(rows))
 

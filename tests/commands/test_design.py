@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.design import Design, SceneMoments, Truth
 from l3cli.artifacts.store import load
 from l3cli.design.task import BOUNDS
+from l3cli.report.design import design_section
+from l3cli.report.parts import Table
 from l3cli.stages import design as stage
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
@@ -207,6 +210,20 @@ def test_pairs_are_in_order_beyond_ties() -> None:
     assert truth_of.correlation(0) == truth_of.correlation(0, 1) == pytest.approx(0.6)
     (line,) = truth_of.agreement(["light"])
     assert line.endswith("(pairs beyond 2% in order) mean_delta_e 0.60 (75%), output_psnr 0.60 (75%).")
+    assert replace(truth_of, trained=("a",), expected=expected[:1], measured=measured[:1], crops=crops[:1]).agreement(
+        ["light"]
+    ) == ["One array has no rank."]
+
+
+def test_a_report_has_no_error_of_patches_that_a_light_does_not_show(folder: Path) -> None:
+    made = load(Design, folder / "design.h5")
+    share = made.share.copy()
+    share[1, ["edge" in group for group in made.groups]] = 0
+    section = design_section(replace(made, share=share), "d.h5", lambda picture, quality: b"")
+    (table,) = next(part.blocks for part in section.parts if part.title == "Error by group")
+    assert isinstance(table, Table)
+    (edge,) = (row for row in table.rows if row[0] == "edge")
+    assert [each == "–" for each in edge[1:]] == [level == made.levels[1] for level in made.levels for _ in made.best(1)]
 
 
 WRONG = """
