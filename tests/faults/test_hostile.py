@@ -77,9 +77,10 @@ def test_an_output_that_is_an_input_is_refused_whatever_it_is_called(shop: Works
         assert identities.judge(Seeded(seed)) is None
 
 
+@pytest.mark.parametrize("letters", [20_000, pytest.param(50_000, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_small_recipe_is_little_work(shop: Workshop, shape: str) -> None:
-    assert LargeRecipes().judge(shop, (shape, 50_000)) is None
+def test_a_small_recipe_is_little_work(shop: Workshop, shape: str, letters: int) -> None:
+    assert LargeRecipes().judge(shop, (shape, letters)) is None
 
 
 @pytest.fixture(scope="module")

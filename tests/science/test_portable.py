@@ -169,7 +169,9 @@ def test_words_of_smoothed_spectra_are_refused() -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize("built", [CASES[0], CASES[2], CASES[-1]], indirect=True, ids=", ".join)
+@pytest.mark.parametrize(
+    "built", [CASES[0], pytest.param(CASES[2], marks=pytest.mark.soak), CASES[-1]], indirect=True, ids=", ".join
+)
 def test_the_test_program_agrees_under_sanitizers(built: Built) -> None:
     compile_c(built.folder, "-O1", "-fsanitize=address,undefined", "l3.c", "test.c", "l3_table.o", "-o", "l3_test")
     done = subprocess.run(["./l3_test"], cwd=built.folder, capture_output=True, text=True)

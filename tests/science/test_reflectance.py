@@ -149,8 +149,8 @@ illuminants = ["A"]
 target.outputs = "{outputs}"
 [[scene]]
 source = "dead leaves"
-size = [64, 72]
-count = 3
+size = [48, 56]
+count = 2
 """
 CLASSES = "[classes]\npatch = 5\nlevels = 2\nchromas = 1\n[learning]\npatches = 4000\nspectral_window = 3\n"
 

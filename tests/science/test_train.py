@@ -278,7 +278,7 @@ def test_other_outputs_than_xyz(
     camera, mix = quiet_camera(bayer), np.random.default_rng(2).random((len(outputs), 3)) + 0.1
     head = TrainingSet(camera=camera, outputs=outputs, target_description="synthetic outputs")
     with write_training_set(tmp_path / "training.h5", head) as writer:
-        for seed in range(40):
+        for seed in range(20):
             frame = a_frame(camera, seed, smooth=True)
             share = frame.electrons / camera.full_scale
             target = np.einsum("oc,crk->ork", mix, share) * camera.saturation_exposure / frame.exposure
