@@ -5,8 +5,8 @@ from typing import get_args
 
 import pytest
 
+from l3cli.io import scenes
 from l3cli.io.raw import files as raw
-from l3cli.io.scenes import registry as scenes
 from l3cli.simulation import sources
 
 
