@@ -78,15 +78,21 @@ side = 4  # windows have odd sides
 strengths = [2, 1]  # each 0.001 above the last
 """
 LAB = """falloff = 2  # falloff is 2; give less than 1
+monitor_error = -0.1  # monitor_error is -0.1; the least is 0
 [mono]
 step_nm = 0  # mono.step_nm is 0; give more than 0
 overexposed = -1  # the least is 0
+bandwidth_nm = 0.5  # mono needs bandwidth_nm above spectrometer_step_nm
+stray_light = 0.5  # mono.stray_light is 0.5; give less than 0.01
 [chart]
 illuminants = ["D99"]  # illuminant "D99" is unknown
 [white]
 levels = [0.1, -1.0]  # white.levels[2] is -1.0; give more than 0
 trials = 1  # white.trials is 1; the least is 2
+[dark]
+exposures_s = []  # dark.exposures_s has 0 values; the least is 1
 [defects]
+dust_depth = -1  # defects.dust_depth is -1; the least is 0
 dust_radius_px = -1  # defects.dust_radius_px is -1; give more than 0
 """
 MEASUREMENTS = """name = "measured"

@@ -88,6 +88,16 @@ def test_a_dry_run_refuses_what_is_there(sentence: str, pipeline: Path, tmp_path
     assert dry == real
 
 
+def test_a_dry_run_refuses_wrong_inputs(pipeline: Path, tmp_path: Path, refused: Refused) -> None:
+    calls = {
+        "none.tif": (3, "render", pipeline / "table.h5", pipeline / "none.tif", "-o", tmp_path / "p.png"),
+        "table.h5": (3, "train", pipeline / "table.h5", "-o", tmp_path / "t.h5"),
+        "camera.toml": (2, "calibrate", pipeline / "camera.toml", "-o", tmp_path / "c.h5"),
+    }
+    for name, (code, *call) in calls.items():
+        assert name in refused(code, *call, "--dry-run")
+
+
 def test_a_dry_run_respects_another_run(pipeline: Path, tmp_path: Path, l3: L3) -> None:
     """It is refused what another run writes, and leaves that run's lock."""
     output = tmp_path / "t.h5"

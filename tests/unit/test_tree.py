@@ -247,8 +247,10 @@ def a_sample(test: int, threshold: float, seed: int, noise: float = 0.0, rows: i
     return TreeSample(np.concatenate([seen, target], axis=1).astype(np.float32), numerators, denominators)
 
 
-@pytest.mark.parametrize("test", [0, 4, 9, 14, 18, 20])
-@pytest.mark.parametrize("threshold", [-0.4, 0.0, 0.5])
+@pytest.mark.parametrize(
+    ("test", "threshold"),
+    [(0, -0.4), (4, 0.5), (9, 0.0), (14, -0.4), (18, 0.5), (20, 0.0)],  # each of a kind of tests
+)
 def test_growth_finds_the_test_and_the_threshold_that_made_the_targets(test: int, threshold: float) -> None:
     """Of two sites, each with filters of its own; to a sixth of the rows at the root, and closer farther down."""
     samples = [a_sample(test, threshold, seed, noise=0.3) for seed in (1, 2)]
