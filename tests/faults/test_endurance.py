@@ -153,7 +153,12 @@ def require_steady(what: str, samples: list[Sample], frames: int, capsys: pytest
         assert processor[1] < processor[0] * (1 + SLOWER)
 
 
-@pytest.fixture(params=["a folder of .raw", "a folder of .tif", "a stack .npy", "a stack .h5"])
+READERS = ("a folder of .raw", "a stack .npy")  # whose like, a folder and a stack of another kind, `make test` has
+
+
+@pytest.fixture(
+    params=["a folder of .tif", "a stack .h5", *(pytest.param(each, marks=pytest.mark.soak) for each in READERS)]
+)
 def clip(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[int], tuple[str, Path]]:
     """Makes a sequence of so many frames."""
 
