@@ -206,6 +206,10 @@ def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float 
     free, excess = excess is not None, excess or 0.0
     for _ in range(STEPS):
         slopes = plain.slopes(camera, gain, excess)
+        if not slopes[0].any():  # black, of a camera without noise of reading
+            if free:
+                raise ValueError("all of it is black")
+            break
         residual = plain.measured / plain.predicted(camera, gain, excess) - 1.0
         towards = plain.components / 2 * slopes @ residual - np.array([0.0, excess])
         by_gain, by_excess = np.linalg.solve(_information(slopes, plain.components), towards) if free else (0.0, -1.0)

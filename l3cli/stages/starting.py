@@ -307,6 +307,10 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     if options.phase is None and (doubt := phase_doubt(frame, body.cfa, frame.neutral)):
         raise InputFileError(f"{path}: {_misplaced(body, doubt)}")
     if options.black_level is not None:
+        if not options.black_level < frame.white_level:
+            raise RecipeError(
+                f"{path} is white at {frame.white_level:g} DN; ‹black_level› {options.black_level:g} is not below"
+            )
         frame = replace(frame, black_level=options.black_level)
     elif (black := black_doubt(frame, body.cfa)) is not None:
         options.console.warn(

@@ -175,7 +175,7 @@ def test_an_array_that_the_pixels_belie_is_refused_until_answered(
     assert "RENDER ?=\n" in (tmp_path / "mine/Makefile").read_text()
 
 
-def test_a_black_level_of_0_is_questioned(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+def test_a_black_level_of_0_is_questioned(bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused) -> None:
     camera = replace(bayer, black_level=0.0, white_level=4095.0)
     write_dng(tmp_path / "a.dng", wall(camera, 0, 0), camera, IDENTITY, WALL, 0.01)
     call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
@@ -185,6 +185,7 @@ def test_a_black_level_of_0_is_questioned(bayer: CameraModel, tmp_path: Path, l3
     seen = int(line.rpartition(" ")[2])
     assert 245 < seen < 260
     assert f"lie at {seen} of 4095 DN; if that is its black, colours get pale: give --black-level {seen}" in line
+    assert "is white at 4095 DN; --black-level 5000 is not below" in refused(2, *call, "--black-level", "5000", "--force")
     code, _, err = l3(*call, "--black-level", "256", "--force")
     assert (code, "states a black level" in err) == (0, False)
     assert load_camera(tmp_path / "mine/camera.toml").black_level == 256

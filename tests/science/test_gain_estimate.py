@@ -60,3 +60,8 @@ def test_a_frame_without_plain_areas_is_refused() -> None:
             estimate_gain(frame_of(BAYER, taken(BAYER, share, 1.0)), BAYER)
     with pytest.raises(ValueError, match="no area is plain"):  # without noise
         estimate_gain(frame_of(BAYER, np.full(SHAPE, 1000, np.uint16)), BAYER)
+    silent = replace(BAYER, noise=replace(BAYER.noise, read_noise=0.0, dsnu=0.0))
+    for noise, reason in ((5.0, "no area is plain"), (0.289, "all of it is black")):  # DN; 0.289: as rounding makes it
+        below = np.rint(16 * rng.normal(BAYER.black_level - 40, noise, SHAPE)).astype(np.uint16)
+        with pytest.raises(ValueError, match=reason):
+            estimate_gain(RawFrame("dark", below, 16 * BAYER.black_level, 16 * BAYER.white_level), silent)
