@@ -225,6 +225,8 @@ class ClipJob:
         """Raise RecipeError if the output is not a folder or cannot hold videos or pictures of the options' format."""
         if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
             raise RecipeError(f"{folder} is for one clip; name a folder, and the kind of its files with ‹format›")
+        if options.uncertainty is not None:
+            raise RecipeError("‹uncertainty› is of one frame; name one, or leave it out")
         self.folder, self.console, self.summary = folder, options.console, Summary()
         self._renderers = Renderers()
         self._path, self._options = table, options

@@ -95,6 +95,10 @@ def render(
 
             require_known_noise(transforms)
         destination = paged(destination, sequence)
+        if options.uncertainty is not None:
+            for each in sequence.frames:
+                if options.uncertainty.resolve() == destination.file(each.number, each.stem).resolve():
+                    raise RecipeError(f"{options.uncertainty} is named for two outputs; name two files")
         _protected(sequence, guard)
         if sequence.missing and not options.skip_bad:
             raise sequence.absent(sequence.missing[0])
@@ -121,12 +125,12 @@ def render(
         key = options.run_key(digest, os.environ.get("L3_DEVICE"), choice, mix and astuple(mix), known.unlabelled_gain)
         job = SequenceJob(sequence, destination, transforms, rendition, source, choice, pacing, chunks, options)
         digests = functools.partial(FrameDigests, inputs[0], job.follows)
-        if options.uncertainty is not None:  # first: a frame that is too small leaves no picture that stands in the way
-            write_uncertainty(options.uncertainty, transforms, sequence, engine, options)
         with (
             checkpointed(destination, key, options, sequence, digests) as checkpoint,
             executor_of(setup, transforms, scheduler, renderers or Renderers()) as executor,
         ):
+            if options.uncertainty is not None:  # first: a frame that is too small leaves no picture that is in the way
+                write_uncertainty(options.uncertainty, transforms, sequence, engine, options)
             tally = render_frames(job, executor, checkpoint, digests())
         for text in filter(None, (odd_exposure_time(known.exposure, transforms), cache_warning())):
             console.warn(text)
