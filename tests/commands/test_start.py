@@ -14,6 +14,7 @@ from tests.helpers.paths import CONFIGS
 
 UNNEEDED = {"asyncio", "av", "colour", "concurrent.futures", "dask", "distributed", "jinja2", "multiprocessing", "rawpy"}
 UNNEEDED |= {"numpy.ma", "rich", "scipy", "ssl", "tifffile", "l3cli.parallel.cluster", "l3cli.simulation", "l3cli.training"}
+UNNEEDED |= {"matplotlib"}
 PROGRAM = """
 import json, sys
 from l3cli.cli import run
