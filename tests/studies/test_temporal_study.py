@@ -5,8 +5,7 @@ python -m pytest -m slow -s tests/studies/test_temporal_study.py      every figu
 Scenes are drawn larger than a frame and moved under the simulated sensor at a mean signal of 0.02 of full scale: nothing
 moves, pans of 0.5, 1, 4 and 7 pixels a frame, a zoom, an object before what stands still, fast and slow, a cut. PSNR is that
 of the picture as it is shown against the ideal one; noise is the spread over time of a picture of what stands still. One
-table is rendered twice, by its usual set of transforms alone, and by both. A filter could gain at most what the table makes
-of a still scene without noise over time. How far pictures are from those without noise is told, too, by the same transforms.
+table is rendered twice, by its usual set of transforms alone, and by both.
 """
 
 from collections.abc import Iterator
@@ -27,8 +26,7 @@ from l3cli.cli import run
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics.display import displayed, srgb_curve, white_luminance
-from l3cli.rendering.conditions import with_edges_for
-from l3cli.rendering.renderer import NoiseRenderer, make_renderer
+from l3cli.rendering.renderer import NoiseRenderer
 from l3cli.rendering.temporal.chunks import filters
 from l3cli.simulation import procedural, sensor
 from l3cli.simulation.frame import simulate
@@ -120,35 +118,6 @@ def part_of_pattern(camera: CameraModel) -> sensor.FixedPattern:
 
 
 @pytest.mark.slow
-def test_what_no_noise_over_time_would_gain(made: tuple[CameraModel, TransformTable]) -> None:
-    """Means of many frames, with fractions of a DN, by the usual set with the least edges and by that for low noise."""
-    camera, table = made
-    usual, low = replace(table, conditions=()), table.under(table.conditions[0])
-    renderers = [make_renderer("opencl", each) for each in (usual, with_edges_for(usual, 0.25), low)]
-    pattern = part_of_pattern(camera)
-    none = sensor.FixedPattern(pattern.prnu * 0, pattern.dsnu * 0)
-    means, gains = 400, []
-    for seed in (1, 3, 5):
-        scene = drawn(camera, seed)
-        planes = window(scene.planes, 100, 100)
-        mosaic, target = sensor.mosaic(planes[: scene.channels], camera.cfa), planes[scene.channels :]
-        scale, dark = white_luminance(target[1]), camera.dark_signal(scene.seconds)
-        ideal, made_of = shown(target, table, scale), []
-        for each, count, fraction in ((pattern, 1, 1), (pattern, means, 15), (none, means, 15)):
-            rngs = (np.random.default_rng([7, number]) for number in range(count))
-            values = sum(sensor.read_out(camera, each, mosaic, scene.seconds, rng).astype(float) for rng in rngs) / count
-            levels = camera.black_level * fraction, camera.white_level * fraction
-            frame = RawFrame("mean", np.rint(values * fraction).astype(np.uint16), *levels, dark=dark * fraction)
-            outputs = (renderer.outputs(frame) * table.output_unit for renderer in renderers)
-            made_of.append([psnr(shown(xyz, table, scale), ideal) for xyz in outputs])
-        gains.append(np.array(made_of)[1:] - made_of[0][0])
-    still, alike = np.mean(gains, axis=0)
-    print(f"\n{camera.name}: no noise over time: one set {still[1]:+.2f}, two sets {still[2]:+.2f} dB")
-    print(f"{camera.name}: … and pixels are alike: one set {alike[1]:+.2f}, two sets {alike[2]:+.2f} dB", flush=True)
-    assert still[2] > still[1] > 0
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("larger", [1, 2])
 def test_gains_and_losses(made: tuple[CameraModel, TransformTable], larger: int) -> None:
     camera, table = made
@@ -187,49 +156,3 @@ def test_gains_and_losses(made: tuple[CameraModel, TransformTable], larger: int)
         print(f"{kind:20} {np.mean(alone):7.2f} {columns}", flush=True)
         assert (worst > -0.1).all()
         assert kind != "static" or (noise < -6).all()
-
-
-def without_noise(
-    frame: RawFrame, camera: CameraModel, pattern: sensor.FixedPattern, mosaic: Planes, seconds: float
-) -> RawFrame:
-    """The frame of a mosaic, e-, as it would be without noise over time and rounding, rendered as the given one is."""
-    fine = 60000 / frame.white_level
-    signal = (mosaic + camera.noise.dark_current * seconds) * (1 + pattern.prnu) + pattern.dsnu
-    dn_per_dn = fine * (frame.white_level - frame.black_level) / (camera.white_level - camera.black_level)
-    values = np.rint(camera.gain * signal * dn_per_dn + fine * frame.black_level).astype(np.uint16)
-    black_level, dark = fine * frame.black_level, fine * frame.dark
-    return replace(frame, values=values, black_level=black_level, white_level=60000.0, dark=dark)
-
-
-@pytest.mark.slow
-def test_how_far_pictures_are_from_those_without_noise(made: tuple[CameraModel, TransformTable]) -> None:
-    """Where nothing moves: what the table itself does to detail and colours is on both sides of the comparison."""
-    camera, table = made
-    usual, both = (NoiseRenderer("opencl", each) for each in (replace(table, conditions=()), table))
-    pattern = part_of_pattern(camera)
-    none = sensor.FixedPattern(pattern.prnu * 0, pattern.dsnu * 0)
-    make, found = filters("opencl", table), []
-    for seed in (1, 3, 5):
-        scene, filtering = drawn(camera, seed), make()
-        planes = window(scene.planes, 100, 100)
-        mosaic = sensor.mosaic(planes[: scene.channels], camera.cfa)
-        scale, dark = white_luminance(planes[scene.channels + 1]), camera.dark_signal(scene.seconds)
-        for number in range(COUNT):
-            values = sensor.read_out(camera, pattern, mosaic, scene.seconds, np.random.default_rng([7, number]))
-            frame = RawFrame(str(number), values, camera.black_level, camera.white_level, dark=dark)
-            filtered = filtering.filtered(frame)
-            if number < SETTLED:
-                continue
-            rows = []
-            for renderer, given in ((usual, frame), (usual, filtered), (both, filtered)):
-                clean = (without_noise(given, camera, each, mosaic, scene.seconds) for each in (pattern, none))
-                noisy, *others = (
-                    shown(renderer.outputs(each) * table.output_unit, table, scale) for each in (given, *clean)
-                )
-                rows.append([psnr(noisy, other) for other in others])
-            found.append(rows)
-    means = np.mean(found, axis=0)
-    for what, (alone, one, two) in zip(("noise over time", "any noise"), means.T, strict=True):
-        gains = f"one set {one - alone:+.2f}, two sets {two - alone:+.2f} dB"
-        print(f"{camera.name}, against pictures without {what}: alone {alone:.2f} dB, {gains}", flush=True)
-    assert means[1, 0] - means[0, 0] > 6
