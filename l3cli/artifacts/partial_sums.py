@@ -11,19 +11,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts import store
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.schema import Artifact, check, data, group
-from l3cli.artifacts.store import (
-    hard_group,
-    members,
-    name_axes,
-    new_artifact,
-    open_artifact,
-    read_fields,
-    read_history,
-    write_fields,
-)
 from l3cli.artifacts.table import RATIO_TAPS, PlaneRule, TransformTable, one_rule
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
@@ -117,9 +108,9 @@ class LayerSums:
 
 
 def _older_gradients(head: h5py.Group, path: Path) -> tuple[GradientScale, ...]:
-    held = members(head, path)
-    groups = [hard_group(head, name, path) for name in ("quiet_structure", "quiet_tree") if name in held]
-    return tuple(read_fields(group, GradientScale, path) for group in groups)
+    held = store.members(head, path)
+    groups = [store.hard_group(head, name, path) for name in ("quiet_structure", "quiet_tree") if name in held]
+    return tuple(store.read_fields(group, GradientScale, path) for group in groups)
 
 
 @dataclass(frozen=True)
@@ -185,20 +176,20 @@ class PartialSumsReader:
     def __init__(self, root: h5py.File, path: Path) -> None:
         self._path = path
         kind = next(kind for kind in SUMS if kind.kind == root.attrs["kind"])
-        self.head: Any = read_fields(root, kind, path, history=read_history(root, path))
-        held = members(root, path)
-        self._sums = [hard_group(root, each, path) for each in (USUAL, OLDER) if each == USUAL or each in held]
+        self.head: Any = store.read_fields(root, kind, path, history=store.read_history(root, path))
+        held = store.members(root, path)
+        self._sums = [store.hard_group(root, each, path) for each in (USUAL, OLDER) if each == USUAL or each in held]
         if OTHERS in held:
-            others = hard_group(root, OTHERS, path)
-            self._sums += [hard_group(others, str(number), path) for number in range(len(members(others, path)))]
-        if any(len(members(sums, path)) != len(self.head.sites) for sums in self._sums):
+            others = store.hard_group(root, OTHERS, path)
+            self._sums += [store.hard_group(others, str(number), path) for number in range(len(store.members(others, path)))]
+        if any(len(store.members(sums, path)) != len(self.head.sites) for sums in self._sums):
             raise InputFileError(f"{path} lacks sums of some sites; make it again with {kind.made_by}")
         self.conditions = len(self._sums) - 1
 
     def site(self, index: int, condition: int = 0) -> Any:
         """Return ClassSums, or LayerSums if the pass is one of a refinement layer; 0: at the camera's noise."""
-        where = hard_group(self._sums[condition], f"{index:05d}", self._path)
-        sums: Any = read_fields(where, SUMS[type(self.head)], self._path)
+        where = store.hard_group(self._sums[condition], f"{index:05d}", self._path)
+        sums: Any = store.read_fields(where, SUMS[type(self.head)], self._path)
         if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
             raise InputFileError(f"{self._path}: {where.name} does not fit the class rule; make the file again")
         return sums
@@ -208,19 +199,19 @@ class PartialSumsReader:
 def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
     """Yield a reader of the partial sums at `path`, of a first or a refinement layer; InputFileError if it holds something
     else or is damaged."""
-    with open_artifact(path, *SUMS) as root:
+    with store.open_artifact(path, *SUMS) as root:
         yield PartialSumsReader(root, path)
 
 
 def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iterable[LayerSums]) -> None:
     """Write `head` and the sums of each of its sites, taken one by one, whole or not at all: at the camera's noise, then at
     others."""
-    with new_artifact(path, head.kind, head.version, head.history) as root:
-        write_fields(root, head)
-        name_axes(root, type(head), {}, head)
+    with store.new_artifact(path, head.kind, head.version, head.history) as root:
+        store.write_fields(root, head)
+        store.name_axes(root, type(head), {}, head)
         for number, sums in enumerate(sets):
             below = root.create_group(f"{OTHERS}/{number - 1}" if number else USUAL)
             for index, site in enumerate(sums):
                 group = below.create_group(f"{index:05d}")
-                write_fields(group, site)
-                name_axes(group, SUMS[type(head)], {})
+                store.write_fields(group, site)
+                store.name_axes(group, SUMS[type(head)], {})

@@ -11,21 +11,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts import container
+from l3cli.artifacts import container, store
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import Artifact, check, data, group
-from l3cli.artifacts.store import (
-    CHECKSUM,
-    coordinates_of,
-    hard_group,
-    members,
-    name_axes,
-    new_artifact,
-    open_artifact,
-    read_fields,
-    read_history,
-    write_fields,
-)
 from l3cli.errors import InputFileError
 
 LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
@@ -163,10 +151,10 @@ class TrainingSetReader:
 
     def __init__(self, root: h5py.File, path: Path) -> None:
         self._path = path
-        self.head: TrainingSet = read_fields(root, TrainingSet, path, history=read_history(root, path))
-        held = members(root, path)
-        self._groups = {name: hard_group(root, name, path) for name in GROUPS if name in held}
-        self._names = [(name, each) for name, group in self._groups.items() for each in members(group, path)]
+        self.head: TrainingSet = store.read_fields(root, TrainingSet, path, history=store.read_history(root, path))
+        held = store.members(root, path)
+        self._groups = {name: store.hard_group(root, name, path) for name in GROUPS if name in held}
+        self._names = [(name, each) for name, group in self._groups.items() for each in store.members(group, path)]
         if not self._names:
             raise InputFileError(f'{path} holds no frames; make it again with "l3 simulate"')
 
@@ -192,7 +180,7 @@ class TrainingSetReader:
 
     def _read(self, index: int, kind: type[TrainingPair]) -> TrainingPair:
         group, name = self._names[index]
-        frame: TrainingPair = read_fields(hard_group(self._groups[group], name, self._path), kind, self._path)
+        frame: TrainingPair = store.read_fields(store.hard_group(self._groups[group], name, self._path), kind, self._path)
         channels = len(frame.electrons) if isinstance(frame, TrainingFrame) else len(self.head.camera.channels)
         if (channels, len(frame.target)) != (len(self.head.camera.channels), len(self.head.outputs)):
             raise InputFileError(f"{self._path}: {group}/{name} is of another camera or target; make the file again")
@@ -201,7 +189,9 @@ class TrainingSetReader:
     def light(self, index: int) -> FrameLight:
         """Return the light of a frame."""
         group, name = self._names[index]
-        light: FrameLight = read_fields(hard_group(self._groups[group], name, self._path), FrameLight, self._path)
+        light: FrameLight = store.read_fields(
+            store.hard_group(self._groups[group], name, self._path), FrameLight, self._path
+        )
         return light
 
     def __iter__(self) -> Iterator[TrainingPair]:
@@ -213,7 +203,7 @@ class TrainingSetReader:
 def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingSetReader]:
     """Yield a reader of the training set at `path`; InputFileError if it is none or damaged. `unchanged`: its bytes have
     been compared with its digest before, by this run."""
-    with open_artifact(path, TrainingSet, unchanged=unchanged) as root:
+    with store.open_artifact(path, TrainingSet, unchanged=unchanged) as root:
         yield TrainingSetReader(root, path)
 
 
@@ -222,7 +212,7 @@ class TrainingSetWriter:
 
     def __init__(self, root: h5py.File, head: TrainingSet) -> None:
         self._root = root
-        self._coordinates = {**coordinates_of(head.camera), **coordinates_of(head)}
+        self._coordinates = {**store.coordinates_of(head.camera), **store.coordinates_of(head)}
 
     def _place(self, simulated: bool) -> tuple[h5py.Group, str]:
         group = self._root.require_group("frames" if simulated else "pairs")
@@ -230,8 +220,8 @@ class TrainingSetWriter:
 
     def append(self, frame: TrainingPair) -> None:
         group, name = self._place(isinstance(frame, TrainingFrame))
-        write_fields(group.create_group(name), frame, CHECKSUM)
-        name_axes(group[name], type(frame), self._coordinates)
+        store.write_fields(group.create_group(name), frame, store.CHECKSUM)
+        store.name_axes(group[name], type(frame), self._coordinates)
 
     def append_part(self, path: Path) -> "SceneCoverage":
         """Append the frame that `write_part` stored, as it is stored; what else is stored beside it."""
@@ -239,16 +229,16 @@ class TrainingSetWriter:
             simulated = bool(part.attrs["simulated"])
             group, name = self._place(simulated)
             part.copy("frame", group, name)
-            name_axes(group[name], TrainingFrame if simulated else TrainingPair, self._coordinates)
+            store.name_axes(group[name], TrainingFrame if simulated else TrainingPair, self._coordinates)
             return SceneCoverage(str(part.attrs["scene"]), float(part.attrs["uncovered"]))
 
 
 @contextlib.contextmanager
 def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWriter]:
     """Yield a writer for a training set that appears at `path` when the block ends without an error."""
-    with new_artifact(path, head.kind, head.version, head.history) as root:
-        write_fields(root, head)
-        name_axes(root, type(head), {}, head)
+    with store.new_artifact(path, head.kind, head.version, head.history) as root:
+        store.write_fields(root, head)
+        store.name_axes(root, type(head), {}, head)
         yield TrainingSetWriter(root, head)
 
 
@@ -266,14 +256,14 @@ def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
         root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # named after a file, which need not be text
         root.attrs["uncovered"] = uncovered
-        write_fields(root.create_group("frame"), frame, CHECKSUM)
+        store.write_fields(root.create_group("frame"), frame, store.CHECKSUM)
 
 
 def read_part(path: Path) -> TrainingPair:
     """Return the frame that `write_part` stored."""
     with container.open_file(path) as part:
         kind = TrainingFrame if part.attrs["simulated"] else TrainingPair
-        frame: TrainingPair = read_fields(part["frame"], kind, path)
+        frame: TrainingPair = store.read_fields(part["frame"], kind, path)
         return frame
 
 

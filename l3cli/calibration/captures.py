@@ -10,23 +10,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, FlatField
 from l3cli.artifacts.fit import Fit, SeriesFit
-from l3cli.calibration import agreement, noise, responsivity
+from l3cli.calibration import agreement, noise, responsivity, statistics
 from l3cli.calibration.responsivity import COVERAGE, Curves, light_centre
-from l3cli.calibration.statistics import (
-    Defects,
-    Each,
-    by_site,
-    count_values,
-    defect_map,
-    joined_defects,
-    mean_frame,
-    mean_value,
-    measure_level,
-    no_defects,
-    outliers,
-    patched,
-    share_from,
-)
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import PATCHES, BandCapture, Body, Capture, ChartCapture, Measurements, MonoCapture
 from l3cli.physics import spectra
@@ -50,7 +35,7 @@ class Sensor:
     transfer: noise.PhotonTransfer
     prnu: Array  # (channel)
     exposure: Array  # (level) s, of the white captures
-    defects: Defects
+    defects: statistics.Defects
     response: Array  # (row, col) DN/s of the white light, defects patched
 
     @property
@@ -69,19 +54,21 @@ class Charts:
     photons: Array  # (chart, patch, wavelength) on a pixel's area, in each node's hat, off-axis loss included
 
 
-def measure_sensor(measurements: Measurements, each: Each = map) -> Sensor:
+def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> Sensor:
     """Measure noise, black level, saturation and defects from dark and white frames
     (docs/method.md#dark-and-white-frames)."""
     body = measurements.body
     dark = noise.dark_noise(measurements.darks, body, each)
     whites = sorted(measurements.whites, key=lambda capture: capture.exposure)
-    levels = list(each(functools.partial(measure_level, body=body, defects=dark.hot), whites))
-    signal = np.array([mean_value(level.counts) - dark.black_level - dark.slope * level.exposure for level in levels])
+    levels = list(each(functools.partial(statistics.measure_level, body=body, defects=dark.hot), whites))
+    signal = np.array(
+        [statistics.mean_value(level.counts) - dark.black_level - dark.slope * level.exposure for level in levels]
+    )
     agreement.check_whites(whites, np.array([level.lit for level in levels]), signal)
     transfer = noise.photon_transfer(levels, body, dark)
     prnu, dead, response = noise.prnu(whites, levels, transfer.used, body, dark.hot, each)
     exposure = np.array([level.exposure for level in levels])
-    return Sensor(dark, transfer, prnu, exposure, joined_defects(dark.hot, dead), response)
+    return Sensor(dark, transfer, prnu, exposure, statistics.joined_defects(dark.hot, dead), response)
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
@@ -91,7 +78,7 @@ def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Bo
 
 
 def measure_sweep(
-    captures: Sequence[MonoCapture], body: Body, sensor: Sensor, each: Each = map
+    captures: Sequence[MonoCapture], body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
     """Return Eq. 1's system from the monochromatic captures, each row divided by its photons, and the captures that
     saturate.
@@ -105,13 +92,13 @@ def measure_sweep(
             raise InputFileError(f"{capture.name}: the measured spectrum does not cover its light; measure a wider range")
     nodes = responsivity.node_grid([(capture.wavelength, capture.radiance) for capture in captures])
     design, values, valid = [], [], []
-    histograms = each(functools.partial(count_values, body=body, defects=sensor.defects), captures)
+    histograms = each(functools.partial(statistics.count_values, body=body, defects=sensor.defects), captures)
     for capture, counts in zip(captures, histograms, strict=True):
         photons = photons_on_pixel(capture, nodes, body)
-        signal = mean_value(counts) - sensor.dark.black_level - sensor.dark.slope * capture.exposure
+        signal = statistics.mean_value(counts) - sensor.dark.black_level - sensor.dark.slope * capture.exposure
         design.append(photons / photons.sum())
         values.append(signal / photons.sum())
-        valid.append(share_from(counts, sensor.saturation) < OVEREXPOSED)
+        valid.append(statistics.share_from(counts, sensor.saturation) < OVEREXPOSED)
     sweep = responsivity.Sweep(nodes, np.array(design), np.array(values), np.array(valid))
     for channel, name in enumerate(body.channels):
         usable = sweep.values[sweep.valid[:, channel], channel]
@@ -127,7 +114,9 @@ def measure_sweep(
     return sweep, tuple(left_out)
 
 
-def measure_charts(captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor, each: Each = map) -> Charts:
+def measure_charts(
+    captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor, each: statistics.Each = map
+) -> Charts:
     """Return the mean DN and incident photons of every patch; InputFileError if measured radiances miss nodes."""
     for capture in captures:
         first, last = capture.wavelength[[0, -1]]
@@ -188,7 +177,7 @@ def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Arr
     y, x = (np.linspace(-1.0, 1.0, length) for length in response.shape)
     down = np.broadcast_to(y[:, None], response.shape)
     across = np.broadcast_to(x, response.shape)
-    for parts in zip(*(by_site(each, body.cfa) for each in (response, down, across)), strict=True):
+    for parts in zip(*(statistics.by_site(each, body.cfa) for each in (response, down, across)), strict=True):
         if parts[0][0] == channel:
             value, row, col = (_by_cell(site) for _, site in parts)
             places.append((row, col, value))
@@ -209,7 +198,7 @@ def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraM
     """Return the camera with the defects of its dark and white frames, and with a flat field if the whites are even: for
     noise they need not be."""
     shape = (body.rows, body.cols)
-    defects = defect_map(sensor.defects, sensor.dark.hot, shape)
+    defects = statistics.defect_map(sensor.defects, sensor.dark.hot, shape)
     try:
         return replace(camera, defects=defects, flat_field=flat_field(sensor.response, body))
     except InputFileError:
@@ -223,22 +212,22 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
     InputFileError if the whites are too dark, clipped or uneven, or if too many pixels are defective.
     """
     body, darks = measurements.body, measurements.darks
-    means = [mean_frame(capture).astype(np.float64) for capture in darks]
-    hot = joined_defects(no_defects(), *(outliers(mean, body.cfa) for mean in means))
+    means = [statistics.mean_frame(capture).astype(np.float64) for capture in darks]
+    hot = statistics.joined_defects(statistics.no_defects(), *(statistics.outliers(mean, body.cfa) for mean in means))
     response = np.zeros((body.rows, body.cols))
     for capture in measurements.whites:
-        both = mean_frame(capture).astype(np.float64), means[_nearest(darks, capture.exposure)]
-        mean, dark = (patched(each, body.cfa, hot) for each in both)
+        both = statistics.mean_frame(capture).astype(np.float64), means[_nearest(darks, capture.exposure)]
+        mean, dark = (statistics.patched(each, body.cfa, hot) for each in both)
         _check_level(mean, camera, capture.name)
         response += mean - dark
     dead, response = noise.dead_pixels(response, body.cfa)
-    every = joined_defects(hot, dead)
+    every = statistics.joined_defects(hot, dead)
     if len(every) > MOST_DEFECTIVE * response.size:
         raise InputFileError(
             f"{len(every) / response.size:.0%} of the pixels would be defective; are the dark frames without light, "
             "the white ones of an even white?"
         )
-    found = defect_map(every, hot, (body.rows, body.cols))
+    found = statistics.defect_map(every, hot, (body.rows, body.cols))
     return replace(camera, defects=found, flat_field=flat_field(response, body), fit=camera.fit or Fit())
 
 
@@ -312,7 +301,7 @@ def measure_series(
     names = list(dict.fromkeys(capture.illuminant for capture in captures))
     names.sort(key=lambda name: next(band_centre(capture) for capture in captures if capture.illuminant == name))
     dark = dark_levels([capture.exposure for capture in captures], darks, body, black_level)
-    readings = [responsivity.patch_values(capture, body, limit, no_defects()) for capture in captures]
+    readings = [responsivity.patch_values(capture, body, limit, statistics.no_defects()) for capture in captures]
     return Series(
         lights=tuple(names),
         light=np.array([names.index(capture.illuminant) for capture in captures]),
@@ -327,7 +316,9 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
     if not darks:
         return np.full((len(exposures), len(body.channels)), black_level)
     known = np.array([capture.exposure for capture in darks])
-    means = np.array([mean_value(count_values(capture, body, no_defects())) for capture in darks])
+    means = np.array(
+        [statistics.mean_value(statistics.count_values(capture, body, statistics.no_defects())) for capture in darks]
+    )
     order = np.argsort(known)
     return np.array([np.interp(exposures, known[order], column[order]) for column in means.T]).T
 

@@ -47,20 +47,6 @@ def blocks_of(planes: NDArray) -> Array:
 
 def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
     """Return the mean (plane, row, col) over 3 × 3 blocks `spacing` from each other, of those alike."""
-    return _weighed(blocks, spacing, scale)[0]
-
-
-def own_shares(blocks: Array, scales: Array) -> Array:
-    """Return about which share (row, col) of itself each block keeps through all steps: 1 where no other is alike."""
-    share = np.ones(blocks.shape[1:])
-    for spacing, scale in zip(SPACINGS, scales, strict=True):
-        blocks, weights = _weighed(blocks, spacing, scale)
-        share *= STEP_WEIGHTS[1] ** 2 / weights
-    return share
-
-
-def _weighed(blocks: Array, spacing: int, scale: Array) -> tuple[Array, Array]:
-    """Return these means, and the sums of their weights (row, col)."""
     _, rows, cols = blocks.shape
     least = _at(scale, blocks[LUMINANCE])
     padded = np.pad(blocks, ((0, 0), (spacing, spacing), (spacing, spacing)))
@@ -73,7 +59,7 @@ def _weighed(blocks: Array, spacing: int, scale: Array) -> tuple[Array, Array]:
         weight = STEP_WEIGHTS[i] * STEP_WEIGHTS[j] * inside[there] * alike
         change += weight * difference
         weights += weight
-    return np.asarray(blocks + change / weights), weights
+    return np.asarray(blocks + change / weights)
 
 
 def _between(length: int) -> tuple[NDArray[np.intp], Array]:

@@ -16,15 +16,7 @@ from l3cli.classes.planes import fixed_point, opponent_basis, refined_fixed_poin
 from l3cli.classes.refinement import first_label_words
 from l3cli.classes.windows import neighbourhoods
 from l3cli.export.wordlengths import ShortWords
-from l3cli.rendering.opencl.layout import (
-    PLANES,
-    WholeWeights,
-    by_column,
-    first_plane_weights,
-    first_weights,
-    refinement_plane_weights,
-    refinement_weights,
-)
+from l3cli.rendering.opencl import layout
 
 TAP_GROUP = 16  # taps are filled up to a multiple by weights of zero, so that loops over them have no rest
 TYPES = {
@@ -132,7 +124,7 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
 
 
 def _last_floats(table: TransformTable) -> list[Array]:
-    weights = refinement_weights(table.later[-1]) if table.later else first_weights(table, table.first)
+    weights = layout.refinement_weights(table.later[-1]) if table.later else layout.first_weights(table, table.first)
     windows = weights.taps.shape[-1] - weights.ratio_taps
     return [
         Array("l3_last_weights", _fill(weights.taps[..., :windows]), "(class, output, tap)", packed=True),
@@ -148,7 +140,7 @@ def _ratio_weights(taps: NDArray) -> list[Array]:
 
 def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
     windows = table.later[-1].window_taps if table.later else words.whole.shape[-1]
-    taps = _fill(by_column(words.whole[..., :windows], PLANES if table.later else 1))
+    taps = _fill(layout.by_column(words.whole[..., :windows], layout.PLANES if table.later else 1))
     short = np.clip(taps, -SHORT_TOP, SHORT_TOP).astype(np.int16)
     rest = taps - short
     return [
@@ -169,13 +161,13 @@ def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
 def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
     """Return arrays and structs of a table of several layers."""
     basis = opponent_basis(table.white_point)
-    arrays = _fixed("l3_", first_plane_weights(fixed_point(table), table.bits))
+    arrays = _fixed("l3_", layout.first_plane_weights(fixed_point(table), table.bits))
     structs, entries = [], []
     for number, layer in enumerate(table.later, 2):
         prefix = f"layer{number}_"
         rule, last = layer.rule, number == len(table.layers)
         if not last:
-            arrays += _fixed(prefix, refinement_plane_weights(refined_fixed_point(layer, basis)))
+            arrays += _fixed(prefix, layout.refinement_plane_weights(refined_fixed_point(layer, basis)))
         more, struct = _structure(prefix, rule) if isinstance(rule, StructureRule) else _tree(prefix, rule)
         label_words = first_label_words(rule, table.first.rule)
         arrays += [
@@ -231,7 +223,7 @@ def _tree(prefix: str, rule: TreeRule) -> tuple[list[Array], str]:
     return arrays, f"static const L3Tree {prefix}rule = {{{values}}};"
 
 
-def _fixed(prefix: str, whole: WholeWeights) -> list[Array]:
+def _fixed(prefix: str, whole: layout.WholeWeights) -> list[Array]:
     taps = _fill(whole.taps)
     return [
         Array(f"{prefix}weights", taps, "(class, plane, tap)", packed=True),

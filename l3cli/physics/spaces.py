@@ -31,10 +31,8 @@ class Curve:
     def encoded(self, linear: Array) -> Array:
         """Return encoded values of linear ones, both clipped to 0…1."""
         clipped = np.clip(linear, 0.0, 1.0)
-        return np.where(clipped <= self.knee, self.slope * clipped, self._power(np.maximum(clipped, 1e-9)))
-
-    def _power(self, linear: Array) -> Array:
-        return self.gain * linear**self.exponent - self.offset
+        power = self.gain * np.maximum(clipped, 1e-9) ** self.exponent - self.offset
+        return np.where(clipped <= self.knee, self.slope * clipped, power)
 
 
 SRGB_CURVE = Curve(0.0031308, 12.92, 1.055, 0.055, 1 / 2.4)

@@ -310,14 +310,11 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
         if axis != "level" and len(entries) > 1
     ]
     worst = [
-        (", ".join([f"level {e['from']:.3g}–{e['to']:.3g}, contrast {e['contrast']}", *further_headings(e), _kind(e)]), e)
+        (", ".join([f"level {e['from']:.3g}–{e['to']:.3g}, contrast {e['contrast']}", *further_headings(e), kind]), e)
         for e in document["worst_classes"]
+        for kind in [f"saturation case {e['case']}" if e["chroma"] is None else f"chroma {e['chroma']}"]
     ]
     return (*tables, _grouped(document, "Worst classes", "class", "pixels", worst))
-
-
-def _kind(entry: dict[str, Any]) -> str:
-    return f"saturation case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
 
 
 # ------------------------------------------------------------------------------------------------ beginning of a page

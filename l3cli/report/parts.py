@@ -7,7 +7,7 @@ import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from markupsafe import Markup
@@ -253,17 +253,13 @@ def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Sec
 def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
     rows = []
     for number, stage in enumerate(stages, 1):
-        chosen = " ".join(_option(*option) for option in sorted(stage.options.items()))
+        given = ((f"--{key.replace('_', '-')}", value) for key, value in sorted(stage.options.items()))
+        chosen = " ".join(key if value is True else f"{key} {value}" for key, value in given)
         inputs = "; ".join(_digests(role, digests) for role, digests in sorted(stage.inputs.items()) if digests)
         rows.append((f"{number}", f"l3 {stage.command}", chosen or "–", inputs or "–", stage.version))
     table = Table(f"Stages of {name}", ("stage", "command", "options", "inputs, SHA-256", "l3cli"), tuple(rows))
     recipes = [Details(f"Recipe of stage {n}, {s.command}", s.recipe) for n, s in enumerate(stages, 1) if s.recipe]
     return Subsection(name, (table, *recipes))
-
-
-def _option(key: str, value: Any) -> str:
-    """Return an option as it is given on the command line."""
-    return f"--{key.replace('_', '-')}" + ("" if value is True else f" {value}")
 
 
 def _digests(role: str, digests: list[str]) -> str:

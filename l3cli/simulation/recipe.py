@@ -15,19 +15,9 @@ from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault, inside
 from l3cli.recipes.toml import CountOrNone, KeyPath, NotNegative, Positive, Recipe
+from l3cli.simulation import sources
 from l3cli.simulation.light import CAMERA, MEASURED, OUTPUTS, SCENE_LIGHT, UNLIT, Curve, mixture, read_curve
 from l3cli.simulation.sensor import noise_plugin, with_analog_gain
-from l3cli.simulation.sources import (
-    IsetScenes,
-    Source,
-    Spectral,
-    WantedScene,
-    can_be_relit,
-    has_light,
-    holds_codes,
-    source_faults,
-    wanted_scenes,
-)
 
 Several = Annotated[list[Positive], msgspec.Meta(min_length=1)]
 EXPOSURES = {"exposure_share": "share", "exposure_saturated": "saturated", "exposure_mean": "mean", "exposure_s": "seconds"}
@@ -75,7 +65,7 @@ class Pair(Recipe):
 class SceneRecipe(Recipe):
     title: ClassVar[str] = "a scene recipe"
 
-    scene: list[Source] = msgspec.field(default_factory=list)
+    scene: list[sources.Source] = msgspec.field(default_factory=list)
     pair: list[Pair] = msgspec.field(default_factory=list)
     # CIE names, "3200K", "D6000K", CSV files, mixtures "0.7 D65 + 0.3 lamp.csv", or "scene": its own
     illuminants: Annotated[list[str], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["D65"])
@@ -100,7 +90,9 @@ class SceneRecipe(Recipe):
 
 def recorded_lights(recipe: SceneRecipe) -> list[str]:
     """Return the lights that scenes of the recipe were recorded under, where it names them."""
-    return [source.light for source in recipe.scene if isinstance(source, Spectral | IsetScenes) and source.light]
+    return [
+        source.light for source in recipe.scene if isinstance(source, sources.Spectral | sources.IsetScenes) and source.light
+    ]
 
 
 def curve_files(recipe: SceneRecipe) -> dict[str, str]:
@@ -144,20 +136,20 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
         yield from _exposure_faults(recipe, camera)
     for number, source in enumerate(recipe.scene):
         name, key = f"scene {number + 1}", ("scene", number)
-        yield from inside(source_faults(source, camera, name), *key)
-        if SCENE_LIGHT in recipe.illuminants and not has_light(source):
+        yield from inside(sources.source_faults(source, camera, name), *key)
+        if SCENE_LIGHT in recipe.illuminants and not sources.has_light(source):
             message = f'{name} has no light of its own; leave "{SCENE_LIGHT}" out of illuminants'
             yield fault(message, "illuminants", key)
-        if recipe.illuminants != [SCENE_LIGHT] and not can_be_relit(source):
+        if recipe.illuminants != [SCENE_LIGHT] and not sources.can_be_relit(source):
             message = f'{name} holds radiance without its light; give light, or illuminants = ["{SCENE_LIGHT}"]'
             yield fault(message, (*key, "light"), "illuminants")
-        elif recipe.target.outputs == UNLIT and not can_be_relit(source):
+        elif recipe.target.outputs == UNLIT and not sources.can_be_relit(source):
             message = f"{name} holds radiance without its light, so its reflectance is not known; give light"
             yield fault(message, (*key, "light"), "target.outputs")
     if recipe.sensor.noise_model is not None:
         yield from _noise_faults(recipe.sensor, recipe.sensor.noise_model)
     outputs = recipe.target.outputs
-    if any(map(holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
+    if any(map(sources.holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
         message = f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant'
         yield fault(message, "target.outputs", "target.illuminant")
     if outputs not in (*OUTPUTS, CAMERA) and not outputs.endswith(MEASURED):
@@ -207,11 +199,11 @@ class Shot:
     moment: int = 0  # frame of a clip
 
 
-def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[WantedScene, list[Shot]]]:
+def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[sources.WantedScene, list[Shot]]]:
     """Yield every scene of the recipe with its frames; `files` are those of each of its sources, none where it has none."""
     index = itertools.count()
     for source, paths in zip(recipe.scene, files, strict=True):
-        for scene in wanted_scenes(source, paths):
+        for scene in sources.wanted_scenes(source, paths):
             moments = range(source.motion.frames if source.motion else 1)
             settings = itertools.product(recipe.illuminants, recipe.luminances_cd_m2, recipe.exposures()[1], moments)
             yield scene, [Shot(next(index), *setting) for setting in settings]

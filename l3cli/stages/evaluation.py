@@ -131,7 +131,6 @@ def _greys(camera: CameraModel, light: Light, outputs: tuple[str, ...], planes: 
 
 FEW = 2  # frames under each light, that are judged at every gain
 MOST_KEPT = 8  # renderers: frames of one scene under several lights follow one another
-Planes = NDArray[np.float32]
 UNLIKE = 1.05  # times as bright: figures of lightness would compare two exposures
 
 

@@ -166,22 +166,18 @@ def period_of(frames: Sequence[NDArray[np.uint16]]) -> tuple[int, int]:
 
 
 def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
+    from scipy import ndimage
+
     rows, cols = (min(length, LARGEST_CROP) for length in frame.shape)
     cut = frame[:rows, :cols].astype(np.float64)
     # Neighbours share their light: what is left of a local mean is array and noise.
-    smooth = cut - _local_mean(cut)
+    smooth = cut - ndimage.uniform_filter(cut, 2 * max(PERIODS) + 1)
     explained = {each: _explained(smooth, each) for each in itertools.product(PERIODS, PERIODS)}
     most = max(explained.values())
     if most <= SIGNIFICANT * cut.size:
         return 1, 1
     enough = [each for each, share in explained.items() if share >= EXPLAINED * most]
     return min(enough, key=lambda each: each[0] * each[1])
-
-
-def _local_mean(values: Array) -> Array:
-    from scipy import ndimage
-
-    return np.asarray(ndimage.uniform_filter(values, 2 * max(PERIODS) + 1))
 
 
 def _explained(values: Array, period: tuple[int, int]) -> float:

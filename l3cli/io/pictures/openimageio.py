@@ -18,7 +18,7 @@ from l3cli.io.images import EXPOSURE_TIME
 from l3cli.io.pictures.icc import icc_profile
 from l3cli.io.pictures.registry import NOTHING, Label, Picture
 from l3cli.io.tags import SHOT, shot_entries
-from l3cli.physics.spaces import SRGB, Space
+from l3cli.physics.spaces import SRGB
 from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 from l3cli.system.files import atomic_output, write_whole
 from l3cli.system.signals import uninterrupted
@@ -57,7 +57,9 @@ def encode(path: Path, picture: Picture) -> bytes:
     elif space is not None:
         is_named = space == SRGB and suffix != PNG  # a PNG file has a profile or a name
         spec.attribute("oiio:ColorSpace", "sRGB" if is_named else "data")  # else it is taken for sRGB
-        _add_profile(spec, space)
+        spec.attribute("Exif:ColorSpace", EXIF_SRGB if space == SRGB else EXIF_OTHER)
+        profile = np.frombuffer(icc_profile(space), np.uint8)
+        spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{profile.size}]"), profile)
     _add_label(spec, picture.label)
     for name, value in COMPRESSION.get(suffix, {"compression": "none"}).items():
         spec.attribute(name, value)
@@ -71,12 +73,6 @@ def encode(path: Path, picture: Picture) -> bytes:
 def _spec(pixels: NDArray[Any]) -> Any:
     rows, cols, values = pixels.shape
     return oiio.ImageSpec(cols, rows, values, "float" if pixels.dtype.kind == "f" else str(pixels.dtype))
-
-
-def _add_profile(spec: Any, space: Space) -> None:
-    spec.attribute("Exif:ColorSpace", EXIF_SRGB if space == SRGB else EXIF_OTHER)
-    profile = icc_profile(space)
-    spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, np.uint8))
 
 
 def _add_label(spec: Any, label: Label) -> None:

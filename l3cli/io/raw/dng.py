@@ -17,25 +17,12 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.frames.correction import plan_correction
 from l3cli.frames.frame import tiled, with_one_black_level
+from l3cli.io import tags
 from l3cli.io.isolated import isolated
 from l3cli.io.raw import RawContent
 from l3cli.io.raw.cfa_codes import LETTERS
 from l3cli.io.raw.libraw import opened
 from l3cli.io.raw.opcodes import Opcodes, bad_pixels, gain_of_pixels, read_opcodes
-from l3cli.io.tags import (
-    BROKEN,
-    COLOUR_FILTER_ARRAY,
-    LINEAR_RAW,
-    ONE_OF_MANY,
-    RECTANGULAR,
-    UNSIGNED,
-    UPRIGHT,
-    camera_names,
-    exposure_time,
-    flip_of,
-    numbers,
-    shot_of_page,
-)
 from l3cli.io.video import storable_rate
 from l3cli.system.limits import require_picture
 
@@ -44,8 +31,8 @@ LATEST = (1, 7)  # DNG that is read
 UNREAD = {8: "Deflate", 34892: "lossy JPEG", 52546: "JPEG XL"}  # compressions that LibRaw does not unpack mosaics of
 WHOLE = (0, 0, 1, 1)  # value of DefaultUserCrop
 ONLY = {  # tags of which one value is read, and the complaint about any other
-    "CFALayout": (RECTANGULAR, "is of a sensor with staggered pixels, which no table is made for"),
-    "SampleFormat": (UNSIGNED, "holds floating-point values; give the raw file the camera wrote"),
+    "CFALayout": (tags.RECTANGULAR, "is of a sensor with staggered pixels, which no table is made for"),
+    "SampleFormat": (tags.UNSIGNED, "holds floating-point values; give the raw file the camera wrote"),
     "FillOrder": (1, "stores bits in reverse (FillOrder), which is not read; convert the camera's own file to DNG"),
     "Predictor": (1, "stores differences (Predictor), which are not read; convert the camera's own file to DNG"),
     "SubTileBlockSize": (
@@ -195,16 +182,16 @@ def _read_tags(path: Path) -> Mosaic:
             return _mosaic(path, first, raw)
     except tifffile.TiffFileError as error:
         raise InputFileError(f"{path} is damaged or no DNG file; give the raw file the camera wrote") from error
-    except BROKEN as error:
+    except tags.BROKEN as error:
         raise InputFileError(f"{path}: its tags are damaged ({error}); copy it again") from error
 
 
 def _raw_page(path: Path, file: Any) -> Any:
     """Return the full-size raw image, neither preview, mask nor enhanced, among the file's pages and those below them."""
     pages = [each for page in file.pages for each in (page, *(page.pages or ()))]
-    kinds = (COLOUR_FILTER_ARRAY, LINEAR_RAW)
+    kinds = (tags.COLOUR_FILTER_ARRAY, tags.LINEAR_RAW)
     raw = [page for page in pages if page.tags.valueof("PhotometricInterpretation") in kinds]
-    full = [page for page in raw if not page.tags.valueof("NewSubfileType", 0) & ~ONE_OF_MANY]
+    full = [page for page in raw if not page.tags.valueof("NewSubfileType", 0) & ~tags.ONE_OF_MANY]
     if not full:
         raise InputFileError(f"{path} holds no raw image; give a DNG with the mosaic of a camera")
     return max(full, key=lambda page: page.imagelength * page.imagewidth)
@@ -238,31 +225,31 @@ def _refuse_others(path: Path, first: Any, raw: Any) -> None:
 def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
     shape = (int(raw.imagelength), int(raw.imagewidth))
     require_picture(str(path), *shape)
-    top, left, bottom, right = (int(edge) for edge in numbers(raw, "ActiveArea", (0, 0, *shape)))
+    top, left, bottom, right = (int(edge) for edge in tags.numbers(raw, "ActiveArea", (0, 0, *shape)))
     if not (0 <= top < bottom <= shape[0] and 0 <= left < right <= shape[1]):
         raise InputFileError(
             f"{path}: its active area {top, left, bottom, right} is not within its {shape[0]}×{shape[1]} pixels"
         )
     rows, cols = bottom - top, right - left
-    origin, size = numbers(raw, "DefaultCropOrigin", (0, 0)), numbers(raw, "DefaultCropSize", (cols, rows))
+    origin, size = tags.numbers(raw, "DefaultCropOrigin", (0, 0)), tags.numbers(raw, "DefaultCropSize", (cols, rows))
     crop = tuple(round(value) for value in (origin[1], origin[0], size[1], size[0]))
     if not (min(crop[:2]) >= 0 and min(crop[2:]) >= 1 and crop[0] + crop[2] <= rows and crop[1] + crop[3] <= cols):
         raise InputFileError(f"{path}: its crop {crop} is not within its active area of {rows}×{cols} pixels")
     black_shape = raw.tags.valueof("BlackLevelRepeatDim", (1, 1))
     return Mosaic(
-        orientation=flip_of(path, first.tags.valueof("Orientation", UPRIGHT)),
+        orientation=tags.flip_of(path, first.tags.valueof("Orientation", tags.UPRIGHT)),
         pattern=_pattern(path, raw),
         active=(top, left, bottom, right),
         crop=crop,
-        black_level=_repeating(numbers(raw, "BlackLevel", (0,)), black_shape).astype(np.float64),
+        black_level=_repeating(tags.numbers(raw, "BlackLevel", (0,)), black_shape).astype(np.float64),
         black_of_row=_as_many(raw, "BlackLevelDeltaV", rows),
         black_of_col=_as_many(raw, "BlackLevelDeltaH", cols),
-        white_level=float(numbers(raw, "WhiteLevel", (2**raw.bitspersample - 1,))[0]),
-        exposure=exposure_time(first),
+        white_level=float(tags.numbers(raw, "WhiteLevel", (2**raw.bitspersample - 1,))[0]),
+        exposure=tags.exposure_time(first),
         baseline_exposure=_baseline_exposure(first),
         neutral=_neutral(first, raw),
-        camera=camera_names(first),
-        shot=shot_of_page(first),
+        camera=tags.camera_names(first),
+        shot=tags.shot_of_page(first),
         opcodes=read_opcodes(path, raw),
         planes=tuple(raw.tags.valueof("CFAPlaneColor") or (0, 1, 2)),
         shape=shape,
@@ -273,7 +260,7 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
 
 def _fields(raw: Any) -> tuple[int, int]:
     """Return the number of fields that rows, and columns, are stored in."""
-    rows, cols = (int(numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
+    rows, cols = (int(tags.numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
     if min(rows, cols) < 1:
         raise ValueError(f"{rows}×{cols} fields")
     return rows, cols
@@ -281,10 +268,10 @@ def _fields(raw: Any) -> tuple[int, int]:
 
 def _notes(raw: Any) -> Iterator[str]:
     """Yield a note for each tag of the picture that is not carried out."""
-    across, down = numbers(raw, "DefaultScale", (1, 1))
+    across, down = tags.numbers(raw, "DefaultScale", (1, 1))
     if across != down:
         yield f"its pixels are not square (DefaultScale {across:g}, {down:g}); the picture is not stretched"
-    if tuple(numbers(raw, "DefaultUserCrop", WHOLE)) != WHOLE:
+    if tuple(tags.numbers(raw, "DefaultUserCrop", WHOLE)) != WHOLE:
         yield "the crop that was chosen in the camera (DefaultUserCrop) is not applied"
 
 
@@ -292,9 +279,9 @@ def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
     """Return codes of the colour planes and the signals that the camera took for those of a grey; None where they are not
     stated, or are none."""
     try:
-        codes = numbers(raw, "CFAPlaneColor", (0, 1, 2))
-        signals = np.asarray(numbers(first, "AsShotNeutral", ()), np.float64)
-    except BROKEN:  # pixels need none of it
+        codes = tags.numbers(raw, "CFAPlaneColor", (0, 1, 2))
+        signals = np.asarray(tags.numbers(first, "AsShotNeutral", ()), np.float64)
+    except tags.BROKEN:  # pixels need none of it
         return None
     if len(signals) != len(codes) or not (np.isfinite(signals).all() and signals.min() > 0):
         return None
@@ -305,8 +292,8 @@ def _baseline_exposure(first: Any) -> float:
     """Return the EV by which pictures are to be brighter than the white level is; 0 where they are not stated, or are no
     camera's."""
     try:
-        (stops,) = numbers(first, "BaselineExposure", (0.0,))
-    except BROKEN:  # pixels need none of it
+        (stops,) = tags.numbers(first, "BaselineExposure", (0.0,))
+    except tags.BROKEN:  # pixels need none of it
         return 0.0
     return float(stops) if abs(stops) <= MOST_STOPS else 0.0
 
@@ -316,7 +303,7 @@ def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:
 
 
 def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
-    if raw.tags.valueof("PhotometricInterpretation") == LINEAR_RAW:  # of one sample: no filters at all
+    if raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:  # of one sample: no filters at all
         return np.array([[WHITE_CODE]])
     codes, shape = raw.tags.valueof("CFAPattern"), raw.tags.valueof("CFARepeatPatternDim")
     if codes is None or shape is None:
@@ -332,7 +319,7 @@ def _repeating(values: Sequence[float], shape: Sequence[int]) -> NDArray:
 
 
 def _as_many(page: Any, name: str, length: int) -> NDArray[np.float64]:
-    values = numbers(page, name, np.zeros(length))
+    values = tags.numbers(page, name, np.zeros(length))
     if len(values) != length:
         raise ValueError(f"{name} has {len(values)} values instead of {length}")
     return np.asarray(values, np.float64)

@@ -54,7 +54,9 @@ def _visible(path: Path, raw: Any) -> RawContent:
     colours, letters = raw.raw_colors_visible, raw.color_desc.decode("ascii", "replace")
     if raw.num_colors == 1:  # no filters: LibRaw gives 6, which is none of its colours
         colours, letters = np.zeros_like(colours), "W"
-    black_level, white_level = _levels(raw)
+    black_level = np.array(raw.black_level_per_channel, np.float64)
+    whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
+    white_level = np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black_level)
     if colours.max() >= min(len(letters), len(black_level)):
         raise InputFileError(f"{path} names colours that it does not have; it is damaged")
     used = np.unique(colours)
@@ -112,13 +114,6 @@ def _shot(raw: Any) -> dict[str, str | float]:
         "iso": getattr(shot, "iso_speed", None),
     }
     return {name: value for name, value in stated.items() if isinstance(value, str | float | int)}
-
-
-def _levels(raw: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the black and white level (colour) in DN."""
-    black_level = np.array(raw.black_level_per_channel, np.float64)
-    whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
-    return black_level, np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black_level)
 
 
 # ---------------------------------------------------------------------------------------- facts about the camera

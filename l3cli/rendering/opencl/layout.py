@@ -12,17 +12,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, TransformTable
-from l3cli.classes import clipping
+from l3cli.classes import clipping, plane_kernel
 from l3cli.classes.coarse_chroma import SPACINGS
-from l3cli.classes.plane_kernel import (
-    joined,
-    kernel_arrays,
-    kernel_macros,
-    rule_constants,
-    rule_macros,
-    rule_snippets,
-    snippets,
-)
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, opponent_basis, raw_middle, refined_fixed_point
 from l3cli.classes.refinement import RATIO_DARKEST, first_label_words
 from l3cli.classes.windows import Integers, neighbourhoods
@@ -103,13 +94,16 @@ def source_folder() -> Path:
 def first_source(variant: str, rule: ClassRule) -> str:
     """Return the .cl files of a variant for the layer that reads the mosaic, with the features of its rule, joined; #line
     keeps file and line in the compiler's messages."""
-    features = [joined_files("common/vectors.cl", *snippets(rule)), f'#line 1 "joined features"\n{joined(rule)}']
+    features = [
+        joined_files("common/vectors.cl", *plane_kernel.snippets(rule)),
+        f'#line 1 "joined features"\n{plane_kernel.joined(rule)}',
+    ]
     return "\n".join([*features, joined_files(*VARIANTS[variant].sources)])
 
 
 def refinement_source(variant: str, layer: PlaneLayer) -> str:
     """Return the .cl files of a variant for a layer that reads planes, with the formula of its rule."""
-    formula, kernels = rule_snippets(layer.rule)
+    formula, kernels = plane_kernel.rule_snippets(layer.rule)
     chroma = ("common/coarse_chroma.cl", "common/quads.cl") if layer.coarse_chroma else ()
     shared = ("common/vectors.cl", "common/encoding.cl", "common/gradient.cl", formula, *chroma)
     return joined_files(*shared, *VARIANTS[variant].refinement_sources, kernels[variant])
@@ -148,7 +142,7 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
         "SHIFT": rule.shift,
         "MAX_RAW": 2**table.bits - 1,
         "RAW_MIDDLE": raw_middle(table.bits),
-        **kernel_macros(rule),
+        **plane_kernel.kernel_macros(rule),
     }
 
 
@@ -197,7 +191,7 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
         **({"RATIO_TAPS": layer.ratio_taps, "DARKEST": RATIO_DARKEST} if layer.ratio_taps else {}),
         **({"COARSE_CHROMA": 1, "PLANE_STEP": _literal(PLANE_STEP), **COARSE_MACROS} if layer.coarse_chroma else {}),
         **({"CLIPPING": 1} if layer.clipping else {}),
-        **rule_macros(layer.rule),
+        **plane_kernel.rule_macros(layer.rule),
     }
 
 
@@ -235,7 +229,7 @@ def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArra
         by_channel(neighbours.mean_reciprocal),
         by_channel(neighbours.variance_reciprocal),
         period.astype(np.uint32),
-        *kernel_arrays(rule, *(other.first.rule for other in others)),
+        *plane_kernel.kernel_arrays(rule, *(other.first.rule for other in others)),
     )
 
 
@@ -302,7 +296,7 @@ def table_buffers(
         else:
             whole = first_plane_weights(sets.first_fixed_point, table.bits)
         rule, *others = sets.refinement_rules(number)
-        constants = first_label_words(rule, table.first.rule, *others), *rule_constants(rule, variant)
+        constants = first_label_words(rule, table.first.rule, *others), *plane_kernel.rule_constants(rule, variant)
         before = constant(VARIANTS[variant].pack_whole(whole, lanes))
         steps.append(PlaneStep(before, tuple(map(constant, constants)), constant(np.zeros(9, np.float32))))
     last = refinement_weights(later[-1]) if later else first_weights(table, sets.first)

@@ -142,7 +142,9 @@ class OpenCLFilter:
         with refusals(self._device.device):
             first = kind_of(frame) != self._kind
             if first:
-                self._begin(frame)
+                self._kind, self._grid = kind_of(frame), Grid.of(frame.values.shape, self._period)
+                self._noise = self._noise_of(frame)
+                self._buffers = _Buffers(self._device, self._grid, self._noise)
             elif settings_of(frame) != self._settings:
                 self._rescale(frame)
             self._settings = settings_of(frame)
@@ -172,11 +174,6 @@ class OpenCLFilter:
         values = np.empty(self._grid.shape, np.uint16)
         pyopencl().enqueue_copy(self._device.queue, values, self._buffers.history[0])
         return values
-
-    def _begin(self, frame: RawFrame) -> None:
-        self._kind, self._grid = kind_of(frame), Grid.of(frame.values.shape, self._period)
-        self._noise = self._noise_of(frame)
-        self._buffers = _Buffers(self._device, self._grid, self._noise)
 
     def _noise_of(self, frame: RawFrame) -> NoiseTerms:
         sites = self._grid.period[0] * self._grid.period[1]

@@ -28,20 +28,9 @@ from l3cli.stages.rendering.checkpoint import listed_pictures, overrides, video_
 from l3cli.stages.rendering.executors import Renderers
 from l3cli.stages.rendering.render import render
 from l3cli.stages.rendering.sequence import Tally
+from l3cli.system import files
 from l3cli.system.checkpoint import Checkpoint
 from l3cli.system.console import Gathering
-from l3cli.system.files import (
-    FULL,
-    STDIN,
-    UNFINISHED,
-    dated,
-    fingerprint,
-    is_ours,
-    refuse_existing,
-    refuse_filled_folder,
-    refuse_protected,
-    sha256,
-)
 from l3cli.system.locks import sole_writer_of_folder
 from l3cli.system.outputs import OutputGuard, Planned, is_dry, refuse_unwritable
 
@@ -85,17 +74,17 @@ def _identity(known: Iterable[object]) -> str:
 
 def identity_of_clip(source: Path) -> str:
     """Return the identity of a clip's files, by names and fingerprints; InputFileError if a folder or glob holds none."""
-    return _identity([path.name, *(fingerprint(path) if path.exists() else ())] for path in frame_files(source))
+    return _identity([path.name, *(files.fingerprint(path) if path.exists() else ())] for path in frame_files(source))
 
 
 def identity_of_output(output: Path) -> str:
     """Return the identity of a file, or of all files of a folder, by names, sizes and times."""
-    return _identity([path.name, *(dated(path) or ())] for path in files_of_output(output))
+    return _identity([path.name, *(files.dated(path) or ())] for path in files_of_output(output))
 
 
 def files_of_output(output: Path) -> list[Path]:
     """Return the file, or all files of the folder but locks and the like."""
-    return sorted(path for path in output.iterdir() if not is_ours(path.name)) if output.is_dir() else [output]
+    return sorted(path for path in output.iterdir() if not files.is_ours(path.name)) if output.is_dir() else [output]
 
 
 @dataclass(frozen=True)
@@ -149,13 +138,13 @@ class Standing:
         if self.entry is None or self.is_file or not self.output.is_dir():
             return
         for path in files_of_output(self.output) if self.entry.made else listed_pictures(self.checkpoint):
-            refuse_protected(path)
+            files.refuse_protected(path)
             path.unlink()
 
 
 RENDERED, KEPT, FAILED = "rendered", "kept", "failed"  # of a clip
 MOST_WARNINGS = 1000  # of a clip, in its report
-STATE = f".clips{UNFINISHED}"
+STATE = f".clips{files.UNFINISHED}"
 
 
 @dataclass
@@ -223,16 +212,16 @@ class ClipJob:
 
     def __init__(self, table: Path, folder: Path, options: RenderOptions) -> None:
         """Raise RecipeError if the output is not a folder or cannot hold videos or pictures of the options' format."""
-        if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
+        if folder == files.STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
             raise RecipeError(f"{folder} is for one clip; name a folder, and the kind of its files with ‹format›")
         if options.uncertainty is not None:
             raise RecipeError("‹uncertainty› is of one frame; name one, or leave it out")
         self.folder, self.console, self.summary = folder, options.console, Summary()
         self._renderers = Renderers()
         self._path, self._options = table, options
-        self._table, self._dated = load(TransformTable, table), dated(table)
+        self._table, self._dated = load(TransformTable, table), files.dated(table)
         destination_of(folder / f"clip.{options.format}", options.format, video_choice(options), options.shard)
-        self._checkpoint = Checkpoint(folder / STATE, options.run_key(sha256(table)))
+        self._checkpoint = Checkpoint(folder / STATE, options.run_key(files.sha256(table)))
 
     def output_of(self, source: Path) -> tuple[Path, bool]:
         """Return the output of a clip, and whether it is a single file; InputFileError if the clip must be read to know
@@ -311,12 +300,12 @@ class ClipJob:
                 raise L3Error(
                     f"{output} was made of {standing.of_other}, which is still there; name another folder, or add ‹force›"
                 )
-            (refuse_existing if is_file else refuse_filled_folder)(output, False)
+            (files.refuse_existing if is_file else files.refuse_filled_folder)(output, False)
         return standing
 
     def _one(self, source: Path) -> None:
         """Render a clip, unless it is there; what is wrong with it is said and counted."""
-        if dated(self._path) != self._dated:
+        if files.dated(self._path) != self._dated:
             raise RecipeError(f"{self._path} has changed since the run began; begin it again")
         output, heard = self.folder / name_of(source), Gathering(self.console, MOST_WARNINGS)
         try:
@@ -348,7 +337,7 @@ class ClipJob:
         """Report and count what is wrong with a clip; raise what would be wrong with every other one, too."""
         self._renderers.forget()
         cause = error if isinstance(error, OSError) else error.__cause__
-        if isinstance(error, DeviceError) or (isinstance(cause, OSError) and cause.errno in FULL):
+        if isinstance(error, DeviceError) or (isinstance(cause, OSError) and cause.errno in files.FULL):
             raise error
         message = f"{error.filename or source}: {error.strerror}" if isinstance(error, OSError) else str(error)
         heard.report(f"l3: {source}: {message}" if str(source) not in message else f"l3: {message}")

@@ -15,16 +15,8 @@ from l3cli.parallel.threads import threaded
 from l3cli.stages.training.passes import Execution
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.system.console import Console
+from l3cli.training.layers import rules
 from l3cli.training.layers.learn import LayerPass, add_sums, no_sums, sum_layer
-from l3cli.training.layers.rules import (
-    PILOT_MOSAICS,
-    TreeSample,
-    gradient_scale,
-    luminance_noise,
-    sample_tree,
-    structure_rule,
-    tree_rule,
-)
 from l3cli.training.table import finished_layer, layer_pass
 from l3cli.training.training_pass import spread_patches
 
@@ -79,18 +71,18 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
         return like
     units = _units(run, layer, None, layer.blocks, execution)
     measured = execution.console.progress(execution.pool(_measure, units), len(units), f"layer {layer.number}, pilot")
-    scale = gradient_scale(layer, [noise for part in measured for noise in part])
+    scale = rules.gradient_scale(layer, [noise for part in measured for noise in part])
     if like is not None:
         return like.scaled_as(scale)
     if not layer.recipe.leaves:
-        rule: PlaneRule = structure_rule(layer, scale)
+        rule: PlaneRule = rules.structure_rule(layer, scale)
         classes = f"{rule.levels} levels × ({rule.structures} structures + {rule.cases - 1} saturation cases)"
     else:
         units = _units(run, layer, scale, layer.blocks, execution)
         sampled = execution.console.progress(execution.pool(_sample, units), len(units), f"layer {layer.number}, tree")
         samples = [sample for part in sampled for sample in part]
         with threaded(execution.pool.size) as mapped:  # processes of the pool have nothing to do meanwhile
-            rule = tree_rule(layer, scale, samples, mapped)
+            rule = rules.tree_rule(layer, scale, samples, mapped)
         classes = f"{rule.structures} leaves, {rule.depth} tests deep, + {rule.cases - 1} saturation cases"
     execution.console.info(f"layer {layer.number}: {sum(layer.mosaics)} mosaics, {classes} a site")
     return rule
@@ -122,14 +114,14 @@ def _read(unit: LayerUnit) -> Iterator[tuple[int, Iterator[TrainingPair]]]:
 
 
 def _measure(unit: LayerUnit) -> list[NDArray[np.float64]]:
-    every = -(-len(unit.layer.mosaics) // PILOT_MOSAICS)
-    return [noise for first, frames in _read(unit) for noise in luminance_noise(unit.layer, frames, first, every)]
+    every = -(-len(unit.layer.mosaics) // rules.PILOT_MOSAICS)
+    return [noise for first, frames in _read(unit) for noise in rules.luminance_noise(unit.layer, frames, first, every)]
 
 
-def _sample(unit: LayerUnit) -> list[dict[int, TreeSample]]:
+def _sample(unit: LayerUnit) -> list[dict[int, rules.TreeSample]]:
     assert isinstance(unit.known, GradientScale)
     known = unit.known
-    return [sample for first, frames in _read(unit) for sample in sample_tree(unit.layer, known, frames, first)]
+    return [sample for first, frames in _read(unit) for sample in rules.sample_tree(unit.layer, known, frames, first)]
 
 
 def _sum(unit: LayerUnit) -> dict[int, LayerSums]:
