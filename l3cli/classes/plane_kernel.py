@@ -26,12 +26,7 @@ def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
 def rule_macros(rule: PlaneRule) -> dict[str, int]:
     """Return the macros that formula and kernel are compiled with."""
     if isinstance(rule, StructureRule):
-        return {
-            "STRENGTHS": rule.strengths,
-            "DIRECTIONS": DIRECTIONS,
-            "COHERENCE": rule.coherence,
-            "GRADIENT_TOP": GRADIENT,
-        }
+        return {"STRENGTHS": rule.strengths, "DIRECTIONS": DIRECTIONS, "COHERENCE": rule.coherence, "GRADIENT_TOP": GRADIENT}
     return {
         "TESTS": TESTS,
         "PARTS": len(_parts(rule)),
