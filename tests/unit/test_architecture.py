@@ -48,9 +48,9 @@ DOORS = {
     "gi": ("video_hosts/gstreamer.py", "video_hosts/plugins/"),
 }
 BUDGET = {  # at most; a change that lowers a number lowers it here, towards the goal behind it
-    "lines of l3cli": 53_000,  # 41 000
-    "lines of l3cli/stages": 5_450,  # 5 500
-    "lines of l3cli/cli": 1_646,  # 1 700
+    "lines of l3cli": 52_830,  # 41 000
+    "lines of l3cli/stages": 5_430,  # 5 500
+    "lines of l3cli/cli": 1_645,  # 1 700
     "lines of tests": 40_100,  # 32 000
     "modules": 290,  # 290
     "modules in the root": 3,
