@@ -16,7 +16,9 @@ import pytest
 from l3cli.artifacts.camera import AnalogGains, CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration.photo.estimate import WAVELENGTH
+from l3cli.calibration.photo.recipe import gains_of
 from l3cli.export.profiles import light_matrices
+from l3cli.frames.measurement import Stated
 from l3cli.io.pictures.dng import write_dng
 from l3cli.io.raw.files import read_raw
 from l3cli.physics import spectra
@@ -122,6 +124,8 @@ def test_a_camera_at_several_iso_speeds(bayer: CameraModel, tmp_path: Path, l3: 
     assert l3("check", tmp_path / "mine/classes.toml")[0] == 0
     assert read_raw(tmp_path / "taken/a.dng", made).gain == 16
     assert [path.resolve().name for path in (tmp_path / "mine").glob("picture.*")] == ["b.dng"]
+    lowest = Stated("some", (), (1e-4, 1e-8), 100.0, None, None, None)
+    assert gains_of(lowest, [replace(lowest, iso=iso) for iso in (100.0, 400.0, 102400.0)]) == ((4.0, pytest.approx(1.0)),)
 
 
 def test_its_folder_makes_a_picture_of_the_photo(photo: Path, tmp_path: Path, l3: L3) -> None:

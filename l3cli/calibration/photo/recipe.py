@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import MOST_GAIN
 from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, LEAST_F_NUMBER, LEAST_FOCAL_MM, PITCH_UM
 from l3cli.frames.measurement import Body, FinishedCurves, Stated
 from l3cli.recipes.builtin import CURVES
@@ -150,10 +151,11 @@ def without_photo(
 
 
 def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, float], ...]:
-    """Return the gain over that of a raw file, and the read noise (e-) there, of each ISO speed whose noise others state."""
+    """Return the gain over that of a raw file of the lowest ISO speed, and the read noise (e-) there, of each speed whose
+    noise others state, as far as recipes hold gains."""
     found: dict[float, float] = {}
     for each in others:
-        if known.iso and each.iso and each.noise is not None and each.iso != known.iso:
+        if known.iso and each.iso and each.noise is not None and 1 < each.iso / known.iso <= MOST_GAIN:
             slope, constant = each.noise
             found.setdefault(each.iso / known.iso, float(np.sqrt(constant)) / slope)
     return tuple(sorted(found.items()))
