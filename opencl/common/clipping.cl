@@ -93,8 +93,9 @@ INLINE void add_clipped(float added[3], const float *signal, float factor, __glo
     }
 }
 
-// The maps of block (y, x); response: (clipped, signal, output), behind it the signals of a white. Beside a plain block whose own means are far below BEGINS none is
-// bright, and one that does not count is not plain beside one that does.
+// The maps of block (y, x); response: (clipped, signal, output), behind it the signals of a white. Beside a plain block whose own
+// means are far below BEGINS none is bright, and one that does not count is not plain beside one that does. Where no channel clips
+// yet, the grey of the same brightness may.
 INLINE float4 maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
                       int columns) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
@@ -120,7 +121,7 @@ INLINE float4 maps_of(int y, int x, __global const float *restrict means, __glob
         if (k < CHANNELS) brightest = MORE(brightest, signal[k]);
     }
     const float plain = 1.0f - smooth_step(widest, PLAIN_UP_TO, TEXTURED_FROM);
-    if (plain <= 0.0f || brightest <= BEGINS) return made;
+    if (plain <= 0.0f) return made;
     const float share = plain * smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM);
     __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
     const float level = grey_level(signal, white);

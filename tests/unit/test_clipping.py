@@ -39,12 +39,23 @@ def soft_frame(table: TransformTable, shape: tuple[int, int], phase: tuple[int, 
     return RawFrame("soft", values, table.black_level, table.white_level, phase)
 
 
+def vivid_frame(table: TransformTable, white: NDArray) -> RawFrame:
+    """A plain frame in which no channel clips yet, but those of a grey as bright do: white has least of its brightest."""
+    rows, cols = np.indices((40, 52))
+    channel = table.cfa[rows % table.cfa.shape[0], cols % table.cfa.shape[1]]
+    signal = np.where(channel == white.argmin(), BEGINS - 0.01, BEGINS - 0.03) + 0.02 * (-1.0) ** (rows // 2 + cols // 2)
+    values = signal * (table.white_level - table.black_level) + table.black_level
+    return RawFrame("vivid", values.astype(np.uint16), table.black_level, table.white_level, (0, 0))
+
+
 @pytest.mark.parametrize(("array", "variant"), [("bayer", "graphics"), ("x-trans", "processor")])
 def test_backends_agree(monkeypatch: pytest.MonkeyPatch, array: str, variant: str) -> None:
     """Also in bands, at any phase, and in frames smaller than a block."""
     bare = with_coarse_chroma(with_refinement(random_table(ARRAYS[array], black_level=64.0, patch=5), 5))
     table = with_clipping(bare)
     frames = [soft_frame(table, (190, 131)), soft_frame(table, (43, 300), (1, 1)), soft_frame(table, (3, 2))]
+    assert table.later[-1].clipping is not None
+    frames.append(vivid_frame(table, table.later[-1].clipping.white))
     device = OpenCLRenderer(table, variant=variant)
     for frame in frames:
         expected = ReferenceRenderer(table).exact_outputs(frame)
