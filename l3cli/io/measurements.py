@@ -86,10 +86,9 @@ def load_photos(photos: Sequence[PhotoRecipe], body: Body, levels: Levels, path:
     captures = []
     for photo in photos:
         wavelength, radiance = _light(photo, path)
-        if photo.dark:  # measures the black level
-            levels = {"black_level": 0.0, **levels}
+        known = {"black_level": 0.0, **levels} if photo.dark else levels  # its dark frames measure the black level
         frames, darks, whites = (
-            tuple(_frame(path.parent / name, body, levels) for name in names)
+            tuple(_frame(path.parent / name, body, known) for name in names)
             for names in (photo.frames, photo.dark, photo.white)
         )
         _check_alike(frames, darks, whites)

@@ -198,6 +198,9 @@ def test_wrong_calls(folder: Path, tmp_path: Path, refused: Refused) -> None:
 def test_levels_that_nobody_states(folder: Path, tmp_path: Path, refused: Refused) -> None:
     path = measured(folder, '[photo]\nframes = ["d65.npy"]\n', FILE.partition("[datasheet]")[0])
     assert "states no black level" in refused(3, "calibrate", path, "-o", tmp_path / "camera.h5")
+    dark = '[[photo]]\nframes = ["a.npy"]\ndark = ["none.npy"]\n'  # says nothing of the other photo
+    path = measured(folder, dark + '[[photo]]\nframes = ["d65.npy"]\n', FILE.partition("[datasheet]")[0])
+    assert "d65.npy states no black level" in refused(3, "calibrate", path, "-o", tmp_path / "camera.h5")
 
 
 def test_a_prior_of_a_folder(folder: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
