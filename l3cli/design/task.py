@@ -217,7 +217,7 @@ def _task(recipe: Path, moments: Path) -> Task:
 
 
 UNITS = {"lab": "ΔE00", "scielab": "ΔE of soft chroma", "luminance": "L*", "linear": "% of white"}
-LISTED = 100  # arrays, the best ones
+LISTED = 100  # arrays, the best ones; beside them Bayer's and the best of each level
 SHIFT = 5.0  # nm, of a filter that is not as it should be
 DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # cd s/m², of the map of errors over light
 
@@ -234,9 +234,9 @@ def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> 
         return min((places[canonical(cfa)] for cfa in task.bayer(filters)), key=lambda place: scores[place], default=None)
 
     best = best_bayer(range(len(names)))
-    listed = list(dict.fromkeys([*order[:LISTED].tolist(), *([] if best is None else [best])]))
-    dyes = [best_bayer(np.unique(arrays[place]).tolist()) for place in listed]
     leaders = [order[0], *([] if best is None else [best]), *levels.argmin(axis=0)]
+    listed = [place for place in order.tolist() if place in {*order[:LISTED].tolist(), *leaders}]
+    dyes = [best_bayer(np.unique(arrays[place]).tolist()) for place in listed]
     mapped = [arrays[place] for place in dict.fromkeys(map(int, leaders))]
     over_light = tuple(Level("", 0, None, float(dose), 1.0) for dose in DOSES)
     light = dataclasses.replace(problem, levels=over_light, noise=dataclasses.replace(problem.noise, dark=0.0))

@@ -13,6 +13,7 @@ import pytest
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.design import Design, SceneMoments, Truth
 from l3cli.artifacts.store import load
+from l3cli.design import task
 from l3cli.design.task import BOUNDS
 from l3cli.report.design import design_section
 from l3cli.report.parts import Table
@@ -135,6 +136,18 @@ def test_a_design_ranks_arrays_beside_bayer_of_their_filters(folder: Path, l3: L
     assert (code, "levels: white at 0.9; 10 lx, 0.02 s A" in out) == (0, True)
 
 
+def test_a_design_keeps_the_best_of_each_level(
+    folder: Path, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(task, "LISTED", 1)
+    call = ("design", folder / "design.toml", "--moments", folder / "scenes.h5", "-o", tmp_path / "d.h5")
+    assert l3(*call)[0] == 0
+    few, made = load(Design, tmp_path / "d.h5"), load(Design, folder / "design.h5")
+    assert len(few.patterns) <= 1 + 1 + len(few.levels) < len(made.patterns)
+    assert (np.diff(np.log(few.score)) > -1e-8).all()
+    assert few.verdict == made.verdict
+
+
 def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     folder: Path, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -197,7 +210,7 @@ def test_the_best_array_becomes_a_folder_of_recipes(folder: Path, tmp_path: Path
     assert "--phase is that of photos" in refused(
         2, "init", "--from", folder / "design.h5", "--phase", "0,1", tmp_path / "a"
     )
-    assert "moments" in refused(3, "init", "--from", folder / "scenes.h5", tmp_path / "a")
+    assert "holds scene moments;" in refused(3, "init", "--from", folder / "scenes.h5", tmp_path / "a")
 
 
 def test_pairs_are_in_order_beyond_ties() -> None:
