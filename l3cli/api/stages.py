@@ -21,6 +21,7 @@ from l3cli.options.commands import CalibrateOptions, EvaluateOptions, SimulateOp
 from l3cli.options.option import Given, Options, declarations
 from l3cli.options.render import RenderOptions
 from l3cli.recipes.builtin import find_recipe
+from l3cli.system.text import a
 
 Name = str | PathLike[str]
 KINDS: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable)
@@ -36,7 +37,7 @@ def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
         if cls.kind == kind:
             return store.load(cls, Path(path))  # type: ignore[return-value]
     raise InputFileError(
-        f"{path} holds {kind}, which only l3 train --merge reads; give a camera model, training set or table"
+        f"{path} holds {a(kind)}, which only l3 train --merge reads; give a camera model, training set or table"
     )
 
 

@@ -23,6 +23,7 @@ from l3cli.artifacts.schema import Artifact, Group, Spec, Stage, check, declared
 from l3cli.errors import InputFileError
 from l3cli.system.files import require_regular
 from l3cli.system.limits import read_bounded
+from l3cli.system.text import a
 
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 CHECKSUM = {"fletcher32": True}  # for pictures: noise hardly shrinks, and shrinking it takes longer than simulating it
@@ -203,7 +204,7 @@ def open_artifact(path: Path, *expected: type[Artifact], unchanged: bool = False
         if expected:
             newest = {each.kind: each.version for each in expected}
             if kind not in newest:
-                raise InputFileError(f"{path} holds a {kind}; give the file written by {made_by}")
+                raise InputFileError(f"{path} holds {a(kind)}; give the file written by {made_by}")
             if version > newest[kind]:
                 raise InputFileError(
                     f"{path} has version {version} of the {kind} format, this l3 reads up to {newest[kind]}; upgrade l3cli"

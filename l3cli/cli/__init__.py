@@ -183,7 +183,7 @@ def _usage(error: click.ClickException) -> str:
         similar = [name for name in error.possibilities or () if name.startswith("--")]
         message = f"no option {error.option_name}" + (f"; {suggestion(error.option_name, similar)}" if similar else "")
     if isinstance(error, click.BadParameter) and error.param is not None and isinstance(error.param.type, click.Choice):
-        message = message.partition(" is not one of ")[0]  # Invalid value for '--codec': 'h256'
+        message = message.partition(" is not ")[0]  # Invalid value for '--codec': 'h256' [is not 'h264', or one of several]
         known = map(str, error.param.type.choices)
         message += f"; {suggestion(message.rpartition(': ')[2][1:-1], known)}"
     if not isinstance(error, click.UsageError) or error.ctx is None:

@@ -58,6 +58,7 @@ from l3cli.system.checkpoint import PartsFolder, parts_folder
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import dated, sha256, write_whole
 from l3cli.system.outputs import Made, OutputGuard, before_work
+from l3cli.system.text import counted
 
 T = TypeVar("T")
 Arrays = Mapping[str, NDArray]
@@ -308,7 +309,8 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> Design:
                 made = dataclasses.replace(made, truth=run.truth(made, options.truth))
             made = dataclasses.replace(made, history=(*task.scenes.history, stage))
             save(made, output)
-        console.info(f"{output}: {made.tried} arrays, {len(made.filters)} filters, {len(made.levels)} levels")
+        found = counted(made.tried, "array"), counted(len(made.filters), "filter"), counted(len(made.levels), "level")
+        console.info(f"{output}: {', '.join(found)}")
         return made
 
 

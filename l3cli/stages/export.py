@@ -22,6 +22,7 @@ from l3cli.stages.rendering.render import mix_of_given
 from l3cli.system.console import Console
 from l3cli.system.files import write_whole
 from l3cli.system.outputs import Made, OutputGuard, before_work
+from l3cli.system.text import a
 
 LOW_NOISE_README = """
 ## Low-noise transforms
@@ -39,7 +40,7 @@ def is_table(path: Path) -> bool:
     with open_artifact(path) as root:
         kind = str(root.attrs["kind"])
     if kind not in (CameraModel.kind, TransformTable.kind):
-        raise InputFileError(f"{path} holds a {kind}; give a camera model or recipe, or a transform table")
+        raise InputFileError(f"{path} holds {a(kind)}; give a camera model or recipe, or a transform table")
     return kind == TransformTable.kind
 
 

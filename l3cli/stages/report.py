@@ -42,7 +42,7 @@ from l3cli.stages.evaluation import FrameRenderers, document_of, evaluate_frame,
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import note_places, sha256, write_whole
 from l3cli.system.outputs import Made, OutputGuard, before_work
-from l3cli.system.text import short_names
+from l3cli.system.text import a, short_names
 
 # of all evaluated frames, of all pixels that can be looked into, of classes elsewhere, of all training sets: see page.LIMIT
 PICTURE_BYTES, PIXEL_BYTES, CLASS_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 300_000, 2_000_000
@@ -98,7 +98,7 @@ def _artifact(path: Path) -> Artifact:
     with open_artifact(path) as root:
         kind = str(root.attrs["kind"])
     if kind not in KINDS:
-        raise InputFileError(f"{path} holds {kind}; give camera models, training sets, transform tables or designs")
+        raise InputFileError(f"{path} holds {a(kind)}; give camera models, training sets, transform tables or designs")
     if KINDS[kind] is not TrainingSet:
         return load(KINDS[kind], path)
     with open_training_set(path, unchanged=True) as reader:

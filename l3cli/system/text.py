@@ -56,6 +56,11 @@ def counted(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
+def a(what: str) -> str:
+    """Return what a file holds with its article, which several things, such as "partial sums", lack."""
+    return what if what.endswith("s") else f"a {what}"
+
+
 def size_text(count: int) -> str:
     """Return a number of bytes, in words."""
     return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"

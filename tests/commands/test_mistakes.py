@@ -129,6 +129,8 @@ MISTAKES = """
         did you mean "opencl"?
     2 render table.h5 raw.tif -o new.mp4 --codec h256
         did you mean "h265" or "h264"?
+    2 render table.h5 raw.tif -o new.png --tone acess
+        '--tone': 'acess'; did you mean "aces"?
     2 render table.h5 raw.tif -o new.png --phase 1
         "1" is not ROW,COL
     3 evaluate training.h5 table.h5

@@ -157,7 +157,7 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
     assert "are the same shard, 1 of 3" in refused(3, "train", "--merge", a[0], a[1], a[0], a[2], "-o", out)
     assert "different runs or passes" in refused(3, "train", "--merge", a[0], a[1], b[2], "-o", out)
     assert "holds a training set" in refused(3, "train", "--merge", training, "-o", out)
-    assert "holds a partial sums" in refused(3, "train", a[0], "-o", out)
+    assert "holds partial sums;" in refused(3, "train", a[0], "-o", out)
     other = (*run[:-1], 6, "--shard", "1/3", "--first")
     assert "is not the first pass of this run" in refused(3, "train", *other, first, "-o", out)
     assert "is not the first pass of this run" in refused(3, "train", *run, "--shard", "1/3", "--first", table, "-o", out)
