@@ -272,7 +272,7 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
     phase = "0,0" if any(options.phase or ()) else None  # of the recipe's array, which begins there
     given = {"phase": phase, "black_level": options.black_level}
     overrides = {name: f"{value}" for name, value in given.items() if value is not None}
-    for other, _ in taken[:SEARCHED]:
+    for other, facts in taken[:SEARCHED]:
         found = _by_chart(measured if other == path else _measurements(other, options), options.console)
         if found is None or found.channels != measured.body.channels:
             continue
@@ -282,7 +282,8 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
         light_of = f"{fit.lights[0]}{' (guessed)' if fit.guessed[0] else ''}"
         origin = f"of the {fit.charts[0]} ColorChecker in {other.name}, under {light_of}"
         if known.noise is None:
-            noise = SensorNoise(found.gain, found.noise.read_noise, "as the patches of the chart show it")
+            over = facts.iso / known.iso if facts.iso and known.iso else 1.0  # gain is in proportion to the ISO speed
+            noise = SensorNoise(found.gain / over, found.noise.read_noise, "as the patches of the chart show it")
         curves = found.responsivity / found.responsivity.max()
         return PhotoCamera(
             other, measured.body, *levels, known, found.wavelength, curves, origin, noise, fit.lights[0], gains, overrides

@@ -215,6 +215,18 @@ def test_a_camera_by_the_chart_in_its_photo(bayer: CameraModel, tmp_path: Path, 
         assert np.abs(figures[0] - figures[1]).max() < 0.02
 
 
+def test_noise_of_a_chart_at_another_speed_is_brought_to_that_of_the_recipe(tmp_path: Path, l3: L3) -> None:
+    (tmp_path / "taken").mkdir()
+    chart = np.clip(np.rint(photos.photograph(photos.UPRIGHT, np.random.default_rng(0)) + 256), 0, 4095).astype(np.uint16)
+    for iso, values in ((100, np.full_like(chart, 900)), (400, chart)):
+        tags = {34855: (dng_files.SHORT, [iso]), 50714: (dng_files.SHORT, [256]), 50717: (dng_files.LONG, [4095])}
+        dng_files.write_dng(tmp_path / f"taken/{iso}.dng", values, np.array([[0, 1], [1, 2]]), tags=tags)
+    code, _, err = l3("init", "--from", tmp_path / "taken", "--light", "D65", tmp_path / "mine")
+    assert code == 0, err
+    assert "in 400.dng, under D65; noise as the patches of the chart show it" in err
+    assert load_camera(tmp_path / "mine/camera.toml").gain == pytest.approx(photos.GAIN / 4, rel=0.1)
+
+
 def test_a_photo_of_any_name_leads_to_a_recipe(photo: Path, tmp_path: Path, l3: L3) -> None:
     hostile = Path(shutil.copy(photo, tmp_path / 'a"\nname = 1\n[x`touch PWNED`]\x1b\udcff$(touch PWNED).dng'))
     code, _, err = l3("init", "--from", hostile, tmp_path / "d'`x`")
