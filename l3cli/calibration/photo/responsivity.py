@@ -141,7 +141,7 @@ def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: 
         used = values.used[:, channel]
         if used.sum() < LEAST_SHARE * count:
             reasons = [why for _, each, why in values.left_out if each == channel]
-            most = max(set(reasons), key=reasons.count)
+            most = max(reasons, key=reasons.count)
             cure = "shorten the exposure" if most == "clipped" else "check chart and corners"
             raise InputFileError(
                 f"{capture.name}: only {used.sum()} of {count} patches are usable in channel {name}, most others are {most}"
@@ -152,9 +152,10 @@ def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: 
                 f"{capture.name}: channel {name} sees nothing of the chart; expose longer, or check black level"
             )
     if capture.corners is not None and fit(values.mean, components(reflectance)) < LEAST_FIT / 2:
+        cols = capture.chart.grid[1]
         raise InputFileError(
             f"{capture.name}: the patches at the given corners are not those of the chart; give col, row of the outer "
-            "corners of patches 1, 6, 24 and 19 in this order"
+            f"corners of patches 1, {cols}, {count} and {count - cols + 1} in this order"
         )
 
 
