@@ -74,7 +74,7 @@ def solve_layer(
             for site, row in enumerate(constrained):
                 rows[site][index, :taps, output] = row
     if not solved.any():
-        raise L3Error("no class of a layer after the first has training rows of every site; train on more, or larger, frames")
+        raise L3Error("no class of the second layer has training rows of every site; train on more, or larger, frames")
     fitting = solved & np.all([fits_between(one) for one in rows], axis=0)
     source = _nearest(fitting if fitting.any() else solved, rule)
     return [one[source] for one in rows]
