@@ -357,7 +357,7 @@ def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: L3) -> None:
     ("lines", "why"),
     [
         ("side = 4", "layer[1].side is 4; windows have odd sides"),
-        ("[[layer]]\n[[layer]]\n[[layer]]", "4 layers after the first; 3 can be learned"),
+        ("[[layer]]\n[[layer]]\n[[layer]]", "layer has 4 values; the most is 3"),
         ("strengths = [3, 2]", "layer[1].strengths must be one or more numbers, each 0.001 above the last"),
         ("strengths = [-1, 2]", "layer[1].strengths[1] is -1; give more than 0"),
         ("colour_ratios = true\n[[layer]]", "layer[1].colour_ratios is for the last layer alone"),
