@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from l3cli.frames.frame import tiled
@@ -28,15 +29,20 @@ def homography(cells: Array, pixels: Array) -> Array:
     """Return (3, 3) from chart cells (point, 2) x, y to pixels (point, 2) col, row, four points or more, by least squares;
     applied to (x, y, 1) it gives col, row times a scale. LinAlgError if four points lie on a line."""
     scale, shift = float(np.ptp(pixels, axis=0).max()) or 1.0, pixels.mean(axis=0)
-    equations, right_side = [], []
-    for (x, y), (u, v) in zip(cells, (pixels - shift) / scale, strict=True):
-        equations += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-        right_side += [u, v]
-    system, right = np.array(equations, dtype=np.float64), np.array(right_side)
+    right = (pixels - shift) / scale
+    system, right = _equations(cells, right), right.ravel()
     solved = np.linalg.solve(system, right) if len(cells) == 4 else np.linalg.lstsq(system, right, rcond=None)[0]
     normalised = np.append(solved, 1.0).reshape(3, 3)
     back = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]], [0.0, 0.0, 1.0]])
     return back @ normalised
+
+
+def _equations(cells: Array, pixels: Array) -> Array:
+    """Return (…, 2 · point, 8): times a homography, but for its last number, which is 1, the pixels' numbers in a row."""
+    place = np.concatenate([cells, np.ones_like(cells[..., :1])], axis=-1)
+    along = [np.concatenate(parts, axis=-1) for parts in ((place, 0 * place), (0 * place, place))]
+    system = np.concatenate([np.stack(along, axis=-2), -pixels[..., None] * cells[..., None, :]], axis=-1)
+    return system.reshape(*cells.shape[:-2], -1, 8)
 
 
 def corner_cells(rows: int, cols: int) -> Array:
@@ -45,9 +51,9 @@ def corner_cells(rows: int, cols: int) -> Array:
 
 
 def through(matrix: Array, points: Array) -> Array:
-    """Return the points (…, 2) through a homography; infinite where it has none."""
+    """Return the points (…, 2) through a homography, or (grid, point, 2) through several; infinite where it has none."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        moved = points @ matrix[:, :2].T + matrix[:, 2]
+        moved = points @ matrix[..., :2].swapaxes(-1, -2) + matrix[..., None, :, 2]
         return np.asarray(moved[..., :2] / moved[..., 2:])
 
 
@@ -175,6 +181,7 @@ DARK = 0.02  # of the brightest: below, slopes are noise
 LEAST_AREA, MOST_SHARE = 9, 0.03  # pixels; of the picture: what a patch may cover
 LONG, FILLED = 2.2, (0.75, 1.25)  # of a patch: its long side over its short one; its area over a parallelogram's
 NEIGHBOURS, SEEDS = 8, 160  # regions that a region's grid steps are taken from; regions
+PAIRS = np.array(list(itertools.permutations(range(NEIGHBOURS), 2)))
 ASKEW, UNEQUAL = 0.5, 1.8  # of two steps: cosine of their angle, ratio of their lengths
 OFF = 0.22  # of a step: how far from its place on the grid a region may lie
 REFINED = (0.25, 0.15, 0.1, 0.1)  # of a cell: how far a region may lie from its patch, step by step
@@ -205,6 +212,8 @@ def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
 def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tuple[int, int]) -> Located | None:
     """Return the chart of a grid (rows, cols) of patches with reflectances (patch, wavelength), row by row, in a mosaic
     (row, col) of DN above black; None if none is there."""
+    from scipy import ndimage
+
     picture = superpixels(mosaic, cfa)
     if min(picture.shape[:2]) < min(grid):
         return None
@@ -212,8 +221,9 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
     height, width = (length // step for length in picture.shape[:2])
     small = picture[: height * step, : width * step].reshape(height, step, width, step, -1).mean(axis=(1, 3))
     basis = components(reflectance)
-    regions = [_plain_regions(small, slope) for slope in SLOPES]
-    placements = [_placed(matrix, small, basis, grid) for region in regions for matrix in _grids(*region, grid)]
+    steepest, smooth = _steepest(small), ndimage.uniform_filter(small, (3, 3, 1))
+    regions = [_plain_regions(steepest, slope) for slope in SLOPES]
+    placements = [_placed(matrix, smooth, basis, grid) for region in regions for matrix in _grids(*region, grid)]
     best = max(filter(None, placements), key=lambda each: each.fit, default=None)
     if best is None or best.fit < LEAST_FIT:
         return None
@@ -233,8 +243,8 @@ def components(reflectance: Array) -> Array:
 # ---------------------------------------------------------------------------------------------------------- regions
 
 
-def _plain_regions(picture: Array, slope: float) -> tuple[Array, Array]:
-    """Return the centres (region, 2) col, row and areas (region) of regions of little slope that may be patches."""
+def _steepest(picture: Array) -> Array:
+    """Return the relative slope (row, col) of a picture, of its channels the largest."""
     from scipy import ndimage
 
     steepest = np.zeros(picture.shape[:2])
@@ -243,6 +253,13 @@ def _plain_regions(picture: Array, slope: float) -> tuple[Array, Array]:
         floor = max(DARK * float(np.percentile(plane, 99)), 1e-9)  # of a black frame, too
         change = ndimage.gaussian_gradient_magnitude(plane, 1.0)
         steepest = np.maximum(steepest, change / (np.maximum(ndimage.gaussian_filter(plane, 1.0), 0.0) + floor))
+    return steepest
+
+
+def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
+    """Return the centres (region, 2) col, row and areas (region) of regions of little slope that may be patches."""
+    from scipy import ndimage
+
     label, count = ndimage.label(steepest < slope)
     if not count:
         return np.zeros((0, 2)), np.zeros(0)
@@ -270,66 +287,80 @@ def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
     least = max(LEAST_ON, round(LEAST_SHARE * grid[0] * grid[1]))
     if len(centres) < least:
         return []
-    found: list[tuple[int, Array]] = []
+    reach, found = max(grid), []
     for seed in np.argsort(-areas)[:SEEDS]:
-        alike = np.flatnonzero((areas > areas[seed] / 3) & (areas < areas[seed] * 3))
+        alike = (areas > areas[seed] / 3) & (areas < areas[seed] * 3)
         offsets = centres[alike] - centres[seed]
-        isolated = np.hypot(*offsets.T)
-        close = np.argsort(isolated)[1 : NEIGHBOURS + 1]
-        for one, other in itertools.permutations(close, 2):
-            u, v = offsets[one], offsets[other]
-            if not _may_be_steps(u, v):
-                continue
-            on = _on_grid(offsets @ np.linalg.inv(np.array([u, v])), max(grid))[1]
-            if on.sum() >= LEAST_ON:
-                first = np.array([[u[0], v[0], centres[seed][0]], [u[1], v[1], centres[seed][1]], [0.0, 0.0, 1.0]])
-                found.append((int(on.sum()), first))
+        close = offsets[np.argsort(np.hypot(*offsets.T))[1 : NEIGHBOURS + 1]]
+        steps = close[PAIRS[(len(close) > PAIRS).all(axis=1)]]
+        steps = steps[_may_be_steps(steps)]
+        count = (_on_grid(offsets @ np.linalg.inv(steps), reach) >= 0).sum(axis=(1, 2))
+        first = np.tile(np.eye(3), (len(steps), 1, 1))
+        first[:, :2] = np.concatenate([steps.swapaxes(1, 2), np.tile(centres[seed][:, None], (len(steps), 1, 1))], axis=2)
+        found += [each for each in zip(count, first, strict=True) if each[0] >= LEAST_ON]
     found.sort(key=lambda each: -each[0])
-    grown = [_grown(centres, matrix, max(grid)) for _, matrix in found[:GROWN]]
-    grown.sort(key=lambda each: -each[0])
-    return [matrix for count, matrix in grown[:TRIED] if count >= least]
+    if not found:
+        return []
+    counts, grown = _grown(centres, np.array([matrix for _, matrix in found[:GROWN]]), reach)
+    best = np.argsort(-counts, kind="stable")[:TRIED]
+    return list(grown[best[counts[best] >= least]])
 
 
-def _may_be_steps(u: Array, v: Array) -> bool:
-    """Return whether two offsets may be one patch along a row and one down a column, seen from the front."""
-    lengths = np.hypot(*u), np.hypot(*v)
-    if min(lengths) == 0 or max(lengths) > UNEQUAL * min(lengths):
-        return False
-    turn = u[0] * v[1] - u[1] * v[0]  # above zero: rows run downwards where columns run to the right
-    return bool(turn > 0 and abs(u @ v) < ASKEW * lengths[0] * lengths[1])
+def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
+    """Return which pairs (pair, 2, 2) of offsets may be one patch along a row and one down a column, seen from the front."""
+    one, other = np.hypot(*steps.T)
+    turn = np.linalg.det(steps)  # above zero: rows run downwards where columns run to the right
+    aslant = np.abs((steps[:, 0] * steps[:, 1]).sum(axis=1))
+    equal = np.maximum(one, other) <= UNEQUAL * np.minimum(one, other)
+    return np.asarray(equal & (turn > 0) & (aslant < ASKEW * one * other))
 
 
-def _on_grid(coordinates: Array, reach: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return grid places (region, 2) x, y, and which regions lie on one, each place once."""
-    places = np.rint(coordinates).astype(np.int64)
-    off = np.abs(coordinates - places).max(axis=1)
-    on = (off < OFF) & (np.abs(places).max(axis=1) <= reach)
-    taken: dict[tuple[int, int], int] = {}
-    for index in np.flatnonzero(on):
-        key = (int(places[index, 0]), int(places[index, 1]))
-        if key in taken and off[taken[key]] <= off[index]:
-            on[index] = False
-        else:
-            on[taken.get(key, index)] = False
-            on[index] = True
-            taken[key] = int(index)
-    return places, on
+def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
+    """Return the regions (grid, y, x) that lie on the places of grids from -reach to reach, the nearest each, -1: none, by
+    their coordinates (grid, region, 2) x, y."""
+    places = np.rint(coordinates)
+    off = np.abs(coordinates - places).max(axis=-1)
+    close = (off < OFF) & (np.abs(places).max(axis=-1) <= reach)
+    order = np.argsort(off[close], kind="stable")[::-1]
+    grids, regions = (index[order] for index in np.nonzero(close))
+    x, y = places[close][order].astype(np.int64).T + reach
+    on = np.full((len(coordinates), 2 * reach + 1, 2 * reach + 1), -1)
+    on[grids, y, x] = regions  # the last, which is the nearest, stays
+    return on
 
 
-def _grown(centres: Array, matrix: Array, reach: int) -> tuple[int, Array]:
-    """Return the number of regions that lie on a grid, and its homography, fitted to ever farther regions."""
-    count = 0
+def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int64], Array]:
+    """Return the number of regions that lie on each grid, and its homography, fitted to ever farther regions."""
+    counts, growing = np.zeros(len(matrices), dtype=np.int64), np.arange(len(matrices))
     for radius in (2, 3, 5, reach, reach):
-        try:
-            coordinates = through(np.linalg.inv(matrix), centres)
-        except np.linalg.LinAlgError:
-            break
-        close = np.isfinite(coordinates).all(axis=1) & (np.abs(coordinates).max(axis=1) < radius + 0.5)
-        places, on = _on_grid(np.where(close[:, None], coordinates, 1e6), reach)
-        if on.sum() < LEAST_ON or min(np.ptp(places[on], axis=0)) < 1:
-            break
-        count, matrix = int(on.sum()), homography(places[on].astype(np.float64), centres[on])
-    return count, matrix
+        growing = growing[np.linalg.det(matrices[growing]) != 0]
+        coordinates = through(np.linalg.inv(matrices[growing]), centres)
+        on = _on_grid(np.where(np.isfinite(coordinates), coordinates, 1e6), radius)
+        taken = on >= 0
+        count, cols, rows = taken.sum(axis=(1, 2)), taken.any(axis=1).sum(axis=1), taken.any(axis=2).sum(axis=1)
+        enough = (count >= LEAST_ON) & (cols > 1) & (rows > 1)
+        growing, on = growing[enough], on[enough]
+        counts[growing], matrices[growing] = count[enough], _fitted(centres, on)
+    return counts, matrices
+
+
+def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
+    """Return the homographies (grid, 3, 3) from grid places to the centres of the regions (grid, y, x) `on` them."""
+    used = (on >= 0).reshape(len(on), -1, 1)
+    pixels = centres[on.reshape(len(on), -1)]
+    shift = (used * pixels).sum(axis=1, keepdims=True) / used.sum(axis=1, keepdims=True)
+    pixels = used * (pixels - shift)
+    scale = np.abs(pixels).max(axis=(1, 2))
+    reach = on.shape[1] // 2
+    cells = np.stack(np.meshgrid(*2 * [np.arange(-reach, reach + 1.0)]), axis=-1).reshape(-1, 2)
+    right = pixels / scale[:, None, None]
+    system = np.repeat(used, 2, axis=1) * _equations(np.tile(cells, (len(on), 1, 1)), right)
+    turned = system.swapaxes(1, 2)
+    solved = np.linalg.pinv(turned @ system, 1e-12, hermitian=True) @ (turned @ right.reshape(len(on), -1, 1))
+    result = np.concatenate([solved, np.ones((len(on), 1, 1))], axis=1).reshape(-1, 3, 3)
+    result[:, :2] *= scale[:, None, None]
+    result[:, :2] += shift.swapaxes(1, 2) * result[:, 2:]
+    return result
 
 
 def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located:
@@ -350,46 +381,37 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
 # -------------------------------------------------------------------------------------------------------- placement
 
 
-def _placed(matrix: Array, picture: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
+def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
     """Return the placement of the chart on a grid, shifted and turned, under which its reflectances fit best."""
     rows, cols = grid
-    reach = max(grid)
-    places = np.arange(-reach, reach + 1)
-    values = _sampled(picture, through(matrix, np.stack(np.meshgrid(places, places), axis=-1)))  # (y, x, channel)
-    best: tuple[float, int, int, int] | None = None
-    for turn in range(4):
-        turned = np.rot90(values, turn)
-        for y, x in np.ndindex(len(turned) - rows + 1, len(turned) - cols + 1):
-            patches = turned[y : y + rows, x : x + cols].reshape(rows * cols, -1)
-            if np.isnan(patches).any():
-                continue
-            share = fit(patches, basis)
-            if best is None or share > best[0]:
-                best = share, turn, y, x
-    if best is None:
+    places = np.arange(-max(grid), max(grid) + 1.0)
+    index = np.stack(np.meshgrid(places, places), axis=-1)  # (y, x, 2)
+    values = _sampled(smooth, through(matrix, index))  # (y, x, channel)
+    turns = np.stack([np.rot90(values, turn) for turn in range(4)])
+    patches = sliding_window_view(turns, grid, axis=(1, 2)).reshape(-1, values.shape[2], rows * cols).swapaxes(1, 2)
+    whole = np.flatnonzero(~np.isnan(patches).any(axis=(1, 2)))
+    if not whole.size:
         return None
-    share, turn, y, x = best
-    index = np.stack(np.meshgrid(places, places), axis=-1)
-    corners = np.rot90(index, turn)[y : y + rows, x : x + cols].astype(np.float64)
+    shares = fit(patches[whole], basis)
+    best = int(np.argmax(shares))
+    turn, y, x = np.unravel_index(whole[best], (4, len(places) - rows + 1, len(places) - cols + 1))
+    corners = np.rot90(index, turn)[y : y + rows, x : x + cols]
     centres = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), axis=-1) + 0.5
-    return Located(homography(centres.reshape(-1, 2), through(matrix, corners).reshape(-1, 2)), share)
+    return Located(homography(centres.reshape(-1, 2), through(matrix, corners).reshape(-1, 2)), float(shares[best]))
 
 
 def _sampled(picture: Array, points: Array) -> Array:
-    """Return the means (…, channel) of 3 × 3 pixels about points (…, 2) col, row; NaN outside."""
-    from scipy import ndimage
-
-    smooth = ndimage.uniform_filter(picture, (3, 3, 1))
+    """Return the values (…, channel) of a picture at points (…, 2) col, row; NaN outside."""
     inside: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
     index = np.rint(np.where(inside[..., None], points, -1)).astype(np.int64)
     height, width = picture.shape[:2]
     inside &= (index >= 0).all(axis=-1) & (index[..., 0] < width) & (index[..., 1] < height)
     col, row = np.where(inside, index[..., 0], 0), np.where(inside, index[..., 1], 0)
-    return np.where(inside[..., None], smooth[row, col], np.nan)
+    return np.where(inside[..., None], picture[row, col], np.nan)
 
 
-def fit(patches: Array, basis: Array) -> float:
-    """Return R² of values (patch, channel) by the reflectances' `components`, mean over channels."""
-    centred = patches - patches.mean(axis=0)
+def fit(patches: Array, basis: Array) -> Array:
+    """Return R² (…) of values (…, patch, channel) by the reflectances' `components`, mean over channels."""
+    centred = patches - patches.mean(axis=-2, keepdims=True)
     left = patches - basis @ (basis.T @ patches)
-    return float(np.mean(1.0 - (left**2).sum(axis=0) / np.maximum((centred**2).sum(axis=0), 1e-12)))
+    return np.asarray(np.mean(1.0 - (left**2).sum(axis=-2) / np.maximum((centred**2).sum(axis=-2), 1e-12), axis=-1))
