@@ -6,6 +6,7 @@ import fcntl
 import gc
 import os
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.cli import run, terminal
 from l3cli.parallel import processes
+from l3cli.physics.spectra import colour_science
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import CLASSES, SCENES, UNSEEN
@@ -24,6 +26,10 @@ from tests.helpers.recipes import CLASSES, SCENES, UNSEEN
 os.fsync = lambda fd: None  # nobody cuts the power, and to reach the disk takes as long as a small command
 settings.register_profile("shared machines", deadline=None, suppress_health_check=[HealthCheck.too_slow])  # not timed
 settings.load_profile("shared machines")
+with pytest.MonkeyPatch.context() as hidden:  # as in commands; half of what its import takes, for each process of the tests
+    for name in ("matplotlib", "pandas"):
+        hidden.setitem(sys.modules, name, None)
+    colour_science()
 gc.disable()  # until tests are collected: of the many objects that this makes none is garbage
 
 

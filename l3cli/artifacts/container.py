@@ -10,6 +10,7 @@ import hashlib
 import io
 import os
 from collections.abc import Iterator
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -162,25 +163,28 @@ def is_scale(dataset: h5py.Dataset) -> bool:
     return "CLASS" in dataset.attrs and "axes" not in dataset.attrs
 
 
-def filters_of(dataset: h5py.Dataset) -> set[int]:
-    """Return the numbers of the filters that a dataset passes through."""
-    created = dataset.id.get_create_plist()
+def filters_of(created: h5py.h5p.PropDCID) -> set[int]:
+    """Return the numbers of the filters that a dataset passes through, by the properties it was created with."""
     return {created.get_filter(index)[0] for index in range(created.get_nfilters())}
 
 
-def require_within_file(path: Path, dataset: h5py.Dataset) -> None:
-    """Raise InputFileError if a dataset lies outside its file or claims more than what is stored can hold."""
-    where = (dataset.name or "").lstrip("/")
-    if dataset.is_virtual or dataset.external:
+def require_within_file(path: Path, dataset: h5py.Dataset) -> h5py.h5p.PropDCID:
+    """Return the properties that a dataset was created with; InputFileError if it lies outside its file or claims more than
+    what is stored can hold."""
+    where, created = (dataset.name or "").lstrip("/"), dataset.id.get_create_plist()
+    if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
         raise InputFileError(f"{path}: dataset {where} lies in another file; give a file that holds it itself")
-    claimed, stored = (dataset.size or 0) * dataset.dtype.itemsize, dataset.id.get_storage_size()
-    if claimed > SMALL + LARGEST_RATIO * stored and filters_of(dataset) <= KNOWN_FILTERS:
+    claimed, stored = prod(dataset.id.shape) * dataset.dtype.itemsize, dataset.id.get_storage_size()
+    if claimed > SMALL + LARGEST_RATIO * stored and filters_of(created) <= KNOWN_FILTERS:
         raise InputFileError(f"{path}: dataset {where} claims more data than the file holds; make the file again")
+    return created
 
 
-def require_readable(path: Path, dataset: h5py.Dataset) -> None:
-    """Raise InputFileError if a dataset cannot be read whole: as `require_within_file`, or more than inputs may hold."""
-    require_within_file(path, dataset)
-    where = (dataset.name or "").lstrip("/")
-    require_values(f"{path}: dataset {where}", dataset.shape or (), dataset.dtype.itemsize)
-    require_values(f"{path}: a chunk of dataset {where}", dataset.chunks or (), dataset.dtype.itemsize)
+def require_readable(path: Path, dataset: h5py.Dataset) -> h5py.h5p.PropDCID:
+    """Return the properties that a dataset was created with; InputFileError if it cannot be read whole: as
+    `require_within_file`, or more than inputs may hold."""
+    created, where = require_within_file(path, dataset), (dataset.name or "").lstrip("/")
+    chunk = created.get_chunk() if created.get_layout() == h5py.h5d.CHUNKED else ()
+    require_values(f"{path}: dataset {where}", dataset.id.shape, dataset.dtype.itemsize)
+    require_values(f"{path}: a chunk of dataset {where}", chunk, dataset.dtype.itemsize)
+    return created
