@@ -1,8 +1,10 @@
 """Patches of a chart → responsivities: the posterior of a Gaussian model; the light a chart was photographed under, and the
 one that would say most (docs/method.md#charts-in-photographs)."""
 
+import functools
+import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +30,8 @@ FLOOR = 0.001  # of the brightest patch: what no model explains
 ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # of a patch's value: reflectances, texture, as the misfit shows
 TERMS = 6  # of the illumination: constant, x, y, x², xy, y²
 Array = NDArray[np.floating]
+MOST_EVIDENCES = 1000
+_EVIDENCES: dict[bytes, float] = {}  # by the content of shots and prior: of one photo the same lights are asked for thrice
 
 
 @dataclass(frozen=True)
@@ -116,10 +120,21 @@ class Shot:
     uneven: float = 0.2  # spread of the illumination's terms: 20 %, or less where a white shot has corrected it
     glare: float = 0.03  # spread of glare, of the brightest patch
 
-    @property
+    @functools.cached_property
     def stimuli(self) -> Array:
         """Return the photons (patch, wavelength) of each patch."""
         return self.reflectance * self.light
+
+    @functools.cached_property
+    def terms(self) -> Array:
+        """Return the terms (patch, term) of the illumination of each patch."""
+        return terms(self.place)
+
+    @functools.cached_property
+    def brightest(self) -> Array:
+        """Return the DN (channel) of the brightest patch that is used; 1 where none is."""
+        top = np.where(self.used, self.values, 0.0).max(axis=0)
+        return np.where(top > 0, top, 1.0)
 
 
 @dataclass(frozen=True)
@@ -144,7 +159,14 @@ def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
 
 def evidence(shots: Sequence[Shot], prior: Prior) -> float:
     """Return the natural logarithm of the probability of the values under these lights, up to a constant."""
-    return max(_solve(shots, prior, error).evidence for error in ERRORS)
+    every: list[Shot | Prior] = [*shots, prior]
+    parts = [getattr(each, field.name) for each in every for field in fields(each)]
+    content = hashlib.sha256(b"".join(np.asarray(part).tobytes() for part in parts)).digest()
+    if content not in _EVIDENCES:
+        if len(_EVIDENCES) == MOST_EVIDENCES:
+            _EVIDENCES.clear()
+        _EVIDENCES[content] = max(_solve(shots, prior, error).evidence for error in ERRORS)
+    return _EVIDENCES[content]
 
 
 def terms(place: Array) -> Array:
@@ -215,15 +237,17 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
         mean, covariance = _before(shots, prior, scale)
         design, right, noise = _expansion(shots, state, count, size, error)
         design, right, noise = design[used], right[used], noise[used]
-        spread = design @ covariance @ design.T + np.diag(noise)
-        root = np.linalg.cholesky(spread)
-        white = np.linalg.solve(root, right - design @ mean)
-        state = mean + covariance @ design.T @ np.linalg.solve(root.T, white)
+        across = covariance @ design.T
+        spread = design @ across + np.diag(noise)
+        off = right - design @ mean
+        solved = np.linalg.solve(spread, off)
+        state = mean + across @ solved
         # Under a light that explains nothing the expansion may run away: it stays near the first guess.
         scale = np.clip(_scale(state, prior), first / FARTHEST, first * FARTHEST)
         exposures = slice(state.size - len(shots) * TERMS, None, TERMS)  # stay near those before
         state[exposures] = np.clip(state[exposures], mean[exposures] / FARTHEST, mean[exposures] * FARTHEST)
-    probability = -0.5 * white @ white - np.log(np.diag(root)).sum() + _peaks(state, prior)
+    logarithm = np.log(np.diag(np.linalg.cholesky(spread))).sum()
+    probability = -0.5 * off @ solved - logarithm + _peaks(state, prior)
     return _Solution(shots, (count, size), design, right, noise, mean, covariance, state, error, float(probability))
 
 
@@ -260,7 +284,7 @@ def _before(shots: Sequence[Shot], prior: Prior, scale: Array) -> tuple[Array, A
     for channel in range(count):
         part = slice(channel * size, (channel + 1) * size)
         spread[part, part] += SCALE_SPREAD**2 * np.outer(curves[part], curves[part])
-    glare = np.concatenate([(shot.glare * _brightest(shot)) ** 2 for shot in shots])
+    glare = np.concatenate([(shot.glare * shot.brightest) ** 2 for shot in shots])
     linear = np.array([0.0, 1.0, 1.0, CURVATURE, CURVATURE, CURVATURE])
     illumination = np.concatenate([(shot.uneven * linear) ** 2 for shot in shots])
     illumination[TERMS::TERMS] = SHOT_SPREAD**2
@@ -283,19 +307,13 @@ def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
     return float((shot.values * shot.used).sum() / (predicted * shot.used).sum())
 
 
-def _brightest(shot: Shot) -> Array:
-    """Return the DN (channel) of the brightest patch that is used; 1 where none is."""
-    top = np.where(shot.used, shot.values, 0.0).max(axis=0)
-    return np.where(top > 0, top, 1.0)
-
-
 def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error: float) -> tuple[Array, Array, Array]:
     """Return design, right side and variances of all values, shot by shot, channel by channel, patch by patch."""
     responsivity, glare, illumination = _split_state(state, len(shots), count, size)
     designs, rights, variances = [], [], []
     curves, offsets = count * size, len(shots) * count
     for index, shot in enumerate(shots):
-        basis = terms(shot.place)
+        basis = shot.terms
         share, even = basis @ illumination[index], shot.stimuli @ responsivity.T
         design = np.zeros((count, len(basis), state.size))
         for channel in range(count):
@@ -306,7 +324,7 @@ def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error
         predicted = share[:, None] * even + glare[index]
         designs.append(design.reshape(-1, state.size))
         rights.append((shot.values + share[:, None] * even).T.ravel())
-        known = shot.deviation**2 + (FLOOR * _brightest(shot)) ** 2 + (error * predicted) ** 2
+        known = shot.deviation**2 + (FLOOR * shot.brightest) ** 2 + (error * predicted) ** 2
         variances.append(known.T.ravel())
     return np.concatenate(designs), np.concatenate(rights), np.concatenate(variances)
 
@@ -323,7 +341,7 @@ def _split_state(state: Array, shots: int, count: int, size: int) -> tuple[Array
 
 def _predict(shot: Shot, responsivity: Array, glare: Array, illumination: Array) -> Array:
     """Return the DN (patch, channel) of a shot."""
-    return (terms(shot.place) @ illumination)[:, None] * (shot.stimuli @ responsivity.T) + glare
+    return (shot.terms @ illumination)[:, None] * (shot.stimuli @ responsivity.T) + glare
 
 
 def _peaks(state: Array, prior: Prior) -> float:
