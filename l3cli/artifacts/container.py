@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -163,28 +163,38 @@ def is_scale(dataset: h5py.Dataset) -> bool:
     return "CLASS" in dataset.attrs and "axes" not in dataset.attrs
 
 
-def filters_of(created: h5py.h5p.PropDCID) -> set[int]:
-    """Return the numbers of the filters that a dataset passes through, by the properties it was created with."""
-    return {created.get_filter(index)[0] for index in range(created.get_nfilters())}
+class Stored(NamedTuple):
+    """Storage of a dataset."""
+
+    where: str  # its name
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    size: int  # bytes in the file
+    created: h5py.h5p.PropDCID
+
+    @property
+    def filters(self) -> set[int]:
+        """Return the numbers of the filters that it passes through."""
+        return {self.created.get_filter(index)[0] for index in range(self.created.get_nfilters())}
 
 
-def require_within_file(path: Path, dataset: h5py.Dataset) -> h5py.h5p.PropDCID:
-    """Return the properties that a dataset was created with; InputFileError if it lies outside its file or claims more than
-    what is stored can hold."""
-    where, created = (dataset.name or "").lstrip("/"), dataset.id.get_create_plist()
+def require_within_file(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
+    """Return how a dataset is stored; InputFileError if it lies outside its file or claims more than that can hold."""
+    where, created = (h5py.h5i.get_name(dataset) or b"").decode().lstrip("/"), dataset.get_create_plist()
     if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
         raise InputFileError(f"{path}: dataset {where} lies in another file; give a file that holds it itself")
-    claimed, stored = prod(dataset.id.shape) * dataset.dtype.itemsize, dataset.id.get_storage_size()
-    if claimed > SMALL + LARGEST_RATIO * stored and filters_of(created) <= KNOWN_FILTERS:
+    stored = Stored(where, dataset.shape, dataset.dtype, dataset.get_storage_size(), created)
+    claimed = prod(stored.shape) * stored.dtype.itemsize
+    if claimed > SMALL + LARGEST_RATIO * stored.size and stored.filters <= KNOWN_FILTERS:
         raise InputFileError(f"{path}: dataset {where} claims more data than the file holds; make the file again")
-    return created
+    return stored
 
 
-def require_readable(path: Path, dataset: h5py.Dataset) -> h5py.h5p.PropDCID:
-    """Return the properties that a dataset was created with; InputFileError if it cannot be read whole: as
-    `require_within_file`, or more than inputs may hold."""
-    created, where = require_within_file(path, dataset), (dataset.name or "").lstrip("/")
-    chunk = created.get_chunk() if created.get_layout() == h5py.h5d.CHUNKED else ()
-    require_values(f"{path}: dataset {where}", dataset.id.shape, dataset.dtype.itemsize)
-    require_values(f"{path}: a chunk of dataset {where}", chunk, dataset.dtype.itemsize)
-    return created
+def require_readable(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
+    """Return how a dataset is stored; InputFileError if it cannot be read whole: as `require_within_file`, or more than
+    inputs may hold."""
+    stored = require_within_file(path, dataset)
+    chunk = stored.created.get_chunk() if stored.created.get_layout() == h5py.h5d.CHUNKED else ()
+    require_values(f"{path}: dataset {stored.where}", stored.shape, stored.dtype.itemsize)
+    require_values(f"{path}: a chunk of dataset {stored.where}", chunk, stored.dtype.itemsize)
+    return stored

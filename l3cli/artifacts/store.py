@@ -19,7 +19,7 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t
 
 from l3cli.artifacts import container
-from l3cli.artifacts.container import ENCODING, KNOWN_FILTERS, datasets, encoded, filters_of, is_scale, require_readable
+from l3cli.artifacts.container import ENCODING, KNOWN_FILTERS, Stored, datasets, encoded, is_scale, require_readable
 from l3cli.artifacts.schema import Artifact, Group, Spec, Stage, check, declared, instances
 from l3cli.errors import InputFileError
 from l3cli.system.files import require_regular
@@ -255,7 +255,7 @@ def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
     """Return the instance, or the tuple of instances, of a declared group."""
     if spec.since and group.name == "/" and int(group.file.attrs["version"]) < spec.since:
         return read_fields(group, spec.kind, path)
-    if name not in members(group, path):
+    if not group.id.links.exists(name.encode()):
         raise InputFileError(f"{path} lacks the group {_inside(group, name)}; make the file again")
     below = hard_group(group, name, path)
     if not spec.several:
@@ -304,11 +304,13 @@ def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
     return member
 
 
-def require_plain(dataset: h5py.Dataset, path: Path) -> None:
-    """Raise InputFileError if a dataset is stored as l3 never stores one, or would be larger in memory than can be."""
-    if not filters_of(require_readable(path, dataset)) <= KNOWN_FILTERS:
-        where = (dataset.name or "").lstrip("/")
-        raise InputFileError(f"{path}: dataset {where} is stored as l3 never stores one; make the file again")
+def require_plain(dataset: h5d.DatasetID, path: Path) -> Stored:
+    """Return how a dataset is stored; InputFileError if that is as l3 never stores one, or it would be larger in memory than
+    can be."""
+    stored = require_readable(path, dataset)
+    if not stored.filters <= KNOWN_FILTERS:
+        raise InputFileError(f"{path}: dataset {stored.where} is stored as l3 never stores one; make the file again")
+    return stored
 
 
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
@@ -317,19 +319,18 @@ def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
 
 
 def _as_declared(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
-    dataset = h5py.Dataset(_hard(group, name, h5d.DatasetID, path), readonly=True)
-    require_plain(dataset, path)
-    is_text = spec.dtype == "str"
+    dataset = _hard(group, name, h5d.DatasetID, path)
+    stored = require_plain(dataset, path)
+    is_text, nothing = spec.dtype == "str", not (stored.shape or stored.size)
     expected_kind = "S" if is_text else np.dtype(spec.dtype).kind
-    shape = dataset.shape  # None: it holds nothing
-    if dataset.dtype.kind != expected_kind or shape is None or len(shape) != len(spec.axes):
+    if stored.dtype.kind != expected_kind or len(stored.shape) != len(spec.axes) or nothing:
         raise InputFileError(
-            f"{path}: dataset {_inside(group, name)} is {dataset.dtype} with {dataset.ndim} axes, "
+            f"{path}: dataset {stored.where} is {stored.dtype} with {len(stored.shape)} axes, "
             f"not {spec.dtype} ({', '.join(spec.axes)}); make the file again"
         )
-    array = np.empty(shape, dataset.dtype)
+    array = np.empty(stored.shape, stored.dtype)
     if array.size:
-        dataset.id.read(h5s.ALL, h5s.ALL, array)  # as `dataset[()]` would in twice the time
+        dataset.read(h5s.ALL, h5s.ALL, array)
     if is_text:
         decoded = np.char.decode(array, "utf-8")
         return tuple(str(item) for item in decoded) if spec.axes else str(decoded)
@@ -373,7 +374,7 @@ def describe(path: Path) -> dict[str, Any]:
 def _described(path: Path, name: str, dataset: h5py.Dataset) -> Described:
     value: Any = None
     if dataset.ndim <= 1 and (dataset.size or 0) <= 16 and dataset.dtype.kind in "biufS":
-        require_readable(path, dataset)
+        require_readable(path, dataset.id)
         raw = dataset[()]
         value = np.char.decode(raw, "utf-8").tolist() if dataset.dtype.kind == "S" else raw.tolist()
     unit = "units" if "units" in dataset.attrs else "unit"  # as older files call it
@@ -408,7 +409,7 @@ def verify(path: Path) -> Intact:
                 scale, stored = is_scale(dataset), dataset.id.get_storage_size()
             if scale and not stored:
                 continue  # it is a length alone
-            require_plain(dataset, path)
+            require_plain(dataset.id, path)
             try:
                 for _ in _slabs(dataset):
                     pass

@@ -92,6 +92,6 @@ def _is_stack(member: Any, axes: tuple[int, ...]) -> bool:
 
 def _require_frames(path: Path, frames: Any) -> None:
     """Raise InputFileError if the frames lie in another file, or one of them, or what is unpacked with it, is too large."""
-    require_within_file(path, frames)
+    require_within_file(path, frames.id)
     for shape in (frames.shape, frames.chunks or frames.shape):
         require_picture(f"{path}: {frames.name}", *shape[-2:])

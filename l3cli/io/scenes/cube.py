@@ -156,7 +156,7 @@ def _stored(path: Path, reverse: bool) -> Content:
         for name, dataset in datasets(root):
             if name.startswith("#") or dataset.dtype.kind not in "fiub":
                 continue
-            require_readable(path, dataset)
+            require_readable(path, dataset.id)
             *groups, last = name.split("/")
             place = content
             for group in groups:
