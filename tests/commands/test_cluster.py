@@ -41,6 +41,7 @@ file = "picture.png"
 CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 52000\nfirst_draws = 1\ndraws = 1\n"  # two blocks
 TWO_SETS = CLASSES + "noise_left = 0.1\n"
 ROWS, COLS, FRAMES = 48, 64, 9
+DASK = "import sys; sys.modules.update(matplotlib=None, pandas=None)\nfrom dask.__main__ import main\nmain()"
 
 
 class Cluster:
@@ -61,7 +62,7 @@ class Cluster:
 
     def _start(self, *command: object) -> "subprocess.Popen[bytes]":
         place = {"PYTHONPATH": str(ROOT), **ONE_BLAS_THREAD}  # holds what the workers are to do
-        line = [sys.executable, "-m", "dask", *command, "--no-dashboard", *self._tls]
+        line = [sys.executable, "-c", DASK, *command, "--no-dashboard", *self._tls]
         with open(self._folder / "log", "ab") as log:
             return subprocess.Popen(list(map(str, line)), stdout=log, stderr=log, env={**os.environ, **place})
 
