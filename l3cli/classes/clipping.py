@@ -10,8 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.frames.frame import tiled
-
 SMALLEST = 4  # pixels, side of a block
 QUAD = 2  # pixels a side
 BEGINS, CLIPS = 0.6, 0.985  # means of a channel, shares of full scale, between which it passes for clipped more and more
@@ -68,49 +66,55 @@ def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
     range of a channel in each (block row, block col). Blocks at the ends lie within the mosaic; those that hold nothing
     bright, or lack a channel, have means of 0."""
     sides, shape = block_sides(mosaic.cfa), mosaic.values.shape
-    places = []
-    for length, side in zip(shape, sides, strict=True):
-        first = np.minimum(np.arange(-(-length // side)) * side, max(length - side, 0))
-        places.append((first[:, None] + np.arange(min(side, length))).ravel())
-    blocks = tuple(-(-length // side) for length, side in zip(shape, sides, strict=True))
+    values = mosaic.values
+    for axis, (length, side) in enumerate(zip(shape, sides, strict=True)):
+        if length > side and (begin := length - side) % side:  # of the last block, its pixels in the order of others' sites
+            index = np.append(np.arange(length // side * side), begin + (np.arange(side) - begin) % side)
+            values = values.take(index, axis)
+    blocks, count = tuple(-(-length // side) for length, side in zip(shape, sides, strict=True)), np.zeros(channels, int)
+    total, highest = (np.zeros((channels, *blocks), kind) for kind in (np.uint32, np.uint16))
+    lowest = np.full_like(highest, 2**16 - 1)
+    for place in np.ndindex(*np.minimum(sides, shape).tolist()):
+        each = values[place[0] :: sides[0], place[1] :: sides[1]]
+        channel = mosaic.cfa[place[0] % mosaic.cfa.shape[0], place[1] % mosaic.cfa.shape[1]]
+        count[channel] += 1
+        total[channel] += each
+        np.minimum(lowest[channel], each, out=lowest[channel])
+        np.maximum(highest[channel], each, out=highest[channel])
+    span = mosaic.white_level - mosaic.black_level
+    whole = (highest.max(axis=0) >= first_bright(mosaic.black_level, mosaic.white_level)) & count.all()
+    means = np.minimum((total / np.maximum(count, 1)[:, None, None] - mosaic.black_level) / span, 1.0)
+    return np.where(whole, means, 0.0), np.where(whole, (highest - lowest).max(axis=0) / span, 0.0)
 
-    def in_blocks(values: NDArray) -> NDArray:
-        cut = values[np.ix_(*places)].reshape(blocks[0], -1, blocks[1], len(places[1]) // blocks[1])
-        return cut.transpose(0, 2, 1, 3).reshape(*blocks, -1)
 
-    channel = in_blocks(tiled(mosaic.cfa, shape))
-    values = in_blocks(mosaic.values.astype(np.int64))
-    span, means, ranges = mosaic.white_level - mosaic.black_level, [], []
-    whole = values.max(axis=-1) >= first_bright(mosaic.black_level, mosaic.white_level)
-    for number in range(channels):
-        there = channel == number
-        count = there.sum(axis=-1)
-        whole &= count > 0
-        mean = np.where(there, values, 0).sum(axis=-1) / np.maximum(count, 1)
-        means.append(np.minimum((mean - mosaic.black_level) / span, 1.0))
-        lowest = np.where(there, values, 2**16).min(axis=-1)
-        ranges.append((np.where(there, values, 0).max(axis=-1) - lowest) / span)
-    return np.where(whole, means, 0.0), np.where(whole, np.max(ranges, axis=0), 0.0)
+def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, Array, Array]:
+    """Return the numbers (block), row by row, of blocks that may be plain, from the means and ranges of all; of each its
+    signals (channel, block), smoothed, how plain it is and the share of its outputs that is replaced. Others are textured,
+    or dark as all beside them: a plain block that counts has a mean that differs by TEXTURED from a dark one's."""
+    numbers = np.flatnonzero(means.any(axis=0) & (spread < TEXTURED))
+    row, col = np.divmod(numbers, spread.shape[1])
+    padded = np.pad(means, ((0, 0), (1, 1), (1, 1)), mode="edge").reshape(len(means), -1)
+    ranges, own = np.pad(spread, 1, mode="edge"), means.reshape(len(means), -1).take(numbers, axis=1)
+    signal, widest = np.zeros_like(own), np.zeros(numbers.size)
+    for i, j in np.ndindex(3, 3):
+        at = (row + i) * ranges.shape[1] + col + j
+        beside = padded.take(at, axis=1)
+        signal += (2 - abs(i - 1)) * (2 - abs(j - 1)) / 16 * beside
+        widest = np.maximum(widest, np.maximum(np.abs(beside - own).max(axis=0), ranges.take(at)))
+    plain = 1 - smooth_step(widest, PLAIN, TEXTURED)
+    return numbers, signal, plain, plain * smooth_step(signal.max(axis=0), KEPT, REPLACED)
 
 
 def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Array:
     """Return the maps (map, block row, block col) of blocks from their means and ranges."""
-    _, rows, cols = means.shape
-    padded = np.pad(means, ((0, 0), (1, 1), (1, 1)), mode="edge")
-    ranges = np.pad(spread, 1, mode="edge")
-    signal, widest = np.zeros_like(means), np.zeros_like(spread)
-    for i, j in np.ndindex(3, 3):
-        there = slice(i, i + rows), slice(j, j + cols)
-        signal += (2 - abs(i - 1)) * (2 - abs(j - 1)) / 16 * padded[:, *there]
-        differs = np.abs(padded[:, *there] - means).max(axis=0)
-        widest = np.maximum(widest, np.maximum(differs, ranges[there]))
-    plain = 1 - smooth_step(widest, PLAIN, TEXTURED)
-    share = plain * smooth_step(signal.max(axis=0), KEPT, REPLACED)
+    numbers, signal, plain, share = plain_blocks(means, spread)
     level = grey_level(signal, white)
-    grey = np.minimum(level * white[:, None, None], 1.0)
-    usual = np.einsum("so,srk->ork", response[0, :-1], signal - grey + level * white[:, None, None])
-    added = np.einsum("tso,tsrk->ork", response[1:], added_terms(signal) - added_terms(grey))
-    return np.concatenate([share[None], share * usual + plain * added])
+    grey = np.minimum(level * white[:, None], 1.0)
+    usual = np.einsum("so,sb->ob", response[0, :-1], signal - grey + level * white[:, None])
+    added = np.einsum("tso,tsb->ob", response[1:], added_terms(signal) - added_terms(grey))
+    maps = np.zeros((MAPS, spread.size))
+    maps[:, numbers] = np.concatenate([share[None], share * usual + plain * added])
+    return maps.reshape(MAPS, *spread.shape)
 
 
 def grey_level(signal: Array, white: Array) -> Array:

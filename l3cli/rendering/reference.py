@@ -38,6 +38,10 @@ class ReferenceRenderer:
         """Return outputs of the table, (output, row, col)."""
         return self.exact_outputs(frame).astype(np.float32)
 
+    def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[Integers]]:
+        """Return the outputs, and the classes (row, col) of the first layer and, if there are more, of the last."""
+        return self.outputs(frame), [self.labels(frame, number) for number in sorted({0, len(self.table.later)})]
+
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         """Return the frame as sRGB (row, col, 3); RecipeError unless outputs are X, Y, Z."""
         require_xyz(self.table.outputs)

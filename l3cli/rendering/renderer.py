@@ -2,7 +2,7 @@
 
 import importlib
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 from typing import Any, Protocol
 
@@ -35,6 +35,9 @@ class Renderer(Protocol):
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Return outputs of the table, (output, row, col), of the frame's size."""
+
+    def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], Sequence[NDArray[np.integer]]]:
+        """Return `outputs`, and `labels` of the first layer and, if there are more, of the last."""
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         """Return the frame as sRGB (row, col, 3), uint8 or uint16 as the display says. RecipeError unless outputs are X, Y,
@@ -110,6 +113,9 @@ class NoiseRenderer:
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         return self._of(self._noise(frame)).outputs(frame)
+
+    def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], Sequence[NDArray[np.integer]]]:
+        return self._of(self._noise(frame)).classified(frame)
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         return self._of(self._noise(frame)).picture(frame, display)

@@ -10,15 +10,17 @@ layer, and factors K of the kinds of the first, make the mean σ of each the sta
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.artifacts.table import MosaicLayer, TransformTable
-from l3cli.classes.clipping import KEPT, block_maps, block_means, block_sides
+from l3cli.classes.clipping import KEPT, block_means, block_sides, plain_blocks
+from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.errors import RecipeError
-from l3cli.frames.frame import RawFrame, shifted_cfa, tiled, upright
+from l3cli.frames.frame import RawFrame, tiled, upright
 from l3cli.rendering.reference import at_table_levels, mosaic_of
 from l3cli.rendering.renderer import Renderer
 
@@ -29,12 +31,14 @@ CLIPPED, UNTRAINED = 1, 2
 PIECE, PIECES, SEAM = 96, 4, 8  # pixels, side of a piece of a large frame; pieces a side; pixels at edges, not counted
 BUDGET, DRAWS = 1 << 18, (5, 40)  # pixels that all renderings have, unless that makes fewer or more renderings
 SMOOTHED = 0.5  # pixels, of a Gaussian: noise that is left in a picture would count twice
+FITS = 3  # of signals to outputs, each trusting the less where the last erred: patterns may be finer than is resolved
 ROUNDS = 4  # in which gains and factors settle
 PRIOR = 50  # pixels for which a class follows the classes that it is one of
 TILES = (1, 2, 4, 8, 16)  # pixels, sides of regions whose means are compared; pieces hold whole ones
 FEWEST = 9  # tiles of a frame
 LITTLE = 1e-30  # where noise changes no raw value, as in a black frame of a quiet camera, σ is 0
 LEAST = 32  # pixels, side of a frame
+STRIP = 1 << 16  # pixels that maps are made of at once, so that a processor's cache has them
 SEED = 20
 
 
@@ -78,20 +82,31 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     frame that is too small."""
     table = renderer.table
     require_known_noise(table)
-    outputs = renderer.outputs(frame)
-    labels = [renderer.labels(frame, number) for number in sorted({0, len(table.later)})]
-    gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
+    (outputs, labels), (rows, columns) = renderer.classified(frame), frame.values.shape
+    gain = 1.0 if frame.shading is None else frame.shading.gain_map(columns)
     scale = np.asarray(frame.light_share * gain, np.float32)
-    gains = like.gains if like else _noise_gains(renderer, frame, outputs / scale)
-    spread = scale * _raw_sigma(table, frame, gains.unit, outputs, scale)
-    sigma = gains.by_class.take(labels[-1], axis=0)
-    sigma *= spread[..., None]
-    if table.later:
-        sigma *= gains.by_kind.take(labels[0], axis=0)
-    turn, bias = frame.orientation, None
-    if known := table.layers[-1].bias:
-        bias = upright(known.mean.take(labels[-1], axis=0) * np.broadcast_to(scale, spread.shape)[..., None], turn)
-    return Uncertainty(upright(sigma, turn), bias, upright(_mask(table, labels, frame), turn), gains)
+    gains = like.gains if like else _noise_gains(renderer, frame, outputs, scale)
+    flags, known = _flags(table), table.layers[-1].bias
+    by_class, by_kind = (np.ascontiguousarray(each.T) for each in (gains.by_class, gains.by_kind))
+    by_bias = np.ascontiguousarray(known.mean.T) if known else np.empty((0, 1))
+    sigma, bias = np.empty_like(outputs), np.empty((len(by_bias), rows, columns), np.float32)
+    mask, terms = _replaced(table, frame), _noise_terms(table, frame)
+    for first in range(0, rows, step := max(STRIP // columns, 1)):
+        strip = np.s_[first : first + step]
+        cells, share = [each[strip].astype(np.intp) for each in labels], scale[strip] if scale.ndim else scale
+        spread = _raw_sigma(table, terms, gains.unit, outputs[:, strip], share)
+        for of, cell in zip(flags, cells, strict=True):
+            mask[strip] |= of.take(cell)
+        for plane, of, of_kind in zip(sigma[:, strip], by_class, by_kind, strict=True):
+            of.take(cells[-1], out=plane, mode="clip")
+            plane *= spread
+            if table.later:
+                plane *= of_kind.take(cells[0])
+        for plane, of in zip(bias[:, strip], by_bias, strict=True):
+            of.take(cells[-1], out=plane, mode="clip")
+            plane *= share
+    maps = [upright(np.moveaxis(each, 0, -1), frame.orientation) for each in (sigma, bias)]
+    return Uncertainty(maps[0], maps[1] if known else None, upright(mask, frame.orientation), gains)
 
 
 @dataclass(frozen=True)
@@ -130,36 +145,49 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
     return inside
 
 
-def _mask(table: TransformTable, labels: Sequence[Labels], frame: RawFrame) -> NDArray[np.uint8]:
-    """Return the mask (row, col) of pixels by their classes, and where the clipped area about them takes the place of their
-    transforms."""
+def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
+    """Return the bits of a mask by the classes (class) of the first layer and of the last."""
     rule = table.first.rule
     clipped = rule.case(rule.split(np.arange(len(table.first.weights))).kind) > 0
-    flags = np.where(clipped, CLIPPED, 0).astype(np.uint8)
-    flags[table.first.samples == 0] |= UNTRAINED
-    mask = flags.take(labels[0])
-    if not table.later:
+    samples = [table.first.samples, *(layer.samples for layer in table.later[-1:])]
+    flags = [np.where(each > 0, 0, UNTRAINED) for each in samples]
+    flags[0] |= np.where(clipped, CLIPPED, 0)
+    return [each.astype(np.uint8) for each in flags]
+
+
+def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
+    """Return CLIPPED (row, col) where the clipped area about pixels takes the place of their transforms, and 0 elsewhere."""
+    mask = np.zeros(frame.values.shape, np.uint8)
+    if not table.later or not table.later[-1].clipping:
         return mask
-    mask |= np.where(table.later[-1].samples > 0, 0, UNTRAINED).astype(np.uint8).take(labels[-1])
     mosaic = mosaic_of(at_table_levels(frame, table), table)
-    clipping = table.later[-1].clipping
-    if clipping and mosaic.values.max() - mosaic.black_level >= KEPT * (mosaic.white_level - mosaic.black_level):
-        means = block_means(mosaic, len(table.channels))
-        replaced = np.pad(block_maps(*means, clipping.response, clipping.white)[0] > 0, 1, mode="edge")
-        for axis, (length, side) in enumerate(zip(mask.shape, block_sides(mosaic.cfa), strict=True)):
-            low = (np.arange(length) + side // 2) // side  # of the blocks on either side of a pixel, counted from the margin
-            replaced = replaced.take(low, axis) | replaced.take(low + 1, axis)
-        mask |= np.where(replaced, CLIPPED, 0).astype(np.uint8)
-    return mask
+    if mosaic.values.max() - mosaic.black_level < KEPT * (mosaic.white_level - mosaic.black_level):
+        return mask
+    means, spread = block_means(mosaic, len(table.channels))
+    numbers, _, _, share = plain_blocks(means, spread)
+    blocks = np.zeros_like(spread, np.uint8)
+    np.put(blocks, numbers[share > 0], CLIPPED)
+    replaced = np.pad(blocks, 1, mode="edge")
+    for axis, side in enumerate(block_sides(mosaic.cfa)):
+        # Of the blocks on either side of a pixel, counted from the margin.
+        low = (np.arange(mask.shape[axis]) + side // 2) // side
+        replaced = replaced.take(low, axis) | replaced.take(low + 1, axis)
+    return replaced
 
 
-def _raw_sigma(table: TransformTable, frame: RawFrame, unit: float, outputs: Array, scale: Array) -> Array:
-    """Return the standard deviation (row, col), as a share of full scale, of raw values as bright as outputs (output, row,
-    col), those of transforms times `scale`; mean over the channels."""
-    constant, linear, quadratic = (np.mean(term) for term in _noise_terms(table, frame))
-    signal = np.maximum(_brightness(table, outputs), 0) * (np.float32(unit) / scale)
-    variance = (np.float32(quadratic) * signal + np.float32(linear)) * signal + np.float32(constant)
-    return np.sqrt(variance, out=variance) / np.float32(table.white_level - table.black_level)
+def _raw_sigma(
+    table: TransformTable, terms: tuple[Array, Array, float], unit: float, outputs: Array, scale: Array
+) -> Array:  # fmt: skip
+    """Return `scale` (…) times the standard deviation (…), as a share of full scale, of raw values as bright as outputs
+    (output, …), those of transforms times `scale`, by the terms of their noise, mean over the channels."""
+    span = table.white_level - table.black_level
+    constant, linear, quadratic = (np.mean(term) / span**2 for term in terms)
+    signal = np.maximum(_brightness(table, outputs), 0)
+    variance = signal * np.float32(quadratic * unit**2)
+    variance += np.float32(linear * unit) * scale
+    variance *= signal
+    variance += np.float32(constant) * scale**2
+    return np.sqrt(variance, out=variance)
 
 
 def _brightness(table: TransformTable, outputs: Array) -> Array:
@@ -179,68 +207,78 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 # ----------------------------------------------------------------------------------------------------------- bootstrap
 
 
-def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array) -> NoiseGains:
-    """Return the gains of the scene that a frame's outputs (output, row, col) show, before they are scaled."""
+def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Array) -> NoiseGains:
+    """Return the gains of the scene that a frame's outputs (output, row, col) show; `scale`, of one or (row, col), is of its
+    transforms."""
     from scipy.ndimage import gaussian_filter
 
     table = renderer.table
-    if min(frame.values.shape) < LEAST:
-        raise RecipeError(f"the frame is smaller than {LEAST}×{LEAST} pixels; too few to tell what noise does")
-    matrix, unit = _back(table, at_table_levels(frame, table), outputs)
-    rows, cols = (_sampled(length) for length in outputs.shape[1:])
-    scene = gaussian_filter(outputs[:, rows[:, None], cols].astype(np.float64), (0, SMOOTHED, SMOOTHED))
+    # Renderings lie below one another in one frame, alike for all that goes by periods of the array and by blocks.
+    units = [math.lcm(side, BLOCK) for side in block_sides(table.cfa)]
+    if min(frame.values.shape) < (least := max(LEAST, *units)):
+        raise RecipeError(f"the frame is smaller than {least}×{least} pixels; too few to tell what noise does")
+    rows, cols = (_sampled(length, unit) for length, unit in zip(frame.values.shape, units, strict=True))
+    shown = _cut(outputs, rows, cols) / (_cut(scale, rows, cols) if scale.ndim else scale)
+    matrix, unit = _back(table, at_table_levels(frame, table), (rows, cols), shown)
+    scene = gaussian_filter(shown, (0, SMOOTHED, SMOOTHED))
     channel = tiled(table.cfa, scene.shape[1:])
     span = table.white_level - table.black_level
-    signal = np.einsum("rco,orc->rc", matrix[channel], scene).clip(0, span)
-    constant, linear, quadratic = _noise_terms(table, frame)
+    signal = sum(part[channel] * plane for part, plane in zip(matrix.T, scene, strict=True)).clip(0, span)
+    constant, linear, quadratic = terms = _noise_terms(table, frame)
     sigma = np.sqrt(np.maximum(constant[channel] + (linear[channel] + quadratic * signal) * signal - QUANTISATION, 0))
-    rng = np.random.default_rng(SEED)
-    made, first, last, spread = [], [], [], []
     draws = int(np.clip(BUDGET // signal.size, *DRAWS))
-    inner = np.ix_(_counts(rows), _counts(cols))
-    for _ in range(draws):
-        values = np.rint(table.black_level + signal + sigma * rng.standard_normal(signal.shape, np.float32))
-        values = np.clip(values, 0, 2**table.bits - 1).astype(np.uint16)
-        again = RawFrame("again", values, table.black_level, table.white_level)
-        made.append(renderer.outputs(again))
-        first.append(renderer.labels(again)[inner])
-        last.append(renderer.labels(again, len(table.later))[inner])
-        spread.append(_raw_sigma(table, frame, unit, made[-1], np.ones(1, np.float32))[inner])
-    deviations = np.asarray(made) - np.mean(made, axis=0)
+    noise = np.random.default_rng(SEED).standard_normal((draws, *signal.shape), np.float32)
+    values = np.clip(np.rint(table.black_level + signal + sigma * noise), 0, 2**table.bits - 1).astype(np.uint16)
+    again = RawFrame("again", values.reshape(-1, cols.size), table.black_level, table.white_level)
+    inner = np.flatnonzero(_counts(rows)), np.flatnonzero(_counts(cols))
+    made, labels = renderer.classified(again)
+    made = _cut(made.reshape(-1, *values.shape), *inner)
+    first, last = (_cut(each.reshape(values.shape), *inner).reshape(draws, -1) for each in (labels[0], labels[-1]))
+    spread = _raw_sigma(table, terms, unit, made, np.ones((), np.float32))
+    deviations = made - made.mean(axis=1, keepdims=True)
     # Without the bias of a root of few squares.
     chi = math.exp(math.lgamma(draws / 2) - math.lgamma((draws - 1) / 2)) * math.sqrt(2 / draws)
-    measured = np.moveaxis(np.sqrt(np.square(deviations).mean(axis=0)) / chi, 0, -1)[inner]
-    by_class, by_kind = _raked(table, np.array(first), np.array(last), np.array(spread), measured)
-    return NoiseGains(by_class.astype(np.float32), by_kind.astype(np.float32), _areas(deviations[..., *inner]), unit)
+    measured = np.sqrt(np.square(deviations).mean(axis=1)) / chi
+    by_class, by_kind = _raked(table, first, last, spread.reshape(draws, -1), measured)
+    return NoiseGains(by_class.astype(np.float32), by_kind.astype(np.float32), _areas(deviations), unit)
 
 
-def _back(table: TransformTable, levelled: RawFrame, outputs: Array) -> tuple[Array, float]:
-    """Return the signals (channel, output), in DN, that outputs (output, row, col) stand for, by least squares over blocks
-    of a frame at the table's levels, relative to their brightness; and mean DN over mean brightness."""
+def _cut(planes: NDArray[Any], rows: Labels, cols: Labels) -> NDArray[Any]:
+    """Return rows and columns of planes (…, row, col)."""
+    return planes.take(rows, -2).take(cols, -1)
+
+
+def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labels], outputs: Array) -> tuple[Array, float]:
+    """Return the signals (channel, output), in DN, that outputs (output, row, col) stand for, by robust least squares over
+    blocks of the `sampled` rows and columns of a frame at the table's levels, relative to their brightness; and mean DN over
+    mean brightness."""
     sides = block_sides(table.cfa)
-    cut = tuple(length // side * side for length, side in zip(levelled.values.shape, sides, strict=True))
-    inside = np.s_[..., : cut[0], : cut[1]]
 
     def means(planes: Array) -> Array:
-        parts = planes[inside].reshape(len(planes), cut[0] // sides[0], sides[0], cut[1] // sides[1], sides[1])
+        parts = planes.reshape(len(planes), outputs.shape[1] // sides[0], sides[0], -1, sides[1])
         return parts.mean(axis=(2, 4)).reshape(len(planes), -1)
 
-    channel = tiled(shifted_cfa(table.cfa, levelled.phase), levelled.values.shape)
-    there = channel == np.arange(len(table.channels))[:, None, None]
-    signal = means(there * (levelled.values - levelled.black_level)) / np.maximum(means(there), 1e-9)
+    sites = [(at + offset) % period for at, offset, period in zip(sampled, levelled.phase, table.cfa.shape, strict=True)]
+    there = _cut(table.cfa, *sites) == np.arange(len(table.channels))[:, None, None]
+    signal = means(there * (_cut(levelled.values, *sampled) - levelled.black_level)) / np.maximum(means(there), 1e-9)
     wanted = means(outputs.astype(np.float64))
-    weight = 1 / np.maximum(signal.mean(axis=0), 1.0)
-    matrix = np.linalg.lstsq((wanted * weight).T, (signal * weight).T, rcond=1e-3)[0].T
+    weight = relative = 1 / np.square(np.maximum(signal.mean(axis=0), 1.0))
+    for _ in range(FITS):
+        weighted = wanted * weight
+        matrix = signal @ weighted.T @ np.linalg.pinv(wanted @ weighted.T, 1e-6, hermitian=True)
+        error = np.square(matrix @ wanted - signal).sum(axis=0) * relative
+        weight = relative / np.maximum(error, max(float(np.median(error)), 1e-18))
     unit = signal.mean() / max(float(_brightness(table, wanted).mean()), 1e-9)
     return matrix, float(max(unit, 0.0))
 
 
-def _sampled(length: int) -> NDArray[np.int64]:
-    """Return indices along a side of a frame: all, or those of a few pieces spread evenly."""
-    if length <= PIECE * PIECES:
-        return np.arange(length)
-    starts = np.linspace(0, length - PIECE, PIECES).astype(np.int64)
-    return (starts[:, None] + np.arange(PIECE)).ravel()
+def _sampled(length: int, unit: int) -> NDArray[np.int64]:
+    """Return indices along a side of a frame, whole units: all, or those of a few pieces spread evenly."""
+    piece = max(PIECE // unit, 1) * unit
+    if length <= piece * PIECES:
+        return np.arange(length // unit * unit)
+    starts = np.linspace(0, length - piece, PIECES).astype(np.int64)
+    return (starts[:, None] + np.arange(piece)).ravel()
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -253,48 +291,54 @@ def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
 def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, measured: Array) -> tuple[Array, Array]:
     """Return gains (class of the last layer, output) and factors (class of the first, output) by which, over the pixels of
     each level, class within its site and class of the last layer, and of each kind of the first, the mean over the draws of
-    what classes (draw, row, col) and `spread` (draw, row, col) predict is what was `measured` (row, col, output)."""
-    layer, rule = table.layers[-1], table.first.rule
-    place, every = layer.rule.split(np.arange(len(layer.weights))), np.arange(len(layer.weights))
-    within = layer.rule.within_site(every)
-    kind = np.asarray(rule.split(np.arange(len(table.first.weights))).kind)
-    axes = [np.asarray(place.level), np.asarray(within if isinstance(layer, MosaicLayer) else within[1]), every]
-    cells = [each[last].reshape(len(last), -1) for each in axes]
+    what classes (draw, pixel) and `spread` (draw, pixel) predict is what was `measured` (output, row, col)."""
+    from scipy.sparse import coo_array
+
+    layer, rule, every = table.layers[-1], table.first.rule, np.arange(len(table.layers[-1].weights))
+    within, kind = layer.rule.within_site(every), rule.split(np.arange(len(table.first.weights))).kind
+    axes = [layer.rule.split(every).level, within if isinstance(layer, MosaicLayer) else within[1], every]
+    cell = last.astype(np.intp)
     if table.later:
-        cells.append(kind[first].reshape(len(first), -1))
-    spread, measured = spread.reshape(len(spread), -1, 1), measured.reshape(-1, measured.shape[-1]).astype(np.float64)
-    factors = [np.ones((int(cell.max()) + 1, measured.shape[1])) for cell in cells]
-    factors[0] *= measured.sum(axis=0) / spread.mean(axis=0).sum()
-    seen = [_summed(cell, np.broadcast_to(measured, (len(cell), *measured.shape))) for cell in cells]
-    prior = PRIOR * len(last) * measured.mean(axis=0)
-    predicted = spread * math.prod(factor[cell] for factor, cell in zip(factors, cells, strict=True))
+        cell = cell * rule.kinds + kind[first]
+    used = np.flatnonzero(np.bincount(cell.ravel()))  # classes and kinds that are together in a pixel
+    number = np.zeros(used[-1] + 1, np.intp)
+    number[used] = np.arange(used.size)
+    cell = number[cell]
+    parts = [axis[used // rule.kinds if table.later else used] for axis in axes]
+    if table.later:
+        axes, parts = [*axes, kind], [*parts, used % rule.kinds]
+    sizes = [int(axis.max()) + 1 for axis in axes]
+    factors = [np.ones((size, len(measured))) for size in sizes]
+    factors[0] *= measured.mean(axis=(1, 2)) / spread.mean()
+    prior = PRIOR * len(last) * measured.mean(axis=(1, 2))
+    wanted = np.stack([np.bincount(cell.ravel(), np.tile(plane.ravel(), len(cell))) for plane in measured], axis=-1)
+    seen = [_summed(part, wanted, size) for part, size in zip(parts, sizes, strict=True)]
+    # Of the mean over draws: the draw itself, and another, which stands for all others.
+    alone, others = _summed(cell.ravel(), spread.reshape(-1, 1) / len(cell), used.size), 1 - 1 / len(cell)
+    by_others = coo_array((np.roll(spread * others, 1, 0).ravel(), (cell.ravel(), np.roll(cell, 1, 0).ravel()))).tocsr()
     for _ in range(ROUNDS):
-        for factor, cell, wanted in zip(factors, cells, seen, strict=True):
-            mean = np.broadcast_to(predicted.mean(axis=0), predicted.shape)
-            change = (wanted + prior) / np.maximum(_summed(cell, mean) + prior, LITTLE)
-            factor *= change
-            predicted = predicted * change[cell]
-    gains = math.prod(_filled(factor, axis) for factor, axis in zip(factors, axes, strict=False))
-    return np.asarray(gains), _filled(factors[3], kind) if table.later else np.ones((1, 1))
+        for factor, part, of in zip(factors, parts, seen, strict=True):
+            by_cell = math.prod(each[at] for each, at in zip(factors, parts, strict=True))
+            predicted = _summed(part, alone * by_cell + by_others @ by_cell, len(factor))
+            factor *= (of + prior) / np.maximum(predicted + prior, LITTLE)
+    gains = math.prod(factor[axis] for factor, axis in zip(factors[:3], axes, strict=False))
+    return np.asarray(gains), factors[3][kind] if table.later else np.ones((1, len(measured)))
 
 
-def _summed(cell: Labels, values: Array) -> Array:
-    """Return the sums (cell, output) of values (draw, pixel, output) by their cells (draw, pixel)."""
-    return np.stack([np.bincount(cell.ravel(), values[..., o].ravel()) for o in range(values.shape[-1])], axis=-1)
-
-
-def _filled(factor: Array, cell: Labels) -> Array:
-    """Return the factors (class, output) of the cells (class); of those that no pixel was in, 1."""
-    return np.asarray(np.pad(factor, ((0, max(int(cell.max()) + 1 - len(factor), 0)), (0, 0)), constant_values=1.0)[cell])
+def _summed(part: Labels, values: NDArray[Any], size: int) -> Array:
+    """Return the sums (part, output) of values (cell, output) by the parts (cell) of an axis of a size."""
+    return np.stack([np.bincount(part, of, size) for of in values.T], axis=-1)
 
 
 def _areas(deviations: Array) -> Array:
-    """Return how the means of tiles vary (tile, output), from deviations (draw, output, row, col)."""
-    areas = []
+    """Return how the means of tiles vary (tile, output), from deviations (output, draw, row, col)."""
+    areas, means = [], deviations
     for side in TILES:
-        rows, cols = (length // side for length in deviations.shape[2:])
-        if rows * cols < FEWEST:
+        if side > 1:
+            rows, cols = (length // 2 * 2 for length in means.shape[2:])
+            means = (means[..., :rows:2, :cols] + means[..., 1:rows:2, :cols]) / 2
+            means = (means[..., ::2] + means[..., 1::2]) / 2
+        if means[0, 0].size < FEWEST:
             break
-        cut = deviations[..., : rows * side, : cols * side].reshape(*deviations.shape[:2], rows, side, cols, side)
-        areas.append(side**2 * np.square(cut.mean(axis=(3, 5))).mean(axis=(0, 2, 3)))
+        areas.append(side**2 * np.square(means).mean(axis=(1, 2, 3)))
     return np.array(areas) / np.maximum(areas[0], LITTLE)

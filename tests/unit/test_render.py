@@ -173,6 +173,9 @@ def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, layers: str, kind
             np.testing.assert_array_equal(banded.labels(frame, layer), expected)
         np.testing.assert_array_equal(banded.outputs(frame), planes)
         np.testing.assert_array_equal(banded.picture(frame, display), picture)
+        outputs, classes = banded.classified(frame)
+        np.testing.assert_array_equal(outputs, planes)
+        np.testing.assert_array_equal(classes, [labels[0], *labels[1:][-1:]])
 
 
 def test_sequences_are_rendered_in_order() -> None:

@@ -6,7 +6,7 @@ computes, the other may upload and download.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -143,6 +143,7 @@ class Unread:
 
 
 TRACKS = 2
+NO_LABELS: Mapping[int, NDArray] = {}
 BEYOND = 16  # bytes behind the last pixel, which a vector may read
 
 
@@ -191,15 +192,30 @@ class OpenCLRenderer:
             work, track = Work(self.device, self.stages), self._unread.track
             work.fetch(track.queue, track.refined_labels[layer - 1] if layer else track.labels, [labels])
         else:
-            work = self._start(frame, [labels], None, layer=layer)
+            work = self._start(frame, [], None, labels={layer: labels})
         work.end()
         return labels
+
+    def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[NDArray[np.uint32]]]:
+        """Return the outputs, and the classes (row, col) of the first layer and, if there are more, of the last, in one
+        pass."""
+        labels = {layer: np.empty(frame.values.shape, np.uint32) for layer in {0, len(self._layers)}}
+        joined, self._joined = self._joined, self._joined and bool(self._layers)  # one kernel for a layer alone leaves none
+        try:
+            planes, work = self._start_outputs(frame, labels)
+        finally:
+            self._joined = joined
+        return self._ended(planes, work, frame), [labels[layer] for layer in sorted(labels)]
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Return the outputs of the table, (output, row, col)."""
         planes, work = self._start_outputs(frame)
         if len(self._bands(frame.values.shape)) == 1:
             self._unread = Unread(frame, frame.values.copy(), self._tracks[-1], self._tracks[-1].result)
+        return self._ended(planes, work, frame)
+
+    @staticmethod
+    def _ended(planes: NDArray[np.float32], work: Work, frame: RawFrame) -> NDArray[np.float32]:
         work.end()
         if frame.light_share != 1:
             planes *= np.float32(frame.light_share)
@@ -246,9 +262,11 @@ class OpenCLRenderer:
             self._joined = joined
         return times
 
-    def _start_outputs(self, frame: RawFrame) -> tuple[NDArray[np.float32], Work]:
+    def _start_outputs(
+        self, frame: RawFrame, labels: Mapping[int, NDArray] = NO_LABELS
+    ) -> tuple[NDArray[np.float32], Work]:  # fmt: skip
         planes = np.empty((len(self.table.outputs), *frame.values.shape), np.float32)
-        return planes, self._start(frame, list(planes), layout.OUTPUTS_AS_THEY_ARE)
+        return planes, self._start(frame, list(planes), layout.OUTPUTS_AS_THEY_ARE, labels=labels)
 
     def _start_picture(self, frame: RawFrame, display: Display, borrow: bool = True) -> tuple[NDArray, Work]:
         require_xyz(self.table.outputs)
@@ -260,11 +278,11 @@ class OpenCLRenderer:
 
     def _start(
         self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None,
-        layer: int = 0, borrow: bool = True,
+        labels: Mapping[int, NDArray] = NO_LABELS, borrow: bool = True,
     ) -> Work:  # fmt: skip
         """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
-        kernel `transform` with this ending writes, or without one with the labels of `layer`. `borrow`: the frame's values
-        may be read until all is done; not where the caller may fill them anew meanwhile."""
+        kernel `transform` with this ending writes, and `labels` (row, col), by layer, with classes. `borrow`: the frame's
+        values may be read until all is done; not where the caller may fill them anew meanwhile."""
         levelled = frame.rescaled(self.table.black_level, self.table.white_level, self.table.bits)
         work, values = Work(self.device, self.stages), np.ascontiguousarray(levelled.values)
         if not borrow and np.may_share_memory(values, frame.values):
@@ -279,21 +297,22 @@ class OpenCLRenderer:
                 track = self._tracks[0]
                 self._tracks.rotate()
                 self._bring(values, levelled, track, band, work)
-                if not self._joined or (kernel is None and not layer):
+                if not self._joined or (kernel is None and not any(labels)):
                     arguments = (*self._decides(track, band), *self._site(band, levelled))
                     work.add("classes", self._run(self._programs.classes(0), track, band.shape(0), *arguments))
                 if encoding is None:  # not before the device is busy
                     encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
-                for number in range(layer if kernel is None else len(self._layers)):
+                for number in range(max(labels) if kernel is None else len(self._layers)):
                     self._classify_refinement(number, track, band, levelled, work)
-                parts = [result[band.rows] for result in results]
                 if kernel is not None:
-                    target, offset = self._target(track, parts, work), 0
+                    parts = [result[band.rows] for result in results]
+                    target = self._target(track, parts, work)
                     self._transform(kernel, encoding, track, band, target, levelled, work)
-                else:
-                    target = track.refined_labels[layer - 1] if layer else track.labels
+                    work.fetch(track.queue, target, parts)
+                for layer, array in labels.items():
+                    classes = track.refined_labels[layer - 1] if layer else track.labels
                     offset = 4 * (band.rows.start - band.reads[layer].start) * band.columns
-                work.fetch(track.queue, target, parts, offset)
+                    work.fetch(track.queue, classes, [array[band.rows]], offset)
         return work
 
     def _start_encoding(self, unread: Unread, display: Display, picture: NDArray) -> Work:
