@@ -220,7 +220,7 @@ class TrainingSetWriter:
 
     def append(self, frame: TrainingPair) -> None:
         group, name = self._place(isinstance(frame, TrainingFrame))
-        store.write_fields(group.create_group(name), frame, store.CHECKSUM)
+        store.write_fields(group.create_group(name), frame, compressed=False)
         store.name_axes(group[name], type(frame), self._coordinates)
 
     def append_part(self, path: Path) -> "SceneCoverage":
@@ -256,7 +256,7 @@ def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
         root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # named after a file, which need not be text
         root.attrs["uncovered"] = uncovered
-        store.write_fields(root.create_group("frame"), frame, store.CHECKSUM)
+        store.write_fields(root.create_group("frame"), frame, compressed=False)
 
 
 def read_part(path: Path) -> TrainingPair:
