@@ -159,6 +159,12 @@ class StructureRule(PlaneClasses):
         """Return the structures: flat, then for each strength no direction and every direction."""
         return 1 + self.strengths * (1 + DIRECTIONS)
 
+    def next_strengths(self, structure: int) -> list[int]:
+        """Return the structures of the same direction one strength away, of which none has the lowest strength."""
+        step, least = 1 + DIRECTIONS, 2 + DIRECTIONS
+        others = (structure - step, structure + step)
+        return [other for other in others if least <= min(other, structure) and other < self.structures]
+
 
 @dataclass(frozen=True)
 class TreeRule(PlaneClasses):

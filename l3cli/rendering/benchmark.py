@@ -28,7 +28,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 
 SIDE = 5  # of the windows of the second layer
 TWO_LAYERS = ("default",)  # classes with a second layer
-STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0), 31, 2.0  # as configs/classes/default.toml has them
+STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # as configs/classes/default.toml has them
 BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
 FRAMES = 40  # timed frames of each case, after WARM_UP more
 WARM_UP = 3

@@ -132,6 +132,7 @@ class LayerRecipe(Recipe):
     # windows (docs/method.md#coarse-chroma)
     coarse_chroma: bool = False
     level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weight of classes one, two… levels away
+    strength_pool: NotNegative = 0.0  # the same of classes of the same direction one strength away, beyond the lowest
     parent_patches: CountOrNone = 200  # pseudo-rows of the parent, added to every class
 
 

@@ -1,5 +1,7 @@
 """Systems of training: transforms that integers cannot hold are made smaller or left out; rows weighed of bands."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -123,6 +125,34 @@ def test_nor_one_between_layers() -> None:
     planes = np.swapaxes(solved, 1, 2)
     assert room_between(planes[..., :-1], planes[..., -1]).min() > 1
     np.testing.assert_array_equal(solved[rule.join(1, 0)], solved[rule.join(0, 0)])
+
+
+def test_strengths_share_their_rows() -> None:
+    """Those of one direction, none with the lowest: the middle one of four with its neighbours."""
+    table = with_refinement(random_table([[0, 1], [1, 0]]), 3)
+    rule = replace(table.later[0].rule, strength_edges=np.array([100, 200, 300, 400], np.uint32))
+    taps, rng = 27, np.random.default_rng(2)
+    row, col = pairs(taps + 1 + 3)
+    edges = [rule.join(0, 1 + 9 * strength + 2) for strength in range(4)]
+    count, moments = np.zeros(rule.classes_per_site), np.zeros((rule.classes_per_site, row.size))
+    for index in (*edges, rule.join(0, edges[2] + 1)):
+        rows = np.column_stack([rng.random((200, taps)), np.ones(200), rng.random((200, 3))])
+        count[index], moments[index] = 200, (rows.T @ rows)[row, col]
+    noise = np.tile(np.eye(taps)[np.triu_indices(taps)], (count.size, 1)) * count[:, None]
+
+    def solved(moments: np.ndarray, noise: np.ndarray, pool: float = 0.0) -> np.ndarray:
+        about = (1e-9, (1.0, 1.0, 1.0), np.array([0.0, 1.0, 0.0]), taps)
+        return solve_layer([LayerSums(moments, noise, count)], [1], rule, LayerGoal((), 0.0, *about, strength_pool=pool))[0]
+
+    alone, shared = solved(moments, noise), solved(moments, noise, 0.5)
+    expected_moments, expected_noise = moments.copy(), noise.copy()
+    for index, others in ((edges[1], edges[2:3]), (edges[2], edges[1::2]), (edges[3], edges[2:3])):
+        expected_moments[index] += 0.5 * moments[others].sum(axis=0)
+        expected_noise[index] += 0.5 * noise[others].sum(axis=0)
+    np.testing.assert_allclose(shared, solved(expected_moments, expected_noise), rtol=0, atol=1e-9)
+    changed = np.flatnonzero((shared != alone).any(axis=(1, 2)))
+    assert set(edges[1:]) <= set(changed)
+    assert not {edges[0], rule.join(0, edges[2] + 1)} & set(changed)
 
 
 TAPS, OUTPUTS, COUNT = 9, 6, 40

@@ -42,6 +42,7 @@ class LayerGoal:
     white: Array  # (plane) what the layer before makes of a white of Y = 1, and this one shall
     windows: int  # taps of the windows; those behind them are zero on flat areas
     keeps: bool = False  # whether unsaturated classes that would fade the chroma of uniform windows keep it
+    strength_pool: float = 0.0  # weight of the classes of the same direction one strength away
 
 
 def solve_layer(
@@ -131,7 +132,8 @@ class _Parents:
 
 
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
-    """Return sums of a class with its neighbours in level and its parent's pseudo-rows; None: nothing like it was seen."""
+    """Return sums of a class with its neighbours in level and strength and its parent's pseudo-rows; None: nothing like it
+    was seen."""
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
     if case:
@@ -145,12 +147,17 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
         return None
     moments, noise, count = sums.moments[index].copy(), sums.noise[index], sums.count[index]
     if count > 0:
-        for distance, share in enumerate(goal.pool, start=1):
-            for other in (level - distance, level + distance):
-                if 0 <= other < rule.levels:
-                    neighbour = rule.join(other, kind)
-                    moments += share * sums.moments[neighbour]
-                    count += share * sums.count[neighbour]
+        near = [
+            (share, rule.join(other, kind))
+            for distance, share in enumerate(goal.pool, start=1)
+            for other in (level - distance, level + distance)
+            if 0 <= other < rule.levels
+        ]
+        if goal.strength_pool and isinstance(rule, StructureRule):
+            near += [(goal.strength_pool, rule.join(level, other)) for other in rule.next_strengths(kind)]
+        for share, neighbour in near:
+            moments += share * sums.moments[neighbour]
+            count += share * sums.count[neighbour]
         noise = noise * (count / sums.count[index])
     return moments + goal.parent * parents.moments[level], noise + goal.parent * parents.noise[level]
 
@@ -296,7 +303,8 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     if not layer.pictures:
         noise = (min(recipe.luminance_noise, 1.0),) * 3  # as in the first layer
     white, windows = np.array([0.0, 1.0, 0.0]), 3 * recipe.side**2
-    goal = LayerGoal(recipe.level_pool, recipe.parent_patches, recipe.ridge, noise, white, windows, recipe.coarse_chroma)
+    pools = (recipe.level_pool, recipe.parent_patches)
+    goal = LayerGoal(*pools, recipe.ridge, noise, white, windows, recipe.coarse_chroma, recipe.strength_pool)
     sums = {site: _symmetric(layer, rule, site, one) for site, one in sums.items()}
     solved = dict(
         zip(sums, solve_layer(list(sums.values()), copies, rule, goal, layer.learning.equal_response), strict=True)
