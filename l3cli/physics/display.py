@@ -152,9 +152,11 @@ def displayed_xyz(linear: Array) -> Array:
 
 
 def lab(xyz: Array, white: Array) -> Array:
-    """Return CIE L*a*b* of xyz (…, 3) relative to `white` (3), in the same scale."""
-    x, y = white[0] / white.sum(), white[1] / white.sum()
-    return colour_science().XYZ_to_Lab(np.asarray(xyz) / white[1], np.array([x, y]))
+    """Return CIE L*a*b* of xyz (…, 3) relative to `white` (3), in the same scale (CIE 15)."""
+    share = np.asarray(xyz, np.float64) / white
+    root = np.where(share > (6 / 29) ** 3, np.cbrt(share), share * (29 / 6) ** 2 / 3 + 4 / 29)
+    x, y, z = np.moveaxis(root, -1, 0)
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
 
 
 def lightness(linear: Array) -> Array:
@@ -235,6 +237,9 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
     return free + np.outer(answer - free @ known, towards / (known @ towards))
 
 
+STEP = 2.0**-26  # of slopes: the root of float64's precision
+
+
 def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
     """Return R (3, 3) that leaves `white` (3) as it is, for which the squares of CIEDE2000 between R @ xyz and `wanted`,
     both (surface, 3), are least near the unit matrix."""
@@ -242,10 +247,14 @@ def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
 
     goal, free = lab(wanted, white), np.linalg.svd(white[None])[2][1:]  # directions (2, 3) that white has nothing of
 
-    def turned(change: Array) -> Array:
-        return np.eye(3) + change.reshape(3, 2) @ free
+    def turned(changes: Array) -> Array:
+        return np.eye(3) + changes.reshape(-1, 3, 2) @ free
 
-    def error(change: Array) -> float:  # of squares, since those are smooth where a surface is met
-        return float(np.square(delta_e_2000(lab(xyz @ turned(change).T, white), goal)).mean())
+    def errors(changes: Array) -> Array:  # of squares, since those are smooth where a surface is met
+        return np.square(delta_e_2000(lab(xyz @ turned(changes).swapaxes(1, 2), white), goal)).mean(axis=1)
 
-    return turned(minimize(error, np.zeros(6), method="BFGS", options={"gtol": PRECISION}).x)
+    def sloped(change: Array) -> tuple[float, Array]:  # all neighbours at once, in a fifth of the time
+        first, *near = errors(change + np.vstack([np.zeros(6), STEP * np.eye(6)]))
+        return float(first), (np.array(near) - first) / STEP
+
+    return turned(minimize(sloped, np.zeros(6), jac=True, method="BFGS", options={"gtol": PRECISION}).x)[0]

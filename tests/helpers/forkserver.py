@@ -21,13 +21,13 @@ from typing import Any
 from tests.helpers.paths import ROOT
 
 IMPORTS = (
-    "numpy colour h5py OpenImageIO rawpy scipy.optimize scipy.ndimage scipy.interpolate tifffile jinja2 l3cli.cli.render "
-    "l3cli.stages.rendering.render l3cli.stages.report l3cli.cli.train l3cli.cli.lab l3cli.cli.calibrate "
+    "numpy colour colour_demosaicing h5py OpenImageIO rawpy scipy.optimize scipy.ndimage scipy.interpolate tifffile jinja2 "
+    "l3cli.cli.render l3cli.stages.rendering.render l3cli.stages.report l3cli.cli.train l3cli.cli.lab l3cli.cli.calibrate "
     "l3cli.stages.training.train l3cli.stages.simulation.simulate "
     "l3cli.cli.evaluate l3cli.cli.report l3cli.cli.compare l3cli.cli.info l3cli.cli.simulate l3cli.cli.init "
     "l3cli.calibration.model l3cli.training.table l3cli.simulation.frame l3cli.simulation.procedural "
     "l3cli.rendering.reference l3cli.evaluation.evaluation l3cli.io.measurements l3cli.io.curves l3cli.simulation.lab "
-    "l3cli.calibration.figures l3cli.calibration.figures l3cli.stages.calibration l3cli.stages.lab"
+    "l3cli.calibration.figures l3cli.stages.calibration l3cli.stages.lab"
 )
 
 ENDING = (signal.SIGINT, signal.SIGTERM)
@@ -98,6 +98,7 @@ def serve() -> None:
     without_plots()
     for name in IMPORTS.split():
         __import__(name)
+    sys.modules["l3cli.physics.spectra"].reflectance_library(sys.modules["numpy"].arange(400.0, 701.0, 10.0))  # read once
     for line in sys.stdin:
         asked = json.loads(line)
         os.chdir(asked["folder"])

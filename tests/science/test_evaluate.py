@@ -119,6 +119,10 @@ def test_delta_e_is_that_of_colour_science() -> None:
     one[6, :, 1:], other[6, :, 1:] = (30, 1e-3), (30, -1e-3)
     one[7, :, 1:], other[7, :, 1:] = np.where(rng.random((2000, 1)) < 0.5, (10, 0), (-10, 0)), (10, 0)
     assert delta_e_2000(one, other) == pytest.approx(colour_science().delta_E(one, other, method="CIE 2000"), abs=1e-6)
+    colours, white = rng.uniform(-0.1, 1.2, (200, 3)) ** 3, np.array([0.96, 1.0, 0.82])
+    assert lab(3 * colours, 3 * white) == pytest.approx(
+        colour_science().XYZ_to_Lab(colours, white[:2] / white.sum()), abs=1e-9
+    )
     assert delta_e_2000(one[0, 0], other[0, 0]).shape == ()
 
 
