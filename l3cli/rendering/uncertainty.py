@@ -147,22 +147,20 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
 
 def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
     """Return the bits of a mask by the classes (class) of the first layer and of the last."""
-    rule = table.first.rule
-    clipped = rule.case(rule.split(np.arange(len(table.first.weights))).kind) > 0
-    samples = [table.first.samples, *(layer.samples for layer in table.later[-1:])]
-    flags = [np.where(each > 0, 0, UNTRAINED) for each in samples]
-    flags[0] |= np.where(clipped, CLIPPED, 0)
-    return [each.astype(np.uint8) for each in flags]
+    rule, samples = table.first.rule, [table.first.samples, *(layer.samples for layer in table.later[-1:])]
+    flags = [np.where(each > 0, 0, UNTRAINED).astype(np.uint8) for each in samples]
+    flags[0][rule.case(rule.split(np.arange(len(table.first.weights))).kind) > 0] |= CLIPPED
+    return flags
 
 
 def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
     """Return CLIPPED (row, col) where the clipped area about pixels takes the place of their transforms, and 0 elsewhere."""
-    mask = np.zeros(frame.values.shape, np.uint8)
+    none = np.zeros(frame.values.shape, np.uint8)
     if not table.later or not table.later[-1].clipping:
-        return mask
+        return none
     mosaic = mosaic_of(at_table_levels(frame, table), table)
     if mosaic.values.max() - mosaic.black_level < KEPT * (mosaic.white_level - mosaic.black_level):
-        return mask
+        return none
     means, spread = block_means(mosaic, len(table.channels))
     numbers, _, _, share = plain_blocks(means, spread)
     blocks = np.zeros_like(spread, np.uint8)
@@ -170,7 +168,7 @@ def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
     replaced = np.pad(blocks, 1, mode="edge")
     for axis, side in enumerate(block_sides(mosaic.cfa)):
         # Of the blocks on either side of a pixel, counted from the margin.
-        low = (np.arange(mask.shape[axis]) + side // 2) // side
+        low = (np.arange(none.shape[axis]) + side // 2) // side
         replaced = replaced.take(low, axis) | replaced.take(low + 1, axis)
     return replaced
 
@@ -311,7 +309,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     factors = [np.ones((size, len(measured))) for size in sizes]
     factors[0] *= measured.mean(axis=(1, 2)) / spread.mean()
     prior = PRIOR * len(last) * measured.mean(axis=(1, 2))
-    wanted = np.stack([np.bincount(cell.ravel(), np.tile(plane.ravel(), len(cell))) for plane in measured], axis=-1)
+    wanted = _summed(cell.ravel(), np.tile(measured.reshape(len(measured), -1), len(cell)).T, used.size)
     seen = [_summed(part, wanted, size) for part, size in zip(parts, sizes, strict=True)]
     # Of the mean over draws: the draw itself, and another, which stands for all others.
     alone, others = _summed(cell.ravel(), spread.reshape(-1, 1) / len(cell), used.size), 1 - 1 / len(cell)

@@ -143,7 +143,8 @@ class Unread:
 
 
 TRACKS = 2
-NO_LABELS: Mapping[int, NDArray] = {}
+Labels = Mapping[int, NDArray]  # arrays (row, col) for the classes of layers
+NO_LABELS: Labels = {}
 BEYOND = 16  # bytes behind the last pixel, which a vector may read
 
 
@@ -262,9 +263,7 @@ class OpenCLRenderer:
             self._joined = joined
         return times
 
-    def _start_outputs(
-        self, frame: RawFrame, labels: Mapping[int, NDArray] = NO_LABELS
-    ) -> tuple[NDArray[np.float32], Work]:  # fmt: skip
+    def _start_outputs(self, frame: RawFrame, labels: Labels = NO_LABELS) -> tuple[NDArray[np.float32], Work]:
         planes = np.empty((len(self.table.outputs), *frame.values.shape), np.float32)
         return planes, self._start(frame, list(planes), layout.OUTPUTS_AS_THEY_ARE, labels=labels)
 
@@ -278,7 +277,7 @@ class OpenCLRenderer:
 
     def _start(
         self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None,
-        labels: Mapping[int, NDArray] = NO_LABELS, borrow: bool = True,
+        labels: Labels = NO_LABELS, borrow: bool = True,
     ) -> Work:  # fmt: skip
         """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
         kernel `transform` with this ending writes, and `labels` (row, col), by layer, with classes. `borrow`: the frame's
