@@ -98,9 +98,9 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
     signal, widest = np.zeros_like(own), np.zeros(numbers.size)
     for i, j in np.ndindex(3, 3):
         at = (row + i) * ranges.shape[1] + col + j
-        beside = padded.take(at, axis=1)
-        signal += (2 - abs(i - 1)) * (2 - abs(j - 1)) / 16 * beside
-        widest = np.maximum(widest, np.maximum(np.abs(beside - own).max(axis=0), ranges.take(at)))
+        neighbour = padded.take(at, axis=1)
+        signal += (2 - abs(i - 1)) * (2 - abs(j - 1)) / 16 * neighbour
+        widest = np.maximum(widest, np.maximum(np.abs(neighbour - own).max(axis=0), ranges.take(at)))
     plain = 1 - smooth_step(widest, PLAIN, TEXTURED)
     return numbers, signal, plain, plain * smooth_step(signal.max(axis=0), KEPT, REPLACED)
 

@@ -295,22 +295,21 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     layer, rule, every = table.layers[-1], table.first.rule, np.arange(len(table.layers[-1].weights))
     within, kind = layer.rule.within_site(every), rule.split(np.arange(len(table.first.weights))).kind
     axes = [layer.rule.split(every).level, within if isinstance(layer, MosaicLayer) else within[1], every]
-    cell = last.astype(np.intp)
+    size, cell = int(kind.max()) + 1 if table.later else 1, last.astype(np.intp)
     if table.later:
-        cell = cell * rule.kinds + kind[first]
+        cell = cell * size + kind[first]
     used = np.flatnonzero(np.bincount(cell.ravel()))  # classes and kinds that are together in a pixel
     number = np.zeros(used[-1] + 1, np.intp)
     number[used] = np.arange(used.size)
     cell = number[cell]
-    parts = [axis[used // rule.kinds if table.later else used] for axis in axes]
+    parts = [axis[used // size] for axis in axes]
     if table.later:
-        axes, parts = [*axes, kind], [*parts, used % rule.kinds]
-    sizes = [int(axis.max()) + 1 for axis in axes]
-    factors = [np.ones((size, len(measured))) for size in sizes]
+        axes, parts = [*axes, kind], [*parts, used % size]
+    factors = [np.ones((int(axis.max()) + 1, len(measured))) for axis in axes]
     factors[0] *= measured.mean(axis=(1, 2)) / spread.mean()
     prior = PRIOR * len(last) * measured.mean(axis=(1, 2))
     wanted = _summed(cell.ravel(), np.tile(measured.reshape(len(measured), -1), len(cell)).T, used.size)
-    seen = [_summed(part, wanted, size) for part, size in zip(parts, sizes, strict=True)]
+    seen = [_summed(part, wanted, len(factor)) for part, factor in zip(parts, factors, strict=True)]
     # Of the mean over draws: the draw itself, and another, which stands for all others.
     alone, others = _summed(cell.ravel(), spread.reshape(-1, 1) / len(cell), used.size), 1 - 1 / len(cell)
     by_others = coo_array((np.roll(spread * others, 1, 0).ravel(), (cell.ravel(), np.roll(cell, 1, 0).ravel()))).tocsr()
