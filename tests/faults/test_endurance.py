@@ -77,7 +77,8 @@ def watched(done: Callable[["subprocess.Popen[bytes]"], int], pulse: float, *com
         [*L3, *map(str, command), "--quiet"], env=env, stdout=subprocess.PIPE, start_new_session=True
     ) as run:
         while run.poll() is None:
-            if (sample := sample_of(run.pid, done(run))) and (not samples or sample.frames > samples[-1].frames):
+            frames = done(run)
+            if (not samples or frames > samples[-1].frames) and (sample := sample_of(run.pid, frames)):
                 samples.append(sample)
             time.sleep(pulse)
     assert run.returncode == 0

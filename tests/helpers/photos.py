@@ -53,12 +53,12 @@ known_cameras = functools.cache(shipped_statistics)
 
 def locating_once() -> Callable[..., Any]:
     """Return `locate` of frames.chart, which searches the same pixels once."""
-    known: dict[str, Any] = {}
+    known: dict[bytes, Any] = {}
 
-    def once(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tuple[int, int]) -> Any:
-        key = hashlib.sha256(b"".join(each.tobytes() for each in (mosaic, cfa, reflectance, np.array(grid)))).hexdigest()
+    def once(*arguments: Any) -> Any:
+        key = hashlib.sha256(b"".join(np.asarray(each).tobytes() for each in arguments)).digest()
         if key not in known:
-            known[key] = locate(mosaic, cfa, reflectance, grid)
+            known[key] = locate(*arguments)
         return known[key]
 
     return once
