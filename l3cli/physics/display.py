@@ -254,7 +254,7 @@ def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
         return np.square(delta_e_2000(lab(xyz @ turned(changes).swapaxes(1, 2), white), goal)).mean(axis=1)
 
     def sloped(change: Array) -> tuple[float, Array]:  # all neighbours at once, in a fifth of the time
-        first, *near = errors(change + np.vstack([np.zeros(6), STEP * np.eye(6)]))
-        return float(first), (np.array(near) - first) / STEP
+        first, *others = errors(change + np.vstack([np.zeros(6), STEP * np.eye(6)]))
+        return float(first), (np.array(others) - first) / STEP
 
     return turned(minimize(sloped, np.zeros(6), jac=True, method="BFGS", options={"gtol": PRECISION}).x)[0]
