@@ -147,15 +147,15 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
         return None
     moments, noise, count = sums.moments[index].copy(), sums.noise[index], sums.count[index]
     if count > 0:
-        near = [
+        neighbours = [
             (share, rule.join(other, kind))
             for distance, share in enumerate(goal.pool, start=1)
             for other in (level - distance, level + distance)
             if 0 <= other < rule.levels
         ]
         if goal.strength_pool and isinstance(rule, StructureRule):
-            near += [(goal.strength_pool, rule.join(level, other)) for other in rule.next_strengths(kind)]
-        for share, neighbour in near:
+            neighbours += [(goal.strength_pool, rule.join(level, other)) for other in rule.next_strengths(kind)]
+        for share, neighbour in neighbours:
             moments += share * sums.moments[neighbour]
             count += share * sums.count[neighbour]
         noise = noise * (count / sums.count[index])
