@@ -128,10 +128,11 @@ def values(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Inte
     return np.where(strength > 0, 1 + group * orientations + orientation, 0)
 
 
-def with_less_noise(axis: Axis, share: float) -> Axis:
+def with_less_noise(axis: Axis, share: float | NDArray[np.float64]) -> Axis:
     """Return strength edges that are as many times the noise that is left."""
     constants = axis.constants.copy()
-    constants[HEAD:] = np.rint(constants[HEAD:] * math.sqrt(share))
+    edges = constants[HEAD:] * np.sqrt(np.resize(share, constants.size - HEAD))
+    constants[HEAD:] = np.minimum(np.rint(edges), 2**31 - 1)
     return axis._replace(constants=constants)
 
 

@@ -81,8 +81,8 @@ class FurtherFeature(Feature, Protocol):
     def values(self, axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
         """Return its value (…) from window sums (…, sum) at `level` (…)."""
 
-    def with_less_noise(self, axis: Axis, share: float) -> Axis:
-        """Return the same for frames with this share of the camera's noise variance."""
+    def with_less_noise(self, axis: Axis, share: float | NDArray[np.float64]) -> Axis:
+        """Return the same for frames with this share of the camera's noise variance, or that of each level."""
 
     def turned(self, axis: Axis, transposed: bool, turns: int) -> Integers:
         """Return the value that each value (value) becomes when a patch is replaced by rot90(patch.T if transposed else

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, NoiseScale
-from l3cli.artifacts.class_rule import FurtherFeatures
+from l3cli.artifacts.class_rule import ClassRule, FurtherFeatures
 from l3cli.artifacts.plane_rules import GradientScale
-from l3cli.artifacts.table import CoarseChroma, Condition, MosaicLayer, NoiseEdges, PlaneLayer, PlaneRule, TransformTable
+from l3cli.artifacts.table import CoarseChroma, Condition, MosaicLayer, PlaneLayer, PlaneRule, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes import contrast, level
 from l3cli.classes.features import further_features
@@ -24,7 +24,8 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.correlated_lights import mired_of
 
-DETAIL = 0.25  # of a level, relative: amplitude of what a filter is to pass
+FINE, LITTLE = 1000, 1e-30  # levels among which one of like noise is sought; DN², where all clips
+LEFT = (1 / 16, 1 / 4)  # shares of noise that a filter in time leaves: noise of lower gains
 STEPS = 12  # of gains that frames are rendered at, to a doubling
 SAME_GAIN = 0.01  # relative difference
 FAR = 1.5  # times an analog gain beyond those that there are transforms for: noise is then another by what is seen
@@ -115,9 +116,10 @@ def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float
 # ------------------------------------------------------------------------------------------ analog gain, by the frame
 
 
-def gains_of(table: TransformTable) -> list[float]:
-    """Return the analog gains that a table has transforms for, increasing, that of its camera (1) among them."""
-    return sorted({1.0, *(each.noise.gain for each in table.noises if each.noise and each.noise.noise_left == 1)})
+def known_gains(table: TransformTable) -> tuple[float, float]:
+    """Return the least and the largest analog gain at which the noise of a table's camera is known; 1 is that of its own."""
+    known = table.camera.gains.analog_gain if table.camera and table.camera.gains else ()
+    return min(1.0, *known, 1.0), max(1.0, *known, 1.0)
 
 
 def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
@@ -134,9 +136,8 @@ def nearest_step(gain: float) -> float:
 
 
 def at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Return the table for frames at an analog gain over its camera's: transforms and class edges between those for the
-    gains next to it, or the outermost ones. Those for less noise than at that gain, as for lower gains, are its
-    conditions."""
+    """Return the table for frames at an analog gain over its camera's (docs/method.md#gains), with transforms for less noise
+    where that is of such a gain that the table is for, too; itself if it does not know its camera."""
     if gain == 1 or table.camera is None:
         return table
     common, *lit = (_at_gain(table.of_light(light), gain) for light in (None, *table.lights))
@@ -149,64 +150,73 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 def _at_gain(table: TransformTable, gain: float) -> TransformTable:
     """Return the same of a table of no single lights."""
-    conditions = [(each.noise, each) for each in table.noises if each.noise]
-    sets = {1.0: replace(table, conditions=())}
-    sets |= {noise.gain: table.under(each) for noise, each in conditions if noise.noise_left == 1}
-    lower = max((each for each in sets if each <= gain), default=min(sets))
-    upper = min((each for each in sets if each >= gain), default=max(sets))
-    made = _between_gains(sets, lower, upper, gain) if lower < upper else sets[lower]
-    if not lower <= gain <= upper:
-        made = with_edges_for(made, gain / lower)
-    less = [
-        Condition.of(each.first, each.later, None, NoiseScale(noise_left=at / gain))
-        for at, each in sets.items()
-        if at < CLEARLY_LESS * gain
-    ]
-    filtered = ((noise.noise_left / gain, each) for noise, each in conditions if noise.noise_left < min(1, gain))
+    usual, known = replace(table, conditions=()), [(each.noise, each) for each in table.noises if each.noise]
+    less = []
+    for at in (1.0, *(gain * left for left in LEFT if gain * left > 1)):
+        if at < CLEARLY_LESS * gain:
+            each = _equivalent(usual, at)
+            less.append(Condition.of(each.first, each.later, None, NoiseScale(noise_left=at / gain)))
+    filtered = ((noise.noise_left / gain, each) for noise, each in known if noise.noise_left < min(1, gain))
     less += [replace(each, noise=NoiseScale(noise_left=left)) for left, each in filtered]
+    return replace(_equivalent(usual, gain), conditions=tuple(less))
+
+
+def _equivalent(table: TransformTable, gain: float) -> TransformTable:
+    """Return the one set of transforms for a gain, each class with those of the level at which the camera's own noise is as
+    large beside the signal; what clips keeps its own."""
+    if gain == 1:
+        return table
     assert table.camera is not None
+    camera, exposure, span = table.camera.at_gain(gain), table.exposure, table.white_level - table.black_level
+
+    def noise(of: CameraModel, seconds: float, at: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.maximum(contrast.noise_of_grey(at, of, of.dark_signal(seconds)), LITTLE)
+
+    means = level.centres(level.inner_bounds(table.first.rule, table.black_level, table.white_level))
+    levels = level.unclipped_level(means, camera.sensitivity) / camera.sensitivity.mean()
+    fine = np.geomspace(levels[0], levels[-1], FINE)
+    ours, usual = noise(camera, exposure / gain, levels), noise(table.camera, exposure, levels)
+    alike = np.interp(levels**2 / ours, fine**2 / noise(table.camera, exposure, fine), fine)
+    # Levels of more noise than signal are hardly trained; what would be one of them takes the darkest that is.
+    alike = np.maximum(alike, levels[min(int((levels * span < np.sqrt(usual)).sum()), levels.size - 1)])
+    place = np.interp(np.log(alike), np.log(levels), np.arange(levels.size))
+    brighter = np.sqrt(ours / noise(table.camera, exposure, alike))
+    dark = (noise(camera, exposure / gain, np.zeros(1)) / noise(table.camera, exposure, np.zeros(1)))[0]
+    later = []
+    for layer in table.later:
+        scale = layer.rule.gradient_factor / 2.0**layer.rule.gradient_shift
+        scale = np.exp(np.interp(place, np.arange(levels.size), np.log(scale))) / brighter
+        if layer.coarse_chroma:
+            layer = replace(layer, coarse_chroma=CoarseChroma(layer.coarse_chroma.variance * [dark, gain, 1.0]))
+        later.append(_at_levels(layer, table.cfa.size, place, brighter).scaled_as(GradientScale.of(scale)))
+    first = replace(table.first, rule=_with_edges(table.first.rule, ours / usual))
     return replace(
-        made,
-        camera=table.camera.at_gain(gain),
+        table,
+        first=_at_levels(first, table.cfa.size, place, brighter),
+        later=tuple(later),
+        camera=camera,
         output_unit=table.output_unit / gain,
-        exposure=table.exposure / gain,
-        conditions=tuple(less),
+        exposure=exposure / gain,
+        conditions=(),
     )
 
 
-def _between_gains(sets: dict[float, TransformTable], lower: float, upper: float, gain: float) -> TransformTable:
-    """Return the transforms between those for two gains of a table's sets, mixed in each class by the share of detail that a
-    Wiener filter passes at its level, and class edges between theirs in logarithms (docs/method.md#gains)."""
-    table, one, other = sets[1.0], sets[lower], sets[upper]
-    assert table.camera is not None
-    levels = level.centres(level.inner_bounds(table.first.rule, table.black_level, table.white_level))
-    amplitude = DETAIL * levels * (table.white_level - table.black_level)
-    passed = []
-    for at in (lower, gain, upper):
-        camera = table.camera.at_gain(at)
-        noise = contrast.noise_of_grey(levels, camera, camera.dark_signal(table.exposure / at))
-        passed.append(1 / (1 + noise / amplitude**2))
-    share = np.clip((passed[0] - passed[1]) / np.maximum(passed[0] - passed[2], 1e-12), 0.0, 1.0)
-    of_class = [layer.rule.split(np.arange(len(layer.weights))).level for layer in table.layers]
-    steps = [getattr(layer.rule, "level_step", 1) for layer in table.layers]
-    made = _mixed_layers(one, one, other, [share[each * step] for each, step in zip(of_class, steps, strict=True)])
-    of_edges = np.log(gain / lower) / np.log(upper / lower)
-
-    def between(some: NDArray[Any], others: NDArray[Any]) -> NDArray[np.float64]:
-        """Return the values between in logarithms where both are above zero; elsewhere the first."""
-        known = (some > 0) & (others > 0)
-        logs = [np.log(np.where(known, each, 1).astype(np.float64)) for each in (some, others)]
-        return np.where(known, np.exp((1 - of_edges) * logs[0] + of_edges * logs[1]), some)
-
-    edges = [NoiseEdges.of(each.first, each.later) for each in (one, other)]
-    scales = [[each.gradient_factor / 2.0**each.gradient_shift for each in every.gradients] for every in edges]
-    coarse = [each.coarse_chroma.variance for each in edges if each.coarse_chroma]
-    return NoiseEdges(
-        np.rint(between(*(each.contrast_edges for each in edges))).astype(np.uint32),
-        np.rint(between(*(each.constants for each in edges))).astype(np.int32),
-        tuple(GradientScale.of(between(*pair)) for pair in zip(*scales, strict=True)),
-        CoarseChroma(between(*coarse)) if coarse else None,
-    ).within(made)
+def _at_levels(layer: Any, sites: int, place: NDArray[np.float64], brighter: NDArray[np.float64]) -> Any:
+    """Return a layer of an array of so many `sites` whose classes where nothing clips have the transforms of other levels:
+    each level of the first layer those at `place` (level), intercepts as many times `brighter` (level)."""
+    rule, first = layer.rule, isinstance(layer, MosaicLayer)
+    every, numbers = np.arange(len(layer.weights)), np.arange(place.size)
+    there, own = rule.split(every), numbers if first else np.asarray(rule.level_of(numbers))
+    middle, to, times = (np.bincount(own, each) / np.bincount(own) for each in (numbers, place, np.log(brighter)))
+    clips = np.asarray(there.kind) >= (rule.chromas if first else rule.structures)
+    to = np.where(clips, there.level, np.interp(to, middle, np.arange(middle.size))[there.level])
+    low, step = to.astype(np.int64), every.size // (sites * middle.size)  # classes of a level lie together
+    ends = [every + step * (each - there.level) for each in (low, np.ceil(to).astype(np.int64))]
+    weights, intercept = (
+        _between(values[ends[0]], values[ends[1]], to - low) for values in (layer.weights, layer.intercept)
+    )
+    factor = np.where(clips, 1.0, np.exp(times)[there.level])[:, None].astype(np.float32)
+    return replace(layer, weights=weights, intercept=intercept * factor, bias=None)
 
 
 # ---------------------------------------------------------------------------------------------- noise, by the pixel
@@ -281,10 +291,7 @@ class NoiseSets:
 def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     """Return the table for frames with this share of the camera's noise variance: class edges that follow noise, but not
     trees, are scaled, so that detail that noise would hide differs from flat areas again; transforms stay as learned."""
-    rule = table.first.rule
-    axes = tuple(feature.with_less_noise(axis, share) for feature, axis in further_features(rule))
-    features = FurtherFeatures.of(axes) if axes else None
-    first = replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=features)
+    first = _with_edges(table.first.rule, share)
 
     def scaled(layer: PlaneLayer) -> PlaneLayer:
         layer = layer.with_noise(share)
@@ -297,7 +304,14 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     return replace(table, first=replace(table.first, rule=first), later=later, conditions=())
 
 
-def _scaled(edges: NDArray[np.uint32], share: float) -> NDArray[np.uint32]:
+def _with_edges(rule: ClassRule, share: float | NDArray[np.float64]) -> ClassRule:
+    """Return a rule whose edges that follow noise are for this share of its variance, or that of each level."""
+    axes = tuple(feature.with_less_noise(axis, share) for feature, axis in further_features(rule))
+    features = FurtherFeatures.of(axes) if axes else None
+    return replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=features)
+
+
+def _scaled(edges: NDArray[np.uint32], share: float | NDArray[np.float64]) -> NDArray[np.uint32]:
     """Return edges (edge, …) times a share; they still increase."""
     least = np.arange(len(edges)).reshape(-1, *[1] * (edges.ndim - 1))
-    return np.maximum(np.rint(edges * share), least).astype(np.uint32)
+    return np.clip(np.rint(edges * share), least, 2**32 - 1).astype(np.uint32)

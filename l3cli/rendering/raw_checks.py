@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.raw_sanity import phase_doubt
-from l3cli.rendering.conditions import FAR, gains_of
+from l3cli.rendering.conditions import FAR, known_gains
 from l3cli.rendering.exposure import RangeMeter
 
 BEYOND = 1.5  # times the white level: no saturated pixel lies so far above
@@ -149,16 +149,22 @@ def other_phase(frame: RawFrame, table: TransformTable) -> str:
 
 
 def other_gain(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning of an analog gain that a table has no transforms near to; else ""."""
-    gains = gains_of(table)
-    ratio = min(max(frame.gain, gains[0]), gains[-1]) / frame.gain
-    if 1 / FAR < ratio < FAR:
+    """Return a warning of an analog gain at which noise is not known, or too large for the levels; else ""."""
+    if frame.gain == 1:
         return ""
-    there = f"gains {gains[0]:g} to {gains[-1]:g}" if len(gains) > 1 else "the gain of its camera alone"
-    return (
-        f"its analog gain is {frame.gain:.3g} times that of the table's camera; the table has transforms for {there}, "
-        f"which take noise for {ratio:.3g} times what it is; name it among learning.gains and train again"
-    )
+    its = f"its analog gain is {frame.gain:.3g} times that of the table's camera"
+    if table.camera is None:
+        return f"{its}, whose noise the table does not know, as it is of an older l3; train it again"
+    there, (least, most) = table.camera.at_gain(frame.gain), known_gains(table)
+    deviation = float(np.sqrt(np.max(there.noise_terms(channel=np.arange(len(there.channels)))[0])))
+    if deviation > there.black_level:
+        return (
+            f"{its}: noise in the dark is {deviation:.0f} DN, more than the black level of {there.black_level:.0f} DN; "
+            "values below 0 are cut off, and the dark becomes too bright"
+        )
+    if least != most and not least / FAR < frame.gain < most * FAR:
+        return f"{its}, whose read noise is known for {least:.3g} to {most:.3g}; that of the nearest is taken"
+    return ""
 
 
 def odd_exposure_time(seconds: float | None, table: TransformTable) -> str:

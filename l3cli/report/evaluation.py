@@ -117,8 +117,8 @@ BAND_MEANINGS = (
     "being the 99th percentile of the target's mean output; SSIM is the mean over the outputs."
 )
 GAIN_MEANING = (
-    "Gains are those that the table has transforms for. A few frames under each light are exposed again at each, as much "
-    "shorter as it is higher, with the camera's noise there."
+    "At these gains the noise of the table's camera is known. A few frames under each light are exposed again at each, as "
+    "much shorter as it is higher, with the camera's noise there."
 )
 
 ERROR_KEY = (  # of the error map's colours, as evaluation draws them

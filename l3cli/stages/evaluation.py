@@ -36,7 +36,7 @@ from l3cli.io.sequences import find_pictures, paired, picture_files, require_ali
 from l3cli.options.commands import EvaluateOptions, SequenceOptions
 from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
-from l3cli.rendering.conditions import FAR, Mix, at_gain, described, gain_of_frames, gains_of, mix_for, mixed
+from l3cli.rendering.conditions import FAR, Mix, at_gain, described, gain_of_frames, known_gains, mix_for, mixed
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
@@ -197,15 +197,18 @@ def document_of(
     return evaluation.document(by_gain) | {"standards": standard_figures(head.camera, head.outputs, planes)}
 
 
+GAINS = (1.0, 4.0, 16.0, 64.0)  # analog gains that a table is judged at
+
+
 def for_frames(
     table: tuple[object, TransformTable], frames: tuple[object, CameraModel], console: Console
 ) -> tuple[TransformTable, str]:
     """Return a table at the analog gain of the frames that it is judged on; both are given with the name of their file. Warn
     if these are of another camera than it was trained for, and return the warning, too, else ""."""
     (name, transforms), (other, camera) = table, frames
-    gain, gains = gain_of_frames(transforms, camera), gains_of(transforms)
+    gain, (least, most) = gain_of_frames(transforms, camera), known_gains(transforms)
     made = at_gain(transforms, gain)
-    known = len(gains) > 1 and gains[0] / FAR < gain < gains[-1] * FAR
+    known = least / FAR < gain < most * FAR
     if not (differences := unlike(made if known else transforms, camera)):
         return made, ""
     text = (
@@ -224,9 +227,10 @@ def figures_by_gain(
     viewing: float = VIEWING,
     border: int | None = None,
 ) -> list[dict[str, Any]]:
-    """Return the figures of a few simulated frames under each light at each analog gain that a table has transforms for, as
-    `Evaluation.document` has them; none if that is one gain, or all frames are real."""
-    gains, lights = gains_of(table), dict[str, list[int]]()
+    """Return the figures of a few simulated frames under each light at each of GAINS for which the noise of a table's camera
+    is known, as `Evaluation.document` has them; none if that is one gain, or all frames are real."""
+    least, most = known_gains(table)
+    gains, lights = [gain for gain in GAINS if least <= gain <= most], dict[str, list[int]]()
     for index in range(reader.simulated if len(gains) > 1 else 0):
         lights.setdefault(reader.light(index).illuminant, []).append(index)
     chosen = [index for indices in lights.values() for index in indices[:: -(-len(indices) // FEW)]]

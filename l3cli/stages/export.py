@@ -15,7 +15,7 @@ from l3cli.export.profiles import ALWAYS, file_names
 from l3cli.export.source import PREFIX, c_files
 from l3cli.options.commands import ExportOptions
 from l3cli.physics.display import XYZ
-from l3cli.rendering.conditions import at_gain, gains_of, mix_for, mixed, noise_limits
+from l3cli.rendering.conditions import at_gain, known_gains, mix_for, mixed, noise_limits
 from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import given_white
 from l3cli.stages.rendering.render import mix_of_given
@@ -90,13 +90,10 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
             raise RecipeError(f"{table} has transforms of no single lights to be mixed for a ‹white›; leave it out")
         if white is not None or form != "folder":  # arrays hold all lights
             transforms = mixed(transforms, mix_of_given(white, transforms, mix_for, console))
-        gains = gains_of(transforms)
         if options.gain is not None:
             transforms = at_gain(transforms, options.gain)
-        elif len(gains) > 1 and form != "folder":
-            console.report(
-                f"{table}: transforms for gain 1 are written, ‹gain› writes those for others, {gains[-1]:g} at most"
-            )
+        elif known_gains(transforms) != (1, 1):
+            console.report(f"{table}: transforms for gain 1 are written, ‹gain› writes those for another")
         shown, readme = given_white(white, transforms), ""
         low = next((each for each in transforms.noises if each.noise and each.noise.noise_left < 1), None)
         if which == "low-noise" and low is None:

@@ -175,9 +175,6 @@ def _contents(camera: PhotoCamera) -> dict[str, bytes]:
     for line, value in (("PHOTO ?=\n", shown), ("WHITE ?=\n", camera.light), ("RENDER ?=\n", known)):
         assert line in makefile
         makefile = makefile.replace(line, f"{line.rstrip()} {value}\n" if value else line)
-    common["classes.toml"] = common["classes.toml"].replace(
-        b"[learning]\n", f"[learning]\n{camera.learning_gains()}".encode()
-    )
     texts = {"camera.toml": camera.recipe(), CURVES: camera.curve_file(), "Makefile": makefile}
     return common | {name: text.encode() for name, text in texts.items()}
 

@@ -1,7 +1,7 @@
 """Class and learning recipes (configs/classes)."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
@@ -26,8 +26,6 @@ MOST_OF_HIGHLIGHTS = 0.5  # where highlights begin: darker than that are the dar
 LEAST_SENSITIVE = 1 / 16  # of channels, relative: beyond, planes do not hold both dark and light (docs/method.md#exposures)
 LEAST_BETWEEN = 1 / 4  # the same where a layer between reads planes, in 16 bits (docs/method.md#planes)
 LEAST_STEP = 0.001  # between such edges, which are stored as integers
-APART = 4.001  # times, of gains between which transforms are mixed (docs/method.md#gains)
-MOST_GAIN = 1024  # and its inverse, over the camera's
 ErrorPower = Annotated[float, msgspec.Meta(ge=0, le=0.5)]
 MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
 
@@ -36,7 +34,10 @@ class LearningRecipe(Recipe):
     """Recipe by which the transforms of the classes are learned (docs/method.md#training). Levels are shares of full
     scale."""
 
-    former: ClassVar[Mapping[str, str]] = {"per_light": 'the lights, lights = ["A", "D65"]'}
+    former: ClassVar[Mapping[str, str]] = {
+        "per_light": 'the lights, lights = ["A", "D65"]',
+        "gains": "nothing, as a table renders frames of any analog gain",
+    }
 
     patches: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 60000  # patches a canonical CFA position, over all frames
     draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (docs/method.md#level-rescaling)
@@ -54,8 +55,6 @@ class LearningRecipe(Recipe):
     # share of the noise over time for which a second set of transforms is learned, for pixels of which --temporal has left
     # little noise (docs/method.md#noise-sets); 0: none
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
-    # analog gains over the camera's for which transforms are learned, 1 among them (docs/method.md#gains)
-    gains: tuple[Annotated[float, msgspec.Meta(ge=1 / MOST_GAIN, le=MOST_GAIN)], ...] = (1.0,)
     # lights of the training for each of which transforms are learned besides those of all, as its frames name them; the
     # white of a scene chooses (docs/method.md#several-lights)
     lights: tuple[str, ...] = ()
@@ -83,21 +82,7 @@ class LearningRecipe(Recipe):
     @property
     def noises(self) -> tuple[NoiseScale, ...]:
         """Return the noises, over the camera's, that further transforms are learned for."""
-        gains = tuple(map(NoiseScale, learned_gains(self.gains)))
-        return (*gains, NoiseScale(noise_left=self.noise_left)) if self.noise_left else gains
-
-
-def learned_gains(gains: Sequence[float]) -> list[float]:
-    """Return those of `gains`, but 1, that transforms are learned for: as few as lie within APART of one another."""
-    made = []
-    for side in (sorted(gain for gain in gains if gain > 1), sorted((gain for gain in gains if gain < 1), reverse=True)):
-        last = 1.0
-        for number, gain in enumerate(side):
-            following = side[number + 1] if number + 1 < len(side) else None
-            if following is None or max(following / last, last / following) > APART:
-                made.append(gain)
-                last = gain
-    return sorted(made)
+        return (NoiseScale(noise_left=self.noise_left),) if self.noise_left else ()
 
 
 class LayerRecipe(Recipe):
@@ -189,22 +174,9 @@ def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
     learning = msgspec.structs.replace(
         learning, patches=-(-learning.patches * 3 // 10), draws=-(-learning.draws // 3),
         first_draws=-(-learning.first_draws // 3), luminance_noise=last.luminance_noise, chroma_noise=last.chroma_noise,
-        noise_left=0.0, gains=(1.0,), lights=(),
+        noise_left=0.0, lights=(),
     )  # fmt: skip
     return msgspec.structs.replace(recipe, learning=learning, layer=())
-
-
-def beyond_black_level(learning: LearningRecipe, camera: CameraModel) -> Iterator[str]:
-    """Yield a warning of the lowest gain at which a camera's noise in the dark reaches down to 0 DN."""
-    for noise in sorted(learning.noises, key=lambda each: each.gain):
-        there = camera.under(noise)
-        deviation = float(np.sqrt(np.max(there.noise_terms(channel=np.arange(len(there.channels)))[0])))
-        if noise.gain > 1 and deviation > there.black_level:
-            yield (
-                f"at gain {noise.gain:g} noise in the dark is {deviation:.0f} DN, more than the black level of "
-                f"{there.black_level:.0f} DN: values below 0 are cut off, and the dark becomes too bright; name lower gains"
-            )
-            return
 
 
 def require_one_go(learning: LearningRecipe) -> None:
@@ -221,10 +193,6 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
     if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:
         keys = ("learning.darkest", "learning.highlight_from", "learning.brightest")
         yield fault("learning needs 0 ≤ darkest < highlight_from < brightest", *keys)
-    if 1 not in recipe.gains:
-        yield fault("learning.gains are over the camera's, whose own, 1, is one", "learning.gains")
-    if learned_gains(recipe.gains) and recipe.noise == "none":
-        yield fault('learning.gains differ in noise, and learning.noise is "none"', "learning.gains", "learning.noise")
     if recipe.noise_left and recipe.noise == "none":
         yield fault('learning.noise_left has no noise to leave a share of where noise is "none"', "learning.noise_left")
     if recipe.lights and len(set(recipe.lights)) < max(2, len(recipe.lights)):

@@ -270,7 +270,7 @@ def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]
 
 def passes_of(usual: TrainingPass, recipe: TrainingRecipe) -> list[TrainingPass]:
     """Return the usual pass, and those beside it for each other noise that the recipe wants."""
-    return [usual, *(at_noise(usual, noise, recipe) for noise in recipe.learning.noises)]
+    return [usual, *(at_noise(usual, noise, recipe.classes) for noise in recipe.learning.noises)]
 
 
 def with_noises(usual: TransformTable, tables: Sequence[TransformTable], noises: Sequence[NoiseScale]) -> TransformTable:

@@ -8,25 +8,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import NoiseScale
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
-from l3cli.classes.rule import make_rule
+from l3cli.classes.rule import ClassRecipe, make_rule
 from l3cli.classes.windows import neighbourhoods
 from l3cli.physics.display import XYZ
 from l3cli.physics.spectra import is_spectrum
 from l3cli.training.goal import Goal, goal_of
-from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_noise
+from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import empty_sums
 from l3cli.training.symmetry import site_maps, stabilisers
 
-# Shares that transforms for another gain are learned from (docs/method.md#gains): of patches; of the levels that each is
-# drawn at, as other patches tell more than the same ones once more; of mosaics.
-PATCHES, DRAWS, MOSAICS = 3 / 5, 1 / 3, 1 / 5
 FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (docs/method.md#second-pass)
 
 
@@ -77,24 +73,12 @@ class TrainingPass:
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
 
 
-def at_noise(pass_: TrainingPass, noise: NoiseScale, recipe: TrainingRecipe) -> TrainingPass:
+def at_noise(pass_: TrainingPass, noise: NoiseScale, classes: ClassRecipe) -> TrainingPass:
     """Return the pass for frames of other noise over time, by the class edges that follow it (docs/method.md#noise-sets)."""
-    camera, exposure = pass_.head.camera.under(noise), pass_.exposure / noise.gain  # that gives as many DN
-    made = make_rule(recipe.classes, camera, pass_.rule.case_of_code, dark=camera.dark_signal(exposure))
+    camera = pass_.head.camera.under(noise)
+    made = make_rule(classes, camera, pass_.rule.case_of_code, dark=camera.dark_signal(pass_.exposure))
     rule = replace(pass_.rule, contrast_edges=made.contrast_edges, features=made.features)
-    learning, patches = for_noise(recipe, camera).learning, pass_.patches
-    if noise.gain != 1:
-        draws = {name: math.ceil(getattr(learning, name) * DRAWS) for name in ("draws", "first_draws")}
-        learning = msgspec.structs.replace(learning, **draws)
-        patches = tuple(math.ceil(each * PATCHES) for each in patches)
-    return replace(
-        pass_, head=replace(pass_.head, camera=camera), rule=rule, recipe=learning, exposure=exposure, patches=patches
-    )
-
-
-def few_of(mosaics: int, noise: NoiseScale) -> int:
-    """Return the part of a number of mosaics that transforms for a noise are learned from."""
-    return mosaics if noise.gain == 1 else math.ceil(mosaics * MOSAICS)
+    return replace(pass_, head=replace(pass_.head, camera=camera), rule=rule)
 
 
 def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fraction] | None) -> tuple[int, ...]:

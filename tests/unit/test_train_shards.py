@@ -184,7 +184,7 @@ def test_three_layers_have_the_same_bytes_in_shards(
     monkeypatch.setattr(learn, "LAYER_ROWS", 2000)  # two of the refinement layers, too
     training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
     (tmp_path / "classes.toml").write_text(
-        THREE_LAYERS.replace("levels = 4", "levels = 2").replace("draws = 2\n", "draws = 2\ngains = [1, 8]\n")
+        THREE_LAYERS.replace("levels = 4", "levels = 2").replace("draws = 2\n", "draws = 2\nnoise_left = 0.25\n")
     )
     run = (training, "--classes", tmp_path / "classes.toml", "--seed", 5)
     for name, jobs in (("whole", 1), ("whole2", 2)):

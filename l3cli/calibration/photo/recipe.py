@@ -64,12 +64,6 @@ class PhotoCamera:
             lines += [f"gains = [{gains}] # {source}", f"read_noise_e = [{noises}] # {source}"]
         return "\n".join(lines) + "\n"
 
-    def learning_gains(self) -> str:
-        """Return the line of a class recipe that has transforms learned for all gains; nothing if there is one."""
-        if not self.gains:
-            return ""
-        return f"gains = [{', '.join(f'{gain:g}' for gain in sorted({1.0, *(gain for gain, _ in self.gains)}))}]\n"
-
     @property
     def name(self) -> str:
         return self.stated.camera or self.body.name

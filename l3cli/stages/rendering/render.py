@@ -27,7 +27,7 @@ from l3cli.io.video import USUAL_RATE, Pacing
 from l3cli.options.render import RenderOptions
 from l3cli.physics.display import TONES
 from l3cli.physics.spaces import REC2020
-from l3cli.rendering.conditions import Mix, described, gains_of, mixed, nearest_for
+from l3cli.rendering.conditions import Mix, described, known_gains, mixed, nearest_for
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.raw_checks import odd_exposure_time
@@ -261,8 +261,8 @@ def mix_of_first(
 
 def gain_of_first(table: TransformTable, sequence: FrameSequence, console: Console) -> float | None:
     """Return the analog gain that is estimated from the noise of the first of the frames, for all that do not state theirs;
-    None where the first does, the table has transforms for one gain alone, or there is no estimate."""
-    if table.camera is None or len(gains_of(table)) == 1:
+    None where the first does, the noise of the table's camera is known at one gain alone, or there is no estimate."""
+    if table.camera is None or known_gains(table) == (1, 1):
         return None
     if sequence.what == STDIN_NAME:
         console.warn("the gain of frames on stdin is not estimated, but taken for 1; give ‹gain›")

@@ -4,11 +4,9 @@
 import itertools
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import NoiseScale
 from l3cli.artifacts.table import Condition, SceneLight, TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.errors import InputFileError, suggestion
@@ -19,7 +17,7 @@ from l3cli.stages.training.refinement_layers import learn_refinement_layers
 from l3cli.stages.training.run import TrainingRun, TrainingSource
 from l3cli.system.console import Silent
 from l3cli.training.table import passes_of, with_noises
-from l3cli.training.training_pass import TrainingPass, few_of, spread_patches
+from l3cli.training.training_pass import TrainingPass, spread_patches
 
 SAME_LIGHT = 1e-3  # relative difference of whites that are of one light, as spectra of one name give them
 
@@ -46,17 +44,9 @@ def _with_noises(
     """Return the usual table, which a run has learned, with transforms for each other noise that the recipe wants."""
     made = []
     for noise, each in zip(run.recipe.learning.noises, passes_of(pass_, run.given)[1:], strict=True):
-        few = run_for(run, noise)
         execution.console.info(f"transforms for {noise}")
-        made.append(learn_refinement_layers(few, learn_first(few, each, execution), execution, like=like))
+        made.append(learn_refinement_layers(run, learn_first(run, each, execution), execution, like=like))
     return with_noises(usual, made, run.recipe.learning.noises)
-
-
-def run_for(run: TrainingRun, noise: NoiseScale) -> TrainingRun:
-    """Return the run with as many mosaics as transforms for a noise are learned from: fewer for another gain."""
-    layers = tuple(msgspec.structs.replace(each, mosaics=few_of(each.mosaics, noise)) for each in run.recipe.layer)
-    given, recipe = (msgspec.structs.replace(each, layer=layers) for each in (run.given, run.recipe))
-    return replace(run, given=given, recipe=recipe)
 
 
 def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:

@@ -178,9 +178,7 @@ def _common_head(training: tuple[Path, ...], noisy: bool) -> tuple[TrainingSet, 
         with open_training_set(path) as reader:
             frames.append(len(reader))
             if reader.has_pairs and not noisy:
-                raise InputFileError(
-                    f"{path} holds real pairs, whose noise is what it is; leave out learning.noise_left and learning.gains"
-                )
+                raise InputFileError(f"{path} holds real pairs, whose noise is what it is; leave out learning.noise_left")
             if head is None:
                 head = reader.head
             elif not equal(head, reader.head):

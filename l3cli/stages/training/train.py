@@ -26,7 +26,7 @@ from l3cli.options.commands import ShardOptions, TrainOptions
 from l3cli.parallel import workers
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import parse_recipe
-from l3cli.stages.training.conditions import learn_conditions, run_for, runs_by_light
+from l3cli.stages.training.conditions import learn_conditions, runs_by_light
 from l3cli.stages.training.passes import Execution, first_pass, learn_first, pass_of, sum_unit, summed
 from l3cli.stages.training.refinement_layers import (
     layer_mosaics,
@@ -39,7 +39,7 @@ from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun, cached_fo
 from l3cli.system.console import Console
 from l3cli.system.outputs import Made, OutputGuard, before_work
 from l3cli.training.layers.learn import LayerPass, add_sums, no_sums
-from l3cli.training.recipe import TrainingRecipe, beyond_black_level, draft_of, layer_faults, require_one_go
+from l3cli.training.recipe import TrainingRecipe, draft_of, layer_faults, require_one_go
 from l3cli.training.sums import empty_sums
 from l3cli.training.table import add_up, assemble, by_noise, finished_layer, layer_pass, learn_site, passes_of, with_noises
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, frame_blocks
@@ -69,8 +69,6 @@ def execution_of(
             training = tuple(path.absolute() for path in training)  # for workers elsewhere
         run = open_run(training, options)
         runs_by_light(run)  # refused before any work
-        for text in beyond_black_level(run.recipe.learning, run.head.camera):
-            options.console.warn(text)
         frames = sum(source.frames for source in run.training)
         made = Made(output, f"{what} of {sum(run.patches)} patches in {frames} frames")
         before_work({"training sets": training, "class recipe": [classes] if classes else []}, made)
@@ -257,8 +255,7 @@ def write_layer_shard(
     layer = _layer(table, run)
     rule = layer_rule(run, layer, execution)
     index, count = shard
-    runs = (run, *(run_for(run, noise) for noise in run.recipe.learning.noises))
-    layers = [_layer(*each) for each in zip(by_noise(table), runs, strict=True)]
+    layers = [_layer(each, run) for each in by_noise(table)]
     rules = [rule, *(layer_rule(run, each, execution, like=rule) for each in layers[1:])]
     sets = [
         summed_layer(run, each, rule, each.blocks[index - 1 :: count], execution)

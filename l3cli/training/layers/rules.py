@@ -22,7 +22,7 @@ from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import plane_evidence
 from l3cli.classes.tree import EVERY, Evidence, turned_tests
 from l3cli.training.layers.learn import LayerPass
-from l3cli.training.layers.mosaics import LARGEST_SIDE, Floats, mosaics_of, sheets_of
+from l3cli.training.layers.mosaics import Floats, mosaics_of, sheets_of
 from l3cli.training.layers.rows import row_weights
 from l3cli.training.symmetry import orientations
 
@@ -200,7 +200,10 @@ def _error(sums: Array) -> Array:
     return np.asarray((left * left).sum(axis=(-2, -1)))
 
 
-PILOT_MOSAICS = 48  # over all frames, that tell how noisy the first layer's luminance is
+PILOT_MOSAICS, PILOT_SIDE = (
+    48,
+    72,
+)  # over all frames, and pixels of a side, that tell how noisy the first layer's luminance is
 BRIGHTEST = 0.8  # share of full scale up to which they tell
 FEWEST = 1000  # pixels of a level that tell
 LAB_SLOPES = (500.0, 116.0, 200.0)  # of a*, L* and b* with the planes of a white of 1
@@ -209,7 +212,7 @@ LAB_SLOPES = (500.0, 116.0, 200.0)  # of a*, L* and b* with the planes of a whit
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
     """Return, for every frame whose index, `first` being that of the first, is a multiple of `every`, sums of squared
     differences that noise makes between pixels two apart of the luminance, and their number (2, level)."""
-    see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=LARGEST_SIDE), []
+    see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=PILOT_SIDE), []
     brightest = BRIGHTEST * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
     for index, frame in enumerate(frames, first):
         if index % every:
