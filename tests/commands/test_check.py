@@ -262,7 +262,7 @@ def test_what_classes_mean(l3: L3) -> None:
     files = json.loads(l3("check", "fiveband", "default", "--json")[1])["files"]
     classes = next(each["meaning"] for each in files if each["kind"] == "classes")
     chromas = load_recipe(CONFIGS / "classes/default.toml", TrainingRecipe).classes.chromas
-    assert [layer["classes_per_site"] for layer in classes["layers"]] == [10 * 5 * (chromas + 11), 10 * (19 + 11)]
+    assert [layer["classes_per_site"] for layer in classes["layers"]] == [10 * 5 * (chromas + 11), 10 * (28 + 11)]
     assert classes["sites"] == 16
     scenes = next(each["meaning"] for each in files if each["kind"] == "scenes")
     assert (scenes["frames"], scenes["bytes"]) == (66, 66 * 160**2 * 34)

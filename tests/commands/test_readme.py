@@ -83,7 +83,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
             r"chromas = 9": "chromas = 2",
             r"max_cases = 12": "max_cases = 3",
             r"patches = 120000": "patches = 300",
-            r"mosaics = 5400": "mosaics = 6",
+            r"mosaics = 4700": "mosaics = 6",
             r"rows = 900 ": "rows = 300 ",
         },
     }

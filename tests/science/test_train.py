@@ -412,6 +412,10 @@ def test_the_default_recipe_file_spells_out_the_built_in_default() -> None:
         error_power=0.15,
         coarse_chroma=True,
         chroma_noise=1.5,
+        strengths=(1.7, 8.0, 40.0),
+        strength_pool=0.3,
+        parent_patches=80,
+        mosaics=4700,
     )
     assert default.layer == (own,)  # powers that a layer does not name are those of [learning]
     for name in ("fast", "best"):

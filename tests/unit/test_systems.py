@@ -130,7 +130,9 @@ def test_nor_one_between_layers() -> None:
 def test_strengths_share_their_rows() -> None:
     """Those of one direction, none with the lowest: the middle one of four with its neighbours."""
     table = with_refinement(random_table([[0, 1], [1, 0]]), 3)
-    rule = replace(table.later[0].rule, strength_edges=np.array([100, 200, 300, 400], np.uint32))
+    structure = table.later[0].structure
+    assert structure is not None
+    rule = replace(structure, strength_edges=np.array([100, 200, 300, 400], np.uint32))
     taps, rng = 27, np.random.default_rng(2)
     row, col = pairs(taps + 1 + 3)
     edges = [rule.join(0, 1 + 9 * strength + 2) for strength in range(4)]
