@@ -24,15 +24,6 @@ OLDER = "quiet_sums"  # the group of those at one other noise in files of format
 
 
 @dataclass(frozen=True)
-class RowSums:
-    """Rows of the classes of a site added up without weights, for what a transform leaves of them on average."""
-
-    total: NDArray[np.float64] = data(
-        "float64", "row_class", "column", doc="sums of taps, intercept (the number of rows) and outputs"
-    )
-
-
-@dataclass(frozen=True)
 class ClassSums:
     """Sums of one canonical site over its patches. A column is a tap, the intercept or an output; rows are weighted."""
 
@@ -41,7 +32,6 @@ class ClassSums:
     )
     noise: NDArray[np.float64] = data("float64", "class", "tap", doc="noise variance of the taps")
     count: NDArray[np.float64] = data("float64", "class", doc="training patches")
-    rows: RowSums | None = group(default=None)  # None: of an older file
 
     def __post_init__(self) -> None:
         check(self)
@@ -101,7 +91,6 @@ class LayerSums:
         "float64", "plane_class", "plane_tap_pair", doc="products of what noise adds to the taps: upper triangle, row by row"
     )
     count: NDArray[np.float64] = data("float64", "plane_class", doc="training rows")
-    rows: RowSums | None = group(default=None)  # None: of an older file
 
     def __post_init__(self) -> None:
         check(self)

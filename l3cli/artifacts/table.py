@@ -30,22 +30,6 @@ COMPARED = (4, 3, 3)  # in coarse chroma: steps; planes; powers of luminance
 
 
 @dataclass(frozen=True)
-class ClassBias:
-    """Mean error of the transforms of the first layer on training patches."""
-
-    mean: NDArray[np.float32] = data("float32", "class", "output", doc="mean over the class's own patches; 0: it has none")
-
-
-@dataclass(frozen=True)
-class PlaneBias:
-    """Mean error of the transforms of a refinement layer on training rows."""
-
-    mean: NDArray[np.float32] = data(
-        "float32", "plane_class", "output", doc="mean over the class's own rows; 0: it has none"
-    )
-
-
-@dataclass(frozen=True)
 class MosaicLayer:
     """Transforms of patches of the mosaic: output = weights · (patch − black level) / full scale + intercept."""
 
@@ -56,7 +40,6 @@ class MosaicLayer:
     intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
     samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
     condition: NDArray[np.float32] = data("float32", "class", doc="condition number of the class's equations; 0: none")
-    bias: ClassBias | None = group(default=None)  # None: not known, of an older file or of mixed transforms
 
     def __post_init__(self) -> None:
         check(self)
@@ -65,8 +48,7 @@ class MosaicLayer:
 
     def pictured(self) -> "MosaicLayer":
         """Return the layer of the first three outputs alone."""
-        bias = self.bias and ClassBias(self.bias.mean[:, :3])
-        return replace(self, weights=self.weights[:, :3], intercept=self.intercept[:, :3], bias=bias)
+        return replace(self, weights=self.weights[:, :3], intercept=self.intercept[:, :3])
 
 
 @dataclass(frozen=True)
@@ -138,7 +120,6 @@ class PlaneLayer:
     tree: TreeRule | None = group(default=None)  # its classes, if by a tree
     coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma is that of the windows alone
     clipping: Clipping | None = group(default=None)  # beside coarse chroma; None: clipped areas are as classes leave them
-    bias: PlaneBias | None = group(default=None)  # as in first/
 
     def __post_init__(self) -> None:
         check(self)
@@ -450,10 +431,8 @@ class TransformTable(Artifact):
         table = condition.edges.within(self) if condition.edges else self
         return replace(
             table,
-            first=replace(table.first, **vars(condition.first), bias=None),
-            later=tuple(
-                replace(layer, **vars(each), bias=None) for layer, each in zip(table.later, condition.later, strict=True)
-            ),
+            first=replace(table.first, **vars(condition.first)),
+            later=tuple(replace(layer, **vars(each)) for layer, each in zip(table.later, condition.later, strict=True)),
             white_point=self.white_point if light is None else light.white_point,
             light=self.light if light is None else light.spectrum,
             output_unit=self.output_unit / noise.gain,

@@ -189,7 +189,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     uncertainty: OnePath = option(
         None,
-        "Of one frame, also write there the σ that noise leaves in each output, its class's bias, and a mask (.exr).",
+        "Of one frame, also write there the standard deviation that noise leaves in each output, and a mask (.exr).",
         Output(),
         metavar="FILE",
         bytes=False,

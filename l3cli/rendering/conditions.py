@@ -99,8 +99,7 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 
     def layer(of: Any, one: Any, other: Any, share: NDArray[np.float64] | float) -> Any:
         names = ("weights", "intercept")
-        mean = {name: _between(getattr(one, name), getattr(other, name), share) for name in names}
-        return replace(of, **mean, **({"bias": None} if isinstance(of, MosaicLayer | PlaneLayer) else {}))
+        return replace(of, **{name: _between(getattr(one, name), getattr(other, name), share) for name in names})
 
     later = tuple(map(layer, common.later, warm.later, cool.later, shares[1:]))
     return replace(common, first=layer(common.first, warm.first, cool.first, shares[0]), later=later)
@@ -263,13 +262,12 @@ class NoiseSets:
     def first(self) -> MosaicLayer:
         """Return the first layers, one behind the other; the rule is that of the first set."""
         names = ("weights", "intercept", "samples", "condition")
-        return self._joined(names, [replace(table.first, bias=None) for table in self.tables])
+        return self._joined(names, [table.first for table in self.tables])
 
     @functools.cached_property
     def later(self) -> tuple[PlaneLayer, ...]:
         """Return each refinement layer of all sets in the same way."""
-        without_bias = ([replace(layer, bias=None) for layer in table.later] for table in self.tables)
-        layers = zip(*without_bias, strict=True)
+        layers = zip(*(table.later for table in self.tables), strict=True)
         return tuple(self._joined(("weights", "intercept", "samples"), parts) for parts in layers)
 
     @functools.cached_property

@@ -57,7 +57,6 @@ class Uncertainty:
     """Uncertainty of a frame's outputs, upright as they are."""
 
     sigma: NDArray[np.float32]  # (row, col, output) standard deviation left by the camera's noise
-    bias: NDArray[np.float32] | None  # (row, col, output) mean error of the class in training; None: not known of the table
     mask: NDArray[np.uint8]  # (row, col) CLIPPED, UNTRAINED or both; 0: as trained
     gains: NoiseGains
 
@@ -86,11 +85,9 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     gain = 1.0 if frame.shading is None else frame.shading.gain_map(columns)
     scale = np.asarray(frame.light_share * gain, np.float32)
     gains = like.gains if like else _noise_gains(renderer, frame, outputs, scale)
-    flags, known = _flags(table), table.layers[-1].bias
+    flags = _flags(table)
     by_class, by_kind = (np.ascontiguousarray(each.T) for each in (gains.by_class, gains.by_kind))
-    by_bias = np.ascontiguousarray(known.mean.T) if known else np.empty((0, 1))
-    sigma, bias = np.empty_like(outputs), np.empty((len(by_bias), rows, columns), np.float32)
-    mask, terms = _replaced(table, frame), _noise_terms(table, frame)
+    sigma, mask, terms = np.empty_like(outputs), _replaced(table, frame), _noise_terms(table, frame)
     for first in range(0, rows, step := max(STRIP // columns, 1)):
         strip = np.s_[first : first + step]
         cells, share = [each[strip].astype(np.intp) for each in labels], scale[strip] if scale.ndim else scale
@@ -102,11 +99,8 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
             plane *= spread
             if table.later:
                 plane *= of_kind.take(cells[0])
-        for plane, of in zip(bias[:, strip], by_bias, strict=True):
-            of.take(cells[-1], out=plane, mode="clip")
-            plane *= share
-    maps = [upright(np.moveaxis(each, 0, -1), frame.orientation) for each in (sigma, bias)]
-    return Uncertainty(maps[0], maps[1] if known else None, upright(mask, frame.orientation), gains)
+    turn = frame.orientation
+    return Uncertainty(upright(np.moveaxis(sigma, 0, -1), turn), upright(mask, turn), gains)
 
 
 @dataclass(frozen=True)

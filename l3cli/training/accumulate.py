@@ -18,16 +18,7 @@ from l3cli.classes.statistics import patch_statistics, truncation
 from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
 from l3cli.training.patches import Floats, Patches, colourless_frame, expose_patches, levels_at, noise_share, patches_of
 from l3cli.training.row_weighting import TARGET_FLOOR, RowWeighting
-from l3cli.training.sums import (
-    add_products,
-    add_rounded,
-    add_rows,
-    empty_sums,
-    grid_steps,
-    pieces_of,
-    rounding_number,
-    runs_of,
-)
+from l3cli.training.sums import add_products, add_rounded, empty_sums, grid_steps, pieces_of, rounding_number, runs_of
 from l3cli.training.training_pass import BATCH, TrainingPass
 
 EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
@@ -188,7 +179,6 @@ class _Batch:
         np.multiply(target, weight[:, None], out=rows[:, taps + 1 :])
         levels = self.pass_.rule.split(np.array([index for index, _, _ in runs])).level.tolist()
         add_products(sums.moments, rows, runs, [large[level] for level in levels])
-        add_rows(sums, rows, weight, runs)
         weight = weight**2
         for index, first, last in runs:
             add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], large[0, 0])

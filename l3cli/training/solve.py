@@ -15,7 +15,7 @@ from l3cli.training.goal import Goal
 from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, steps_back, white_channels
 from l3cli.training.plain_surfaces import output_gains, single_bands, teaches
 from l3cli.training.recipe import LearningRecipe
-from l3cli.training.sums import bias_of, known_rows, moment_matrix, turned_places, turned_rows, width_of
+from l3cli.training.sums import moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import Turn
 
 Array = NDArray[np.float64]
@@ -107,7 +107,6 @@ class Solution:
     colours: Array  # (channel, channel) second moments of the channels' means over plain patches, of trace 1
     white: Array | None  # (channel) signals of white, if the training patches bear them out
     power: Array  # (class) sum of the channels' squared means over its patches and those that help it
-    rows_as_they_are: Array | None  # (class, column) sums of its patches as they are, averaged over the turns
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,6 @@ class Transforms:
     intercept: Array  # (class, output)
     samples: Array  # (class) patches of its own; 0: filled
     condition: Array  # (class)
-    bias: Array | None  # (class, output) mean over patches of its own of what it makes of them less what is wanted
 
 
 # Long: what is solved once for all classes stands before the one loop over them.
@@ -179,10 +177,7 @@ def solve(
                 rows[batch[:, None, None], np.arange(used)[:, None], wanted] = solution[..., : len(wanted)]
                 compliance[batch, number, :used] = solution[..., len(wanted) :]
                 condition[batch] = np.maximum(condition[batch], worst)
-    own = None
-    if (known := known_rows(sums)) is not None:
-        own = np.mean([turned_rows(known, turn.taps)[turn.classes] for turn in turns], axis=0)
-    about = solved, samples, condition, plain_colours(sums, rule, window), white, power, own
+    about = solved, samples, condition, plain_colours(sums, rule, window), white, power
     return Solution(rows, member @ rows, compliance, member @ compliance, *about)
 
 
@@ -240,10 +235,8 @@ def equal_responses(
         solved = fitting if fitting.any() else solved
     transforms = []
     for solution, rows in zip(solutions, constrained, strict=True):
-        filled = (rows @ back)[_nearest(solved, rule)]
-        bias = None if solution.rows_as_they_are is None else bias_of(solution.rows_as_they_are, filled)
-        filled = np.swapaxes(filled, 1, 2)
-        transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples, solution.condition, bias))
+        filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solved, rule)]
+        transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples, solution.condition))
     return transforms
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.partial_sums import ClassSums, LayerSums, RowSums
+from l3cli.artifacts.partial_sums import ClassSums, LayerSums
 from l3cli.classes import level
 from l3cli.errors import L3Error
 
@@ -41,8 +41,7 @@ def empty_sums(rule: ClassRule, outputs: int) -> ClassSums:
     """Return sums of no patches."""
     classes, taps = rule.classes_per_site, rule.patch**2
     width = taps + 1 + outputs
-    moments, rows = np.zeros((classes, width * (width + 1) // 2)), RowSums(np.zeros((classes, width)))
-    return ClassSums(moments, np.zeros((classes, taps)), np.zeros(classes), rows)
+    return ClassSums(np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps)), np.zeros(classes))
 
 
 def rounding_number(step: Array | float) -> Array:
@@ -91,46 +90,10 @@ def add_products(
         add_rounded(total[index], (block.T @ block).reshape(-1).take(place), number)
 
 
-def add_rows(
-    sums: ClassSums | LayerSums,
-    rows: NDArray[np.float32],
-    weight: NDArray[np.float32],
-    runs: list[tuple[int, int, int]],
-    columns: NDArray[np.integer] | None = None,
-) -> None:
-    """Add rows (row, column), of which each was multiplied by its `weight` (row), without weights to their classes; `runs`
-    and `columns` as of `add_products`."""
-    assert sums.rows is not None
-    large = rounding_number(STEP)
-    for index, first, last in runs:
-        total = np.reciprocal(weight[first:last]) @ rows[first:last]
-        add_rounded(sums.rows.total[index], total if columns is None else total[columns], large)
-
-
-def turned_rows(rows: RowSums, turn: NDArray[np.integer]) -> Array:
-    """Return row sums (class, column) whose first columns, the taps, are turned (tap)."""
-    return rows.total[:, np.append(turn, np.arange(turn.size, rows.total.shape[1]))]
-
-
-def bias_of(total: Array, transforms: Array) -> Array:
-    """Return the mean (class, output) of what transforms (class, tap + 1, output) make of rows of the sums `total` (class,
-    column) less what is wanted; 0 of classes without rows."""
-    used = transforms.shape[1]
-    left = np.einsum("ct,cto->co", total[:, :used], transforms) - total[:, used:]
-    return np.asarray(left / np.maximum(total[:, used - 1, None], 1))
-
-
-def known_rows(sums: ClassSums | LayerSums) -> RowSums | None:
-    """Return the sums of rows as they are; None if a file that they are of had none."""
-    return sums.rows if sums.rows and np.isfinite(sums.rows.total).all() else None
-
-
 def add(sums: ClassSums | LayerSums, more: ClassSums | LayerSums) -> None:
     """Add `more` to `sums` in place; exact, in whatever order."""
     for total, part in ((sums.moments, more.moments), (sums.noise, more.noise), (sums.count, more.count)):
         np.add(total, part, out=total)
-    if sums.rows:  # with those of an older file, that has none, they are not known
-        np.add(sums.rows.total, more.rows.total if more.rows else np.nan, out=sums.rows.total)
 
 
 def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:

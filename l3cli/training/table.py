@@ -11,7 +11,7 @@ from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums, LayerSums
 from l3cli.artifacts.schema import Stage
-from l3cli.artifacts.table import ClassBias, Condition, MosaicLayer, PlaneLayer, PlaneRule, SpectralSmoothing, TransformTable
+from l3cli.artifacts.table import Condition, MosaicLayer, PlaneLayer, PlaneRule, SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet
 from l3cli.classes.chroma import channel_shares, choose_chromas
 from l3cli.classes.decide import observe_patches
@@ -158,7 +158,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
     copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
     equal = equal_responses(list(solutions.values()), copies, rule, pass_.recipe, pass_.goal)
     transforms = dict(zip(solutions, equal, strict=True))
-    weights, intercept, samples, condition, bias = [], [], [], [], []
+    weights, intercept, samples, condition = [], [], [], []
     for site_map in maps:
         trained = transforms[site_map.canonical]
         turned = np.empty_like(trained.weights)
@@ -168,8 +168,6 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
         intercept.append(trained.intercept[classes])
         samples.append(trained.samples[classes])
         condition.append(trained.condition[classes])
-        if trained.bias is not None:
-            bias.append(trained.bias[classes])
     return TransformTable(
         history=history,
         camera_name=camera.name,
@@ -190,7 +188,6 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
             np.concatenate(intercept).astype(np.float32),
             np.concatenate(samples),
             np.concatenate(condition).astype(np.float32),
-            ClassBias(np.concatenate(bias).astype(np.float32)) if bias else None,
         ),
         exposure=pass_.exposure,
         light=pass_.light,

@@ -39,7 +39,7 @@ from l3cli.training.patches import (
 )
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
 from l3cli.training.solve import parent_of, parents_of
-from l3cli.training.sums import EXACT, STEP, bias_of, grid_steps, moment_matrix
+from l3cli.training.sums import EXACT, STEP, grid_steps, moment_matrix
 from l3cli.training.symmetry import orientations, site_maps, stabilisers
 from l3cli.training.table import add_up
 from l3cli.training.training_pass import LAST, TrainingPass
@@ -219,9 +219,6 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     parts = [sum_sites(pass_, [(index, (1,), iter([frame]))], {1: None})[1] for index, frame in enumerate(frames)]
     forward, backward = add_up(pass_, parts), add_up(pass_, parts[::-1])
     nested = add_up(pass_, [add_up(pass_, parts[1::2]), add_up(pass_, parts[::2])])
-    rows = [sums.rows.total for sums in (forward, backward, nested) if sums.rows]
-    assert len(rows) == 3
-    assert all((each == rows[0]).all() for each in rows)
     for name in ("moments", "noise", "count"):
         assert (getattr(forward, name) == getattr(backward, name)).all()
         assert (getattr(forward, name) == getattr(nested, name)).all()
@@ -247,27 +244,6 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     huge = ClassSums(forward.moments * 2.0**40, forward.noise, forward.count)
     with pytest.raises(L3Error, match="more patches than can be added exactly"):
         add_up(pass_, [huge])
-
-
-def test_bias_is_the_mean_of_what_transforms_leave_of_rows(bayer: CameraModel) -> None:
-    """Rows of weight one have sums that are a column of their moments; weights change those alone."""
-    rule = make_rule(ClassRecipe(patch=3, levels=4), bayer, np.zeros(8, np.uint16))
-    head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
-    frame, rng = a_frame(bayer, 1, smooth=False), np.random.default_rng(2)
-    totals = []
-    for power in (0.0, 1.0):
-        learning = LearningRecipe(patches=1000, draws=2, darkest=0.003, brightness_power=power, level_power=power)
-        pass_ = TrainingPass(head, (1000,), rule, learning, np.ones(3), 1, LAST)
-        sums = sum_sites(pass_, [(0, (1,), iter([frame]))], {1: None})[1]
-        assert sums.rows is not None
-        totals.append(sums.rows.total)
-        if not power:
-            assert totals[0] == pytest.approx(moment_matrix(sums.moments, 13)[:, 9], rel=1e-5, abs=1e-3)
-    assert totals[1] == pytest.approx(totals[0], rel=1e-5, abs=1e-3)
-    rows, transforms = rng.random((2, 5, 13)), rng.random((2, 10, 3))
-    rows[:, :, 9] = 1.0
-    wanted = (rows[..., :10] @ transforms - rows[..., 10:]).mean(axis=1)
-    assert bias_of(rows.sum(axis=1), transforms) == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize("outputs", [("Y",), ("b1", "b2", "b3", "b4", "b5")])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import PlaneBias, PlaneLayer, TransformTable
+from l3cli.artifacts.table import PlaneLayer, TransformTable
 from l3cli.classes.planes import opponent_basis
 from l3cli.classes.windows import window_channels
 from l3cli.errors import RecipeError
@@ -162,17 +162,6 @@ def test_maps_are_upright_and_regions_are_those_of_the_picture() -> None:
     inside = within_polygon((SIDE, SIDE), [(4.5, 4.5), (4.5, 20.5), (12.5, 20.5), (12.5, 4.5)])
     assert inside.sum() == 8 * 16
     assert turned.of_mean(upright(inside, 6)) == pytest.approx(lying.of_mean(inside), rel=1e-9)
-
-
-def test_bias_is_that_of_the_classes() -> None:
-    table = even_table(BAYER, 2)
-    frame, classes = noisy_frame(table, 0.2, 3, orientation=6), len(table.later[0].weights)
-    assert uncertainty(make_renderer("opencl", table), frame).bias is None
-    mean = np.arange(3.0 * classes, dtype=np.float32).reshape(classes, 3)
-    known = replace(table, later=(replace(table.later[0], bias=PlaneBias(mean)),))
-    renderer = make_renderer("opencl", known)
-    wanted = upright(mean[make_renderer("opencl", table).labels(frame, 1)] * np.float32(frame.light_share), 6)
-    np.testing.assert_array_equal(uncertainty(renderer, frame).bias, wanted)
 
 
 def test_large_frames_are_sampled_and_noise_is_that_of_their_gain() -> None:

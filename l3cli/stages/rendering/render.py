@@ -189,9 +189,8 @@ def write_uncertainty(
     from l3cli.rendering.uncertainty import uncertainty
 
     found = uncertainty(NoiseRenderer(options.backend, table, **engine).of_frame(frame), frame)
-    maps = {"sigma": found.sigma, **({} if found.bias is None else {"bias": found.bias})}
-    pixels = np.concatenate([*maps.values(), found.mask[..., None].astype(np.float32)], axis=2)
-    names = (*(f"{kind}.{name}" for kind in maps for name in table.outputs), "mask")
+    pixels = np.concatenate([found.sigma, found.mask[..., None].astype(np.float32)], axis=2)
+    names = (*(f"sigma.{name}" for name in table.outputs), "mask")
     write_picture(path, pixels, names)
     share = float((found.mask > 0).mean())
     options.console.info(f"{path}: written; {share:.1%} of the pixels are clipped or of classes without training patches")

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.partial_sums import LayerSums, RowSums
+from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import StructureRule
-from l3cli.artifacts.table import RATIO_TAPS, PlaneBias, PlaneLayer, PlaneRule, rule_fields
+from l3cli.artifacts.table import RATIO_TAPS, PlaneLayer, PlaneRule, rule_fields
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.planes import FixedPoint
 from l3cli.classes.refinement import label_planes
@@ -21,7 +21,7 @@ from l3cli.errors import L3Error
 from l3cli.training.layers.mosaics import Exposed, FirstLayer, Mosaics, PlaneStage, Seen, margin_of, mosaics_of, sheets_of
 from l3cli.training.layers.rows import GatheredRows, Reading, empty_sums, grid_steps, require_exact, row_weights
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
-from l3cli.training.sums import add, bias_of, known_rows, moment_matrix, turned_places, turned_rows, width_of
+from l3cli.training.sums import add, moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import orientations, site_maps, turned_structures
 from l3cli.training.systems import fits_between, solve_positive
 from l3cli.training.training_pass import LAYER_ROWS, frame_blocks
@@ -310,10 +310,8 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
         zip(sums, solve_layer(list(sums.values()), copies, rule, goal, layer.learning.equal_response), strict=True)
     )
     back = np.linalg.inv(layer.basis)
-    weights, intercept, samples, bias = [], [], [], []
+    weights, intercept, samples = [], [], []
     for site, canonical in enumerate(reading.canonical.tolist()):
-        if row_sums := known_rows(sums[canonical]):
-            bias.append(bias_of(row_sums.total, solved[canonical]) @ back)
         rows = np.swapaxes(solved[canonical] @ back, 1, 2)  # (class, output, tap + 1)
         taps = rows[..., :windows].reshape(*rows.shape[:2], 3, -1)
         turned = np.empty_like(taps)
@@ -327,7 +325,6 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
         weights=np.concatenate(weights).astype(np.float32),
         intercept=np.concatenate(intercept).astype(np.float32),
         samples=np.concatenate(samples),
-        bias=PlaneBias(np.concatenate(bias).astype(np.float32)) if bias else None,
     )
 
 
@@ -339,7 +336,6 @@ def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) ->
     window = neighbourhoods(layer.camera.cfa, layer.rule.patch, len(layer.camera.channels)).channel[site]
     alike = [number for number, turn in enumerate(orientations(layer.rule.patch)) if (window[turn] == window).all()]
     moments, noise, count = (np.zeros_like(each) for each in (sums.moments, sums.noise, sums.count))
-    rows = sums.rows and RowSums(np.zeros_like(sums.rows.total))
     for number in alike:
         turn = orientations(layer.recipe.side)[number]
         taps = np.concatenate([turn + plane * turn.size for plane in range(3)])
@@ -347,6 +343,4 @@ def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) ->
         for total, each in ((moments, sums.moments), (noise, sums.noise)):
             total[classes] += each[:, turned_places(taps, width_of(each))] / len(alike)
         count[classes] += sums.count / len(alike)
-        if rows and sums.rows:
-            rows.total[classes] += turned_rows(sums.rows, taps) / len(alike)
-    return LayerSums(moments, noise, count, rows)
+    return LayerSums(moments, noise, count)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.partial_sums import LayerSums, RowSums
+from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.table import PLANE_STEP, PlaneRule
 from l3cli.classes.refinement import mirrored, shaded_chroma, window_means
 from l3cli.classes.windows import Integers
@@ -21,7 +21,6 @@ from l3cli.training.sums import (
     EXACT,
     STEP,
     add_products,
-    add_rows,
     intercept_scale,
     pairs,
     pieces_of,
@@ -72,9 +71,8 @@ def empty_sums(rule: PlaneRule, taps: int, outputs: int) -> LayerSums:
     """Return sums of no rows."""
     classes, width = rule.classes_per_site, taps + 1 + outputs
     return LayerSums(
-        np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps * (taps + 1) // 2)), np.zeros(classes),
-        RowSums(np.zeros((classes, width))),
-    )  # fmt: skip
+        np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps * (taps + 1) // 2)), np.zeros(classes)
+    )
 
 
 def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
@@ -198,7 +196,6 @@ class GatheredRows:
             runs, weight = runs_of(rows.label[piece]), rows.weight[piece]
             values = _weighted(rows.clean.take(places, axis=0), rows.behind[piece], weight)
             add_products(sums.moments, values, runs, [large[levels[piece][first]] for _, first, _ in runs], columns)
-            add_rows(sums, values, weight, runs, columns)
             if self._noise:
                 values = _weighted(rows.noise.take(places, axis=0), rows.noise_behind[piece], weight)
                 add_products(sums.noise, values, runs, [noise_large] * len(runs), columns[: self.reading.taps])
