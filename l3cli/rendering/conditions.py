@@ -215,7 +215,7 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64], brighter: NDA
         _between(values[ends[0]], values[ends[1]], to - low) for values in (layer.weights, layer.intercept)
     )
     factor = np.where(clips, 1.0, np.exp(times)[there.level])[:, None].astype(np.float32)
-    return replace(layer, weights=weights, intercept=intercept * factor, bias=None)
+    return replace(layer, weights=weights, intercept=intercept * factor)
 
 
 # ---------------------------------------------------------------------------------------------- noise, by the pixel

@@ -209,7 +209,7 @@ def test_transforms_at_a_gain_are_those_of_as_much_noise_beside_the_signal(sever
     high = at_gain(several, 16.0)
     left = [each.noise.noise_left for each in high.conditions if each.noise]
     assert left == pytest.approx([1 / 16, 4 / 16, 0.1 / 16])
-    assert equal(high.under(high.conditions[0]).first, dataclasses.replace(several.first, bias=None))
+    assert equal(high.under(high.conditions[0]).first, several.first)
     assert equal(high.under(high.conditions[1]).first, at_gain(several, 4.0).first)
 
 
