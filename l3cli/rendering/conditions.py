@@ -28,7 +28,7 @@ FINE, LITTLE = 1000, 1e-30  # levels among which one of like noise is sought; DN
 LEFT = (1 / 16, 1 / 4)  # shares of noise that a filter in time leaves: noise of lower gains
 STEPS = 12  # of gains that frames are rendered at, to a doubling
 SAME_GAIN = 0.01  # relative difference
-FAR = 1.5  # times an analog gain beyond those that there are transforms for: noise is then another by what is seen
+FAR = 1.5  # times an analog gain beyond those at which a camera's noise is known
 CLEARLY_LESS = 0.75  # of a noise: transforms for hardly less are not worth a set
 
 Layers = TypeVar("Layers", TransformTable, Condition)
