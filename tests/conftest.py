@@ -26,9 +26,8 @@ from tests.helpers.recipes import CLASSES, SCENES, UNSEEN
 os.fsync = lambda fd: None  # nobody cuts the power, and to reach the disk takes as long as a small command
 settings.register_profile("shared machines", deadline=None, suppress_health_check=[HealthCheck.too_slow])  # not timed
 settings.load_profile("shared machines")
-with pytest.MonkeyPatch.context() as hidden:  # as in commands; half of what its import takes, for each process of the tests
-    for name in ("matplotlib", "pandas"):
-        hidden.setitem(sys.modules, name, None)
+with pytest.MonkeyPatch.context() as hidden:  # much of what its import takes, for each process of the tests
+    hidden.setitem(sys.modules, "matplotlib", None)
     colour_science()
 gc.disable()  # until tests are collected: of the many objects that this makes none is garbage
 
