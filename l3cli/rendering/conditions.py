@@ -117,8 +117,8 @@ def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float
 
 def known_gains(table: TransformTable) -> tuple[float, float]:
     """Return the least and the largest analog gain at which the noise of a table's camera is known; 1 is that of its own."""
-    known = table.camera.gains.analog_gain if table.camera and table.camera.gains else ()
-    return min(1.0, *known, 1.0), max(1.0, *known, 1.0)
+    known = [1.0, *(table.camera.gains.analog_gain.tolist() if table.camera and table.camera.gains else ())]
+    return min(known), max(known)
 
 
 def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:

@@ -18,7 +18,7 @@ from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import Condition, TransformTable
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.classes import level
+from l3cli.classes import contrast, level
 from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.io.images import read_image
 from l3cli.io.pictures.openimageio import write_mosaic
@@ -211,6 +211,20 @@ def test_transforms_at_a_gain_are_those_of_as_much_noise_beside_the_signal(sever
     assert left == pytest.approx([1 / 16, 4 / 16, 0.1 / 16])
     assert equal(high.under(high.conditions[0]).first, several.first)
     assert equal(high.under(high.conditions[1]).first, at_gain(several, 4.0).first)
+
+
+def test_no_class_takes_the_transforms_of_a_level_of_more_noise_than_signal(several: TransformTable) -> None:
+    """Such levels are hardly trained: the darkest classes at a high gain have those of the darkest level above them."""
+    assert several.camera is not None
+    rule, span = several.first.rule, several.white_level - several.black_level
+    middles = level.centres(level.inner_bounds(rule, several.black_level, several.white_level))
+    noise = contrast.noise_of_grey(middles, several.camera, several.camera.dark_signal(several.exposure))
+    darkest = int(np.argmax(middles * span >= np.sqrt(noise)))
+    assert darkest > 0
+    place, step = rule.split(np.arange(len(several.first.weights))), rule.contrasts * rule.further * rule.kinds
+    lowest = np.flatnonzero((place.level == 0) & (place.kind < rule.chromas))
+    made = at_gain(several, 16.0).first.weights[lowest]
+    np.testing.assert_allclose(made, several.first.weights[lowest + darkest * step], rtol=1e-4, atol=1e-6)
 
 
 def test_transforms_that_an_older_table_has_for_gains_do_not_count(several: TransformTable) -> None:
