@@ -15,7 +15,7 @@ FACTORS, MOST_SHIFT = (64, 127), 24  # of gradients
 DIRECTIONS = 8  # of edges, half a turn in all
 MOST_LEAVES = 2048
 DEEPEST = 24  # tests from the root to a leaf: kernels take as many steps as the deepest leaf lies below the root
-TESTS = 21
+TESTS = 23
 ORIENTATIONS = 8  # of a square
 SMALLEST, LARGEST = 1e-30, 2.0**31  # of thresholds but zero: what lies below float32's normal range is zero on some devices
 

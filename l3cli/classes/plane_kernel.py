@@ -29,6 +29,7 @@ def rule_macros(rule: PlaneRule) -> dict[str, int]:
         return {"STRENGTHS": rule.strengths, "DIRECTIONS": DIRECTIONS, "COHERENCE": rule.coherence, "GRADIENT_TOP": GRADIENT}
     return {
         "TESTS": TESTS,
+        "TESTS_USED": sum(1 << test for test in set(rule.test[rule.branch > 0].tolist())),
         "PARTS": len(_parts(rule)),
         "DEPTH": rule.depth,
         "GRADIENT_TOP": tree.TOP,

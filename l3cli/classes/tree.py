@@ -52,6 +52,8 @@ EVERY = (
     Test("first chroma", LUMA),
     Test("second chroma", LUMA),
     Test("luminance", ONE),
+    Test("chroma curvature across − down", CHROMA),
+    Test("chroma curvature", CHROMA),
 )
 assert len(EVERY) == TESTS
 
@@ -77,14 +79,18 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
         across, down = plane[1:-1, 2:] - plane[1:-1, :-2], plane[2:, 1:-1] - plane[:-2, 1:-1]
         return scaled(across, top), scaled(down, top)
 
-    def bend(before: Integers, after: Integers) -> Integers:
-        return scaled(before - 2 * luminance[1:-1, 1:-1] + after, TOP)
+    def bends(plane: Integers, top: int) -> tuple[Integers, Integers]:
+        twice = 2 * plane[1:-1, 1:-1]
+        across, down = plane[1:-1, :-2] - twice + plane[1:-1, 2:], plane[:-2, 1:-1] - twice + plane[2:, 1:-1]
+        return scaled(across, top), scaled(down, top)
 
     gx, gy = gradients(luminance, TOP)
     (ux, uy), (vx, vy) = (gradients(plane, CHROMA_TOP) for plane in chroma)
-    bx, by = bend(luminance[1:-1, :-2], luminance[1:-1, 2:]), bend(luminance[:-2, 1:-1], luminance[2:, 1:-1])
+    bx, by = bends(luminance, TOP)
+    (ubx, uby), (vbx, vby) = (bends(plane, CHROMA_TOP) for plane in chroma)
     xx, yy, diagonal = sums(gx * gx, WIDE), sums(gy * gy, WIDE), 2 * sums(gx * gy, WIDE)
     chroma_xx, chroma_yy = sums(ux * ux + vx * vx, WIDE), sums(uy * uy + vy * vy, WIDE)
+    chroma_bend_xx, chroma_bend_yy = sums(ubx * ubx + vbx * vbx, WIDE), sums(uby * uby + vby * vby, WIDE)
     trace, chroma_trace, straight = xx + yy, chroma_xx + chroma_yy, xx - yy
     both = np.abs(straight) + np.abs(diagonal)
     along = np.maximum(np.maximum(np.abs(straight), np.abs(diagonal)), (both >> 6) * 45)
@@ -94,6 +100,7 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
         chroma_trace, chroma_trace, chroma_xx - chroma_yy, sums(gx * ux + gy * uy, WIDE), sums(gx * vx + gy * vy, WIDE),
         _local(bx * bx), _local(by * by), _signed_square(_inner(bx, 2)), _signed_square(_inner(by, 2)),
         _signed_square(_local(gx)), _signed_square(_local(gy)), *colours,
+        chroma_bend_xx - chroma_bend_yy, chroma_bend_xx + chroma_bend_yy,
     )  # fmt: skip
     denominators = (np.ones_like(trace), trace + NOISE_TRACE, chroma_trace + NOISE_TRACE, np.maximum(colours[2], DARK))
     return Evidence(np.stack(numerators).astype(np.float32), np.stack(denominators).astype(np.float32))
@@ -129,7 +136,7 @@ def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
     total = [straight * each for each in ((3, 4) if straight == diagonal else (4, 3))]  # straight ± diagonal
     signed = [0, straight, 2 * diagonal, *total, 5, 6, 7, 8, 9 * straight, 10, 11]
     signed += [13, 12, 15, 14, across * 17, down * 16] if transposed else [12, 13, 14, 15, across * 16, down * 17]
-    signed += [18, 19, 20]
+    signed += [18, 19, 20, 21 * straight, 22]
     return [abs(each) for each in signed], [np.float32(-1 if each < 0 else 1) for each in signed]
 
 

@@ -2,7 +2,8 @@
 
 // Sums over the neighbourhood of a pixel: of u and v, the planes of chroma, and of luminance.
 typedef struct {
-    ints xx, yy, xy, chroma_xx, chroma_yy, u_along, v_along;         // over 5 × 5, of products of gradients
+    ints xx, yy, xy, chroma_xx, chroma_yy, u_along, v_along;  // over 5 × 5, of products of gradients
+    ints chroma_bend_xx, chroma_bend_yy;                                        // of second differences of chroma
     ints narrow_strength, bend_xx, bend_yy, slope_x, slope_y, u, v, luminance;  // over 3 × 3
     ints bend_x, bend_y;
 } Sums;
@@ -26,6 +27,7 @@ INLINE void turn(Sums *s, uints turns) {
     const ints down = (turns >> MIRRORED_DOWN & 1) != 0;
     SWAP_WHERE(transposed, s->xx, s->yy)
     SWAP_WHERE(transposed, s->chroma_xx, s->chroma_yy)
+    SWAP_WHERE(transposed, s->chroma_bend_xx, s->chroma_bend_yy)
     SWAP_WHERE(transposed, s->bend_xx, s->bend_yy)
     SWAP_WHERE(transposed, s->bend_x, s->bend_y)
     SWAP_WHERE(transposed, s->slope_x, s->slope_y)
@@ -34,30 +36,39 @@ INLINE void turn(Sums *s, uints turns) {
     s->xy = across != down ? -s->xy : s->xy;
 }
 
+// Only what some node of the tree compares is computed.
+#define USED(test) (TESTS_USED >> (test) & 1)
+#define SLOPES_USED (USED(16) || USED(17))
+#define CHROMA_BENDS_USED (USED(21) || USED(22))
+#define NUMERATOR(test, value) if (USED(test)) n[test] = value;
+
 INLINE void weigh(Evidence *e, const Sums *s) {
     const ints trace = s->xx + s->yy, straight = s->xx - s->yy, diagonal = 2 * s->xy;
     const ints chroma = s->chroma_xx + s->chroma_yy, both = ((size_of(straight) + size_of(diagonal)) >> 6) * 45;
     floats *n = e->numerator, *d = e->denominator;
-    n[0] = CONVERT(trace, floats);
-    n[1] = CONVERT(straight, floats);
-    n[2] = CONVERT(diagonal, floats);
-    n[3] = CONVERT(straight + diagonal, floats);
-    n[4] = CONVERT(straight - diagonal, floats);
-    n[5] = CONVERT(larger(larger(size_of(straight), size_of(diagonal)), both), floats);
-    n[6] = CONVERT(s->narrow_strength, floats);
-    n[7] = n[8] = CONVERT(chroma, floats);
-    n[9] = CONVERT(s->chroma_xx - s->chroma_yy, floats);
-    n[10] = CONVERT(s->u_along, floats);
-    n[11] = CONVERT(s->v_along, floats);
-    n[12] = CONVERT(s->bend_xx, floats);
-    n[13] = CONVERT(s->bend_yy, floats);
-    n[14] = signed_square(s->bend_x);
-    n[15] = signed_square(s->bend_y);
-    n[16] = signed_square(s->slope_x);
-    n[17] = signed_square(s->slope_y);
-    n[18] = CONVERT(s->u, floats);
-    n[19] = CONVERT(s->v, floats);
-    n[20] = CONVERT(s->luminance, floats);
+    NUMERATOR(0, CONVERT(trace, floats))
+    NUMERATOR(1, CONVERT(straight, floats))
+    NUMERATOR(2, CONVERT(diagonal, floats))
+    NUMERATOR(3, CONVERT(straight + diagonal, floats))
+    NUMERATOR(4, CONVERT(straight - diagonal, floats))
+    NUMERATOR(5, CONVERT(larger(larger(size_of(straight), size_of(diagonal)), both), floats))
+    NUMERATOR(6, CONVERT(s->narrow_strength, floats))
+    NUMERATOR(7, CONVERT(chroma, floats))
+    NUMERATOR(8, CONVERT(chroma, floats))
+    NUMERATOR(9, CONVERT(s->chroma_xx - s->chroma_yy, floats))
+    NUMERATOR(10, CONVERT(s->u_along, floats))
+    NUMERATOR(11, CONVERT(s->v_along, floats))
+    NUMERATOR(12, CONVERT(s->bend_xx, floats))
+    NUMERATOR(13, CONVERT(s->bend_yy, floats))
+    NUMERATOR(14, signed_square(s->bend_x))
+    NUMERATOR(15, signed_square(s->bend_y))
+    NUMERATOR(16, signed_square(s->slope_x))
+    NUMERATOR(17, signed_square(s->slope_y))
+    NUMERATOR(18, CONVERT(s->u, floats))
+    NUMERATOR(19, CONVERT(s->v, floats))
+    NUMERATOR(20, CONVERT(s->luminance, floats))
+    NUMERATOR(21, CONVERT(s->chroma_bend_xx - s->chroma_bend_yy, floats))
+    NUMERATOR(22, CONVERT(s->chroma_bend_xx + s->chroma_bend_yy, floats))
     d[0] = (floats)1.0f;
     d[1] = CONVERT(trace + NOISE_TRACE, floats);
     d[2] = CONVERT(chroma + NOISE_TRACE, floats);

@@ -10,7 +10,7 @@
 
 typedef struct {
     int xx[REACHED], yy[REACHED], xy[REACHED], chroma_xx[REACHED], chroma_yy[REACHED], u_along[REACHED], v_along[REACHED];
-    int slope_x[REACHED], slope_y[REACHED], bend_x[REACHED], bend_y[REACHED];
+    int chroma_bend_xx[REACHED], chroma_bend_yy[REACHED], slope_x[REACHED], slope_y[REACHED], bend_x[REACHED], bend_y[REACHED];
 } Products;
 
 typedef struct {
@@ -20,7 +20,7 @@ typedef struct {
 // Weighed down the columns: products over five rows, and over the three in their middle.
 typedef struct {
     int xx[REACHED], yy[REACHED], xy[REACHED], chroma_xx[REACHED], chroma_yy[REACHED], u_along[REACHED], v_along[REACHED];
-    int narrow_strength[REACHED], bend_xx[REACHED], bend_yy[REACHED], slope_x[REACHED], slope_y[REACHED];
+    int chroma_bend_xx[REACHED], chroma_bend_yy[REACHED], narrow_strength[REACHED], bend_xx[REACHED], bend_yy[REACHED], slope_x[REACHED], slope_y[REACHED];
     int u[REACHED], v[REACHED], luminance[REACHED];
 } Columns;
 
@@ -28,13 +28,17 @@ typedef struct {
 #define PUT(row, p) STORE_PRIVATE(ints, (row) + (p))
 #define ACROSS_OF(plane, top) gradient(AT(middle->plane, p + 1) - AT(middle->plane, p - 1), scale, top)
 #define DOWN_OF(plane, top) gradient(AT(below->plane, p) - AT(above->plane, p), scale, top)
+#define BEND_ACROSS_OF(plane, top) gradient(AT(middle->plane, p - 1) - 2 * AT(middle->plane, p) + AT(middle->plane, p + 1), scale, top)
+#define BEND_DOWN_OF(plane, top) gradient(AT(above->plane, p) - 2 * AT(middle->plane, p) + AT(below->plane, p), scale, top)
 
 INLINE void multiply(Products *to, const Planes *above, const Planes *middle, const Planes *below, const Words *words, int span) {
     for (int p = 1; p < span; p += LANES) {
         const uints scale = gradient_words(words, p);
         const ints gx = ACROSS_OF(luminance, GRADIENT_TOP), gy = DOWN_OF(luminance, GRADIENT_TOP);
         const ints ux = ACROSS_OF(u, CHROMA_TOP), uy = DOWN_OF(u, CHROMA_TOP);
-        const ints vx = ACROSS_OF(v, CHROMA_TOP), vy = DOWN_OF(v, CHROMA_TOP), twice = 2 * AT(middle->luminance, p);
+        const ints vx = ACROSS_OF(v, CHROMA_TOP), vy = DOWN_OF(v, CHROMA_TOP);
+        const ints ubx = BEND_ACROSS_OF(u, CHROMA_TOP), uby = BEND_DOWN_OF(u, CHROMA_TOP);
+        const ints vbx = BEND_ACROSS_OF(v, CHROMA_TOP), vby = BEND_DOWN_OF(v, CHROMA_TOP);
         PUT(to->xx, p) = gx * gx;
         PUT(to->yy, p) = gy * gy;
         PUT(to->xy, p) = gx * gy;
@@ -42,10 +46,16 @@ INLINE void multiply(Products *to, const Planes *above, const Planes *middle, co
         PUT(to->chroma_yy, p) = uy * uy + vy * vy;
         PUT(to->u_along, p) = gx * ux + gy * uy;
         PUT(to->v_along, p) = gx * vx + gy * vy;
-        PUT(to->slope_x, p) = gx;
-        PUT(to->slope_y, p) = gy;
-        PUT(to->bend_x, p) = gradient(AT(middle->luminance, p - 1) - twice + AT(middle->luminance, p + 1), scale, GRADIENT_TOP);
-        PUT(to->bend_y, p) = gradient(AT(above->luminance, p) - twice + AT(below->luminance, p), scale, GRADIENT_TOP);
+        if (SLOPES_USED) {
+            PUT(to->slope_x, p) = gx;
+            PUT(to->slope_y, p) = gy;
+        }
+        if (CHROMA_BENDS_USED) {
+            PUT(to->chroma_bend_xx, p) = ubx * ubx + vbx * vbx;
+            PUT(to->chroma_bend_yy, p) = uby * uby + vby * vby;
+        }
+        PUT(to->bend_x, p) = BEND_ACROSS_OF(luminance, GRADIENT_TOP);
+        PUT(to->bend_y, p) = BEND_DOWN_OF(luminance, GRADIENT_TOP);
     }
 }
 
@@ -58,6 +68,7 @@ INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLA
 #define WIDE_ROWS(name) { const ints one = AT(r[0]->name, p) + AT(r[4]->name, p), two = AT(r[1]->name, p) + AT(r[3]->name, p); \
                           PUT(to->name, p) = one + 2 * two + 3 * AT(r[2]->name, p); }
         WIDE_ROWS(xx) WIDE_ROWS(yy) WIDE_ROWS(xy) WIDE_ROWS(chroma_xx) WIDE_ROWS(chroma_yy) WIDE_ROWS(u_along) WIDE_ROWS(v_along)
+        if (CHROMA_BENDS_USED) { WIDE_ROWS(chroma_bend_xx) WIDE_ROWS(chroma_bend_yy) }
 #define ENERGY(i) (AT(r[i]->xx, p) + AT(r[i]->yy, p))
 #define BEND_X(i) (AT(r[i]->bend_x, p) * AT(r[i]->bend_x, p))
 #define BEND_Y(i) (AT(r[i]->bend_y, p) * AT(r[i]->bend_y, p))
@@ -69,8 +80,10 @@ INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLA
         PUT(to->narrow_strength, p) = THREE_OF(ENERGY);
         PUT(to->bend_xx, p) = THREE_OF(BEND_X);
         PUT(to->bend_yy, p) = THREE_OF(BEND_Y);
-        PUT(to->slope_x, p) = THREE_OF(SLOPE_X);
-        PUT(to->slope_y, p) = THREE_OF(SLOPE_Y);
+        if (SLOPES_USED) {
+            PUT(to->slope_x, p) = THREE_OF(SLOPE_X);
+            PUT(to->slope_y, p) = THREE_OF(SLOPE_Y);
+        }
         PUT(to->u, p) = THREE_OF(PLANE_U);
         PUT(to->v, p) = THREE_OF(PLANE_V);
         PUT(to->luminance, p) = THREE_OF(PLANE_L);
@@ -84,7 +97,7 @@ INLINE ints narrow(const int *at) { return AT(at, 1) + AT(at, 3) + 2 * AT(at, 2)
 INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints turns, int p) {
     Sums sums = {
         wide(c->xx + p), wide(c->yy + p), wide(c->xy + p), wide(c->chroma_xx + p), wide(c->chroma_yy + p), wide(c->u_along + p),
-        wide(c->v_along + p), narrow(c->narrow_strength + p), narrow(c->bend_xx + p), narrow(c->bend_yy + p), narrow(c->slope_x + p),
+        wide(c->v_along + p), wide(c->chroma_bend_xx + p), wide(c->chroma_bend_yy + p), narrow(c->narrow_strength + p), narrow(c->bend_xx + p), narrow(c->bend_yy + p), narrow(c->slope_x + p),
         narrow(c->slope_y + p), narrow(c->u + p), narrow(c->v + p), narrow(c->luminance + p),
         AT(middle->bend_x, p + 2), AT(middle->bend_y, p + 2)};
     turn(&sums, turns);

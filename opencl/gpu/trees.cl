@@ -26,9 +26,13 @@ void structures(STRUCTURES_PARAMETERS) {
             const uint scale = (uint)label_words[first_labels[labelled + at]];
 #define ACROSS_OF(plane, top) gradient(plane[middle + right] - plane[middle + left], scale, top)
 #define DOWN_OF(plane, top) gradient(plane[below + at] - plane[above + at], scale, top)
+#define BEND_ACROSS_OF(plane, top) gradient(plane[middle + left] - 2 * plane[middle + at] + plane[middle + right], scale, top)
+#define BEND_DOWN_OF(plane, top) gradient(plane[above + at] - 2 * plane[middle + at] + plane[below + at], scale, top)
             const int gx = ACROSS_OF(luminance, GRADIENT_TOP), gy = DOWN_OF(luminance, GRADIENT_TOP);
             const int ux = ACROSS_OF(u, CHROMA_TOP), uy = DOWN_OF(u, CHROMA_TOP);
             const int vx = ACROSS_OF(v, CHROMA_TOP), vy = DOWN_OF(v, CHROMA_TOP);
+            const int ubx = BEND_ACROSS_OF(u, CHROMA_TOP), uby = BEND_DOWN_OF(u, CHROMA_TOP);
+            const int vbx = BEND_ACROSS_OF(v, CHROMA_TOP), vby = BEND_DOWN_OF(v, CHROMA_TOP);
             const int from_row = abs(i - STRUCTURE_REACH), from_column = abs(j - STRUCTURE_REACH);
             const int wide = (3 - from_row) * (3 - from_column);
             s.xx += wide * gx * gx;
@@ -38,10 +42,11 @@ void structures(STRUCTURES_PARAMETERS) {
             s.chroma_yy += wide * (uy * uy + vy * vy);
             s.u_along += wide * (gx * ux + gy * uy);
             s.v_along += wide * (gx * vx + gy * vy);
+            s.chroma_bend_xx += wide * (ubx * ubx + vbx * vbx);
+            s.chroma_bend_yy += wide * (uby * uby + vby * vby);
             if (from_row > 1 || from_column > 1) continue;
-            const int narrow = (2 - from_row) * (2 - from_column), twice = 2 * luminance[middle + at];
-            const int bend_x = gradient(luminance[middle + left] - twice + luminance[middle + right], scale, GRADIENT_TOP);
-            const int bend_y = gradient(luminance[above + at] - twice + luminance[below + at], scale, GRADIENT_TOP);
+            const int narrow = (2 - from_row) * (2 - from_column);
+            const int bend_x = BEND_ACROSS_OF(luminance, GRADIENT_TOP), bend_y = BEND_DOWN_OF(luminance, GRADIENT_TOP);
             s.narrow_strength += narrow * (gx * gx + gy * gy);
             s.bend_xx += narrow * bend_x * bend_x;
             s.bend_yy += narrow * bend_y * bend_y;

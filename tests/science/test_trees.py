@@ -1,7 +1,7 @@
 """A second layer whose classes are the leaves of a tree: learned alike however it is divided, told, rendered, refused."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from l3cli.cli import run
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.training.layers import rules
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.training_sets import MIX, a_set
@@ -92,6 +93,23 @@ def test_info_and_report_report_of_the_tree(leaves: Path, trained: Trained, tmp_
     assert list(later["tests"].values()) == sorted(later["tests"].values(), reverse=True)
     assert l3("report", tmp_path / "table.h5", "-o", tmp_path / "report.html")[0] == 0
     assert f"leaves of a tree, depth {rule.depth}: {rule.structures}" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize(("noise", "side"), [("none", 3), ("analytic", 5)])
+def test_splits_are_judged_by_small_windows_where_there_is_no_noise(
+    noise: str, side: int, leaves: Path, trained: Trained, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Filters learned for the leaves have the whole windows."""
+    seen, grow = [], rules.grow
+
+    def watched(samples: Sequence[rules.TreeSample], *further: Any) -> rules.Tree:
+        seen.extend(one.columns.shape[1] - rules.OUTPUTS for one in samples)
+        return grow(samples, *further)
+
+    monkeypatch.setattr(rules, "grow", watched)
+    table, _ = trained(leaves, CLASSES + f'noise = "{noise}"\n' + LAYER.replace("side = 3", "side = 5"))
+    assert set(seen) == {3 * side**2}
+    assert tree_of(table).weights.shape[2] == 75
 
 
 def test_a_tree_of_one_leaf_is_a_layer_like_others(bayer: CameraModel, trained: Trained, tmp_path: Path, l3: L3) -> None:

@@ -136,6 +136,13 @@ def test_evidence_of_plain_edges_is_what_its_names_state() -> None:
     assert quotient(col**2 * 100, "bend across") > 0 == quotient(col**2 * 100, "bend down")
     assert quotient(col * 500, "first chroma along luminance") == pytest.approx(1, abs=0.01)
     assert quotient(col * 500, "second chroma along luminance") == pytest.approx(-1, abs=0.01)
+    assert (
+        quotient(col % 2 * 500, "chroma curvature across − down")
+        > 10
+        > -10
+        > quotient(row % 2 * 500, "chroma curvature across − down")
+    )
+    assert quotient(col * 500, "chroma curvature") == 0 < 10 < quotient((row + col) % 2 * 500, "chroma curvature")
     assert quotient(0 * col + 3000, "first chroma") == 1 == -quotient(0 * col + 3000, "second chroma")
     assert quotient(0 * col + 1, "first chroma") == 16 / tree.DARK
 

@@ -3,7 +3,10 @@
 #define REACH 3  /* pixels beyond a plane that the class at its edge reads */
 #define WINDOW 5 /* rows of gradients that it weighs */
 #define TOGETHER 32 /* pixels that go down a tree side by side */
-enum { XX, YY, XY, CHROMA_XX, CHROMA_YY, ALONG_FIRST, ALONG_SECOND, BEND_XX, BEND_YY, SLOPE_X, SLOPE_Y, BEND_X, BEND_Y, QUANTITIES };
+enum {
+    XX, YY, XY, CHROMA_XX, CHROMA_YY, ALONG_FIRST, ALONG_SECOND, CHROMA_BEND_XX, CHROMA_BEND_YY,
+    BEND_XX, BEND_YY, SLOPE_X, SLOPE_Y, BEND_X, BEND_Y, QUANTITIES
+};
 
 /* Rows of what the classes of later layers decide by. Columns of planes have a margin of REACH pixels, those of gradients of
  * REACH - 1; rows lie in rings of WINDOW. */

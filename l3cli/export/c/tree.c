@@ -21,7 +21,8 @@ static void chroma_slopes(const int32_t *restrict u_above, const int32_t *restri
                           const int32_t *restrict v_above, const int32_t *restrict v_here, const int32_t *restrict v_below,
                           const int32_t *restrict factor, const int32_t *restrict shift, const int32_t *restrict slope_x,
                           const int32_t *restrict slope_y, int columns, int32_t *restrict xx, int32_t *restrict yy,
-                          int32_t *restrict first, int32_t *restrict second) {
+                          int32_t *restrict first, int32_t *restrict second, int32_t *restrict bend_xx,
+                          int32_t *restrict bend_yy) {
     for (int p = 0; p < columns + 4; p++) {
         const int32_t f = factor[p], s = shift[p], gx = slope_x[p], gy = slope_y[p];
         const int32_t ux = scaled(u_here[p + 2] - u_here[p], f, s, L3_TREE_CHROMA_TOP);
@@ -29,6 +30,11 @@ static void chroma_slopes(const int32_t *restrict u_above, const int32_t *restri
         const int32_t vx = scaled(v_here[p + 2] - v_here[p], f, s, L3_TREE_CHROMA_TOP);
         const int32_t vy = scaled(v_below[p + 1] - v_above[p + 1], f, s, L3_TREE_CHROMA_TOP);
         xx[p] = ux * ux + vx * vx, yy[p] = uy * uy + vy * vy;
+        const int32_t ubx = scaled(u_here[p] - 2 * u_here[p + 1] + u_here[p + 2], f, s, L3_TREE_CHROMA_TOP);
+        const int32_t uby = scaled(u_above[p + 1] - 2 * u_here[p + 1] + u_below[p + 1], f, s, L3_TREE_CHROMA_TOP);
+        const int32_t vbx = scaled(v_here[p] - 2 * v_here[p + 1] + v_here[p + 2], f, s, L3_TREE_CHROMA_TOP);
+        const int32_t vby = scaled(v_above[p + 1] - 2 * v_here[p + 1] + v_below[p + 1], f, s, L3_TREE_CHROMA_TOP);
+        bend_xx[p] = ubx * ubx + vbx * vbx, bend_yy[p] = uby * uby + vby * vby;
         first[p] = gx * ux + gy * uy, second[p] = gx * vx + gy * vy;
     }
 }
@@ -42,23 +48,23 @@ static void plane_products(const Gradients *g, int k, int columns) {
                      row[BEND_YY]);
     chroma_slopes(plane_row(g, 0, k - 2), plane_row(g, 0, k - 1), plane_row(g, 0, k), plane_row(g, 2, k - 2), plane_row(g, 2, k - 1),
                   plane_row(g, 2, k), g->factor, g->shift, row[SLOPE_X], row[SLOPE_Y], columns, row[CHROMA_XX], row[CHROMA_YY],
-                  row[ALONG_FIRST], row[ALONG_SECOND]);
+                  row[ALONG_FIRST], row[ALONG_SECOND], row[CHROMA_BEND_XX], row[CHROMA_BEND_YY]);
 }
 
 static inline int32_t size_of(int32_t value) { return negated(value, value >> 31); }
 static inline int32_t larger_of(int32_t a, int32_t b) { return a > b ? a : b; }
 static inline float squared_with_sign(int32_t value) { return (float)(value * size_of(value)); }
 
-/* The sums that the tests of a row need: over 5 x 5 of the first seven quantities, then over 3 x 3. */
+/* The sums that the tests of a row need: over 5 x 5 of the first nine quantities, then over 3 x 3. */
 static void weigh_row(const Gradients *g, int k, int columns) {
-    for (int q = XX; q <= ALONG_SECOND; q++) weigh_wide(g, q, k, columns, g->weighed + q * g->span);
+    for (int q = XX; q <= CHROMA_BEND_YY; q++) weigh_wide(g, q, k, columns, g->weighed + q * g->span);
     static const int near[] = {XX, YY, BEND_XX, BEND_YY, SLOPE_X, SLOPE_Y};
     for (int i = 0; i < 6; i++)
         weigh_near(g, quantity_row(g, near[i], k - 3), quantity_row(g, near[i], k - 2), quantity_row(g, near[i], k - 1), 1, columns,
-                   g->weighed + (7 + i) * g->span);
+                   g->weighed + (9 + i) * g->span);
     for (int plane = 0; plane < 3; plane++)
         weigh_near(g, plane_row(g, plane, k - 4), plane_row(g, plane, k - 3), plane_row(g, plane, k - 2), 2, columns,
-                   g->weighed + (13 + plane) * g->span);
+                   g->weighed + (15 + plane) * g->span);
 }
 
 /* Of TOGETHER pixels of a row. */
@@ -78,10 +84,12 @@ static void find_evidence(const Gradients *g, int k, int x, TreeEvidence *restri
         const int32_t xx = sum[i] ^ swap, yy = sum[n + i] ^ swap;
         const int32_t chroma_swap = (sum[3 * n + i] ^ sum[4 * n + i]) & mask;
         const int32_t chroma_xx = sum[3 * n + i] ^ chroma_swap, chroma_yy = sum[4 * n + i] ^ chroma_swap;
-        const int32_t curve_swap = (sum[9 * n + i] ^ sum[10 * n + i]) & mask;
-        const int32_t slope_swap = (sum[11 * n + i] ^ sum[12 * n + i]) & mask;
+        const int32_t fine_swap = (sum[7 * n + i] ^ sum[8 * n + i]) & mask;
+        const int32_t fine_xx = sum[7 * n + i] ^ fine_swap, fine_yy = sum[8 * n + i] ^ fine_swap;
+        const int32_t curve_swap = (sum[11 * n + i] ^ sum[12 * n + i]) & mask;
+        const int32_t slope_swap = (sum[13 * n + i] ^ sum[14 * n + i]) & mask;
         const int32_t bend_swap = (bend_x[i] ^ bend_y[i]) & mask;
-        const int32_t diagonal = 2 * negated(sum[2 * n + i], e->across[i] ^ e->down[i]), luminance = sum[14 * n + i];
+        const int32_t diagonal = 2 * negated(sum[2 * n + i], e->across[i] ^ e->down[i]), luminance = sum[16 * n + i];
         const int32_t trace = xx + yy, chroma = chroma_xx + chroma_yy, straight = xx - yy;
         const int32_t both = ((size_of(straight) + size_of(diagonal)) >> 6) * 45;
         const int32_t along = larger_of(larger_of(size_of(straight), size_of(diagonal)), both);
@@ -91,20 +99,22 @@ static void find_evidence(const Gradients *g, int k, int x, TreeEvidence *restri
         e->numerator[3][i] = (float)(straight + diagonal);
         e->numerator[4][i] = (float)(straight - diagonal);
         e->numerator[5][i] = (float)along;
-        e->numerator[6][i] = (float)(sum[7 * n + i] + sum[8 * n + i]);
+        e->numerator[6][i] = (float)(sum[9 * n + i] + sum[10 * n + i]);
         e->numerator[7][i] = e->numerator[8][i] = (float)chroma;
         e->numerator[9][i] = (float)(chroma_xx - chroma_yy);
         e->numerator[10][i] = (float)sum[5 * n + i];
         e->numerator[11][i] = (float)sum[6 * n + i];
-        e->numerator[12][i] = (float)(sum[9 * n + i] ^ curve_swap);
-        e->numerator[13][i] = (float)(sum[10 * n + i] ^ curve_swap);
+        e->numerator[12][i] = (float)(sum[11 * n + i] ^ curve_swap);
+        e->numerator[13][i] = (float)(sum[12 * n + i] ^ curve_swap);
         e->numerator[14][i] = squared_with_sign(bend_x[i] ^ bend_swap);
         e->numerator[15][i] = squared_with_sign(bend_y[i] ^ bend_swap);
-        e->numerator[16][i] = squared_with_sign(negated(sum[11 * n + i] ^ slope_swap, e->across[i]));
-        e->numerator[17][i] = squared_with_sign(negated(sum[12 * n + i] ^ slope_swap, e->down[i]));
-        e->numerator[18][i] = (float)sum[13 * n + i];
-        e->numerator[19][i] = (float)sum[15 * n + i];
+        e->numerator[16][i] = squared_with_sign(negated(sum[13 * n + i] ^ slope_swap, e->across[i]));
+        e->numerator[17][i] = squared_with_sign(negated(sum[14 * n + i] ^ slope_swap, e->down[i]));
+        e->numerator[18][i] = (float)sum[15 * n + i];
+        e->numerator[19][i] = (float)sum[17 * n + i];
         e->numerator[20][i] = (float)luminance;
+        e->numerator[21][i] = (float)(fine_xx - fine_yy);
+        e->numerator[22][i] = (float)(fine_xx + fine_yy);
         e->denominator[0][i] = 1.0f;
         e->denominator[1][i] = (float)(trace + L3_NOISE_TRACE);
         e->denominator[2][i] = (float)(chroma + L3_NOISE_TRACE);

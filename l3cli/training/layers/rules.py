@@ -27,7 +27,9 @@ from l3cli.training.layers.rows import row_weights
 from l3cli.training.symmetry import orientations
 
 CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
+QUOTIENTS = 1 << 13  # of a site's rows that tell these quantiles, a little more at most
 TREE_SIDE = 64  # pixels, of the squares that a tree's rows are of: less than is learned from, as there are few of each
+SPLIT_SIDE = 3  # pixels, of the windows that splits are judged by where there is no noise for larger ones to average
 ROWS_PER_TAP = 4  # of a site that a leaf has at least
 FINE = 2.0**16  # steps of a column's largest value: products of a million rows add up to less than 2^53, exactly
 RIDGE, FAINT = 1e-6, 1e-10  # relative to the mean power of a tap, and of an output, which splits do not change
@@ -43,7 +45,7 @@ class TreeSample:
     """Rows of one canonical site, as it sees them."""
 
     # (row, tap, then output) windows of noisy mosaics' planes, and targets in units of what errors look like, both weighted
-    columns: Floats
+    columns: Floats | Array
     numerators: Floats  # (test, row)
     denominators: Floats  # (denominator, row)
 
@@ -57,7 +59,7 @@ class TreeSample:
         order they are added."""
         _, power = np.frexp(np.abs(self.columns).max(axis=0, initial=SMALLEST))
         step = np.ldexp(1 / FINE, power).astype(np.float32)
-        return replace(self, columns=np.asarray(np.rint(self.columns / step) * step, np.float32))
+        return replace(self, columns=np.rint(self.columns / step) * step.astype(np.float64))
 
     def compared(self, test: int, rows: Indices) -> tuple[Floats, Floats]:
         """Return the numerators and denominators (row) of a test."""
@@ -134,9 +136,11 @@ def _best_split(samples: Sequence[TreeSample], rows: list[Indices], mapped: Mapp
     noise = np.array([error / of_leaf.size for error, of_leaf in zip(before, rows, strict=True)])
     chance = SURE * np.sqrt(2 * taps * np.square(noise).sum())
 
+    telling = [of_leaf[:: max(of_leaf.size // QUOTIENTS, 1)] for of_leaf in rows]
+
     def tried(test: int) -> tuple[Floats, Array]:
         quotients = np.concatenate(
-            [np.divide(*one.compared(test, of_leaf)) for one, of_leaf in zip(samples, rows, strict=True)]
+            [np.divide(*one.compared(test, of_leaf)) for one, of_leaf in zip(samples, telling, strict=True)]
         )
         cuts = np.quantile(quotients, np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
         cuts = np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
@@ -184,7 +188,7 @@ def _sums_below(sample: TreeSample, rows: Indices, ends: list[int], whole: Array
 
 def _sums(sample: TreeSample, rows: Indices) -> Array:
     """Return the sums of products of columns (column, column) over rows, exact."""
-    columns = sample.columns.take(rows, axis=0).astype(np.float64)
+    columns = sample.columns.take(rows, axis=0)
     return np.asarray(columns.T @ columns)
 
 
@@ -260,7 +264,8 @@ def sample_tree(
 ) -> list[dict[int, TreeSample]]:
     """Return, for every frame, the first of which has the index `first`, rows of each canonical site that a tree is grown
     on."""
-    see, reading, sampled = layer.seer(), layer.reading(layer.recipe.side), []
+    side = min(layer.recipe.side, SPLIT_SIDE) if layer.learning.noise == "none" else layer.recipe.side
+    see, reading, sampled = layer.seer(), layer.reading(side), []
     judged, turns = _judged(layer), layer.turns
     rows = -(-layer.recipe.tree_rows // sum(layer.mosaics))
     exposed = replace(layer.exposed, inner=min(layer.exposed.inner, TREE_SIDE))
