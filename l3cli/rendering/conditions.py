@@ -24,7 +24,8 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.correlated_lights import mired_of
 
-FINE, LITTLE = 1000, 1e-30  # levels among which one of like noise is sought; DN², where all clips
+LITTLE = 1e-30  # DN², where all clips
+DARKEST_REFINED = 2.0  # signal over noise: refinement layers of darker levels leave more noise than those of this one
 LEFT = (1 / 16, 1 / 4)  # shares of noise that a filter in time leaves: noise of lower gains
 STEPS = 12  # of gains that frames are rendered at, to a doubling
 SAME_GAIN = 0.01  # relative difference
@@ -173,25 +174,23 @@ def _equivalent(table: TransformTable, gain: float) -> TransformTable:
 
     means = level.centres(level.inner_bounds(table.first.rule, table.black_level, table.white_level))
     levels = level.unclipped_level(means, camera.sensitivity) / camera.sensitivity.mean()
-    fine = np.geomspace(levels[0], levels[-1], FINE)
     ours, usual = noise(camera, exposure / gain, levels), noise(table.camera, exposure, levels)
-    alike = np.interp(levels**2 / ours, fine**2 / noise(table.camera, exposure, fine), fine)
-    # Levels of more noise than signal are hardly trained; what would be one of them takes the darkest that is.
-    alike = np.maximum(alike, levels[min(int((levels * span < np.sqrt(usual)).sum()), levels.size - 1)])
-    place = np.interp(np.log(alike), np.log(levels), np.arange(levels.size))
-    brighter = np.sqrt(ours / noise(table.camera, exposure, alike))
     dark = (noise(camera, exposure / gain, np.zeros(1)) / noise(table.camera, exposure, np.zeros(1)))[0]
+    numbers, ratios = np.arange(levels.size), np.sqrt([ours, usual]) / levels
+    place = np.interp(-ratios[0], -ratios[1], numbers)
+    first = replace(table.first, rule=_with_edges(table.first.rule, ours / usual))
+    first = _at_levels(first, table.cfa.size, place)
+    place = np.maximum(place, np.interp(-span / DARKEST_REFINED, -ratios[1], numbers))
     later = []
     for layer in table.later:
-        scale = layer.rule.gradient_factor / 2.0**layer.rule.gradient_shift
-        scale = np.exp(np.interp(place, np.arange(levels.size), np.log(scale))) / brighter
+        scale = np.sqrt(usual) * layer.rule.gradient_factor / 2.0**layer.rule.gradient_shift
+        scale = np.exp(np.interp(place, numbers, np.log(scale))) / np.sqrt(ours)
         if layer.coarse_chroma:
             layer = replace(layer, coarse_chroma=CoarseChroma(layer.coarse_chroma.variance * [dark, gain, 1.0]))
-        later.append(_at_levels(layer, table.cfa.size, place, brighter).scaled_as(GradientScale.of(scale)))
-    first = replace(table.first, rule=_with_edges(table.first.rule, ours / usual))
+        later.append(_at_levels(layer, table.cfa.size, place).scaled_as(GradientScale.of(scale)))
     return replace(
         table,
-        first=_at_levels(first, table.cfa.size, place, brighter),
+        first=first,
         later=tuple(later),
         camera=camera,
         output_unit=table.output_unit / gain,
@@ -200,22 +199,18 @@ def _equivalent(table: TransformTable, gain: float) -> TransformTable:
     )
 
 
-def _at_levels(layer: Any, sites: int, place: NDArray[np.float64], brighter: NDArray[np.float64]) -> Any:
-    """Return a layer of an array of so many `sites` whose classes where nothing clips have the transforms of other levels:
-    each level of the first layer those at `place` (level), intercepts as many times `brighter` (level)."""
+def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
+    """Return a layer of an array of so many `sites` whose classes where nothing clips, which have no intercept, have the
+    transforms of other levels: each level of the first layer those at `place` (level)."""
     rule, first = layer.rule, isinstance(layer, MosaicLayer)
     every, numbers = np.arange(len(layer.weights)), np.arange(place.size)
     there, own = rule.split(every), numbers if first else np.asarray(rule.level_of(numbers))
-    middle, to, times = (np.bincount(own, each) / np.bincount(own) for each in (numbers, place, np.log(brighter)))
+    middle, to = (np.bincount(own, each) / np.bincount(own) for each in (numbers, place))
     clips = np.asarray(there.kind) >= (rule.chromas if first else rule.structures)
     to = np.where(clips, there.level, np.interp(to, middle, np.arange(middle.size))[there.level])
     low, step = to.astype(np.int64), every.size // (sites * middle.size)  # classes of a level lie together
-    ends = [every + step * (each - there.level) for each in (low, np.ceil(to).astype(np.int64))]
-    weights, intercept = (
-        _between(values[ends[0]], values[ends[1]], to - low) for values in (layer.weights, layer.intercept)
-    )
-    factor = np.where(clips, 1.0, np.exp(times)[there.level])[:, None].astype(np.float32)
-    return replace(layer, weights=weights, intercept=intercept * factor)
+    darker, brighter = (layer.weights[every + step * (each - there.level)] for each in (low, np.ceil(to).astype(np.int64)))
+    return replace(layer, weights=_between(darker, brighter, to - low))
 
 
 # ---------------------------------------------------------------------------------------------- noise, by the pixel

@@ -36,7 +36,7 @@ from l3cli.io.sequences import find_pictures, paired, picture_files, require_ali
 from l3cli.options.commands import EvaluateOptions, SequenceOptions
 from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
-from l3cli.rendering.conditions import FAR, Mix, at_gain, described, gain_of_frames, known_gains, mix_for, mixed
+from l3cli.rendering.conditions import Mix, at_gain, described, gain_of_frames, known_gains, mix_for, mixed
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
@@ -206,10 +206,8 @@ def for_frames(
     """Return a table at the analog gain of the frames that it is judged on; both are given with the name of their file. Warn
     if these are of another camera than it was trained for, and return the warning, too, else ""."""
     (name, transforms), (other, camera) = table, frames
-    gain, (least, most) = gain_of_frames(transforms, camera), known_gains(transforms)
-    made = at_gain(transforms, gain)
-    known = least / FAR < gain < most * FAR
-    if not (differences := unlike(made if known else transforms, camera)):
+    made = at_gain(transforms, gain_of_frames(transforms, camera))
+    if not (differences := unlike(made, camera)):
         return made, ""
     text = (
         f"{name} was trained for another camera ({transforms.camera_name}) than took the frames of {other} ({camera.name}): "

@@ -177,12 +177,14 @@ def sample_patches(
 
 def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the levels, shares of full scale, at `places`, from 0 to 1, of their distribution: log-uniform over the whole
-    range, a share of them over the highlights."""
-    share = recipe.highlight_share
-    bright = places < share
-    within = np.where(bright, places / max(share, 1e-9), (places - share) / max(1 - share, 1e-9))
-    low = np.where(bright, recipe.highlight_from, recipe.darkest)
-    return np.asarray(low * (recipe.brightest / low) ** within)
+    range, a share of them over the highlights, one down to half of the darkest."""
+    others = max(1 - recipe.highlight_share - recipe.dark_share, 0.0)
+    ends = np.cumsum([0.0, recipe.highlight_share, others, recipe.dark_share])
+    part = np.searchsorted(ends[1:-1], places, side="right")
+    within = (places - ends[part]) / np.maximum(np.diff(ends)[part], 1e-9)
+    low = np.array([recipe.highlight_from, recipe.darkest, recipe.darkest / 2])[part]
+    high = np.array([recipe.brightest, recipe.brightest, recipe.darkest])[part]
+    return np.asarray(low * (high / low) ** within)
 
 
 def even_places(count: int, axes: int, rng: np.random.Generator) -> NDArray[np.float64]:

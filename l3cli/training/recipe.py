@@ -44,6 +44,7 @@ class LearningRecipe(Recipe):
     # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
     darkest: float = 0.0  # levels are drawn log-uniformly from here; 0: from where the camera's noise equals the signal
+    dark_share: Share = 0.0  # share of the draws that lies below `darkest`, down to half of it, for frames of higher gain
     brightest: float = 2.5  # levels are drawn up to here, clipped at the white level
     highlight_share: Share = 0.25  # share of the draws that lies above `highlight_from`
     highlight_from: float = 0.15  # begin of the highlights, which end at `brightest`

@@ -141,13 +141,14 @@ def test_exposed_patches_have_the_noise_of_the_camera(bayer: CameraModel) -> Non
 @settings(deadline=None)
 @given(st.integers(0, 1000))
 def test_levels_cover_the_declared_range(seed: int) -> None:
-    recipe = LearningRecipe(darkest=0.003)
+    recipe = LearningRecipe(darkest=0.003, dark_share=0.1)
     levels = levels_at(recipe, np.random.default_rng(seed).random(4000))
-    assert levels.min() >= recipe.darkest
+    assert levels.min() >= recipe.darkest / 2
     assert levels.max() <= recipe.brightest
     uniform = np.log(recipe.brightest / recipe.highlight_from) / np.log(recipe.brightest / recipe.darkest)
-    expected = recipe.highlight_share + (1 - recipe.highlight_share) * uniform
+    expected = recipe.highlight_share + (1 - recipe.highlight_share - recipe.dark_share) * uniform
     assert (levels > recipe.highlight_from).mean() == pytest.approx(expected, abs=0.04)
+    assert (levels < recipe.darkest).mean() == pytest.approx(recipe.dark_share, abs=0.02)
 
 
 @settings(deadline=None)
