@@ -96,7 +96,7 @@ gallery: ## docs/gallery.md and its pictures, two arrays at a time (eight minute
 	$(call needs,)
 	PYTHONPATH="$$PWD" $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
 
-peers: ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some, PARTS="noise --seconds" for times alone
+peers: ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some, PARTS="noise --seconds" for times alone, PARTS="noise --ours" for ours beside rivals as they were
 	$(call needs,peers)
 	PYTHONPATH="$$PWD" $(BIN)/python docs/peers/peers.py $(PARTS) --jobs $(JOBS)
 

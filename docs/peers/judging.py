@@ -1,6 +1,7 @@
 """Tables and rivals on the frames of a training set: figures of each by its best setting, and its seconds a megapixel."""
 
 import functools
+import hashlib
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rivals import Demosaic, Rival
+from rivals import PLAIN, Demosaic, Denoiser, Method, Noise, Rival
 from seconds import per_megapixel, tiled_to
 
 from l3cli.artifacts.camera import CameraModel
@@ -23,17 +24,18 @@ from l3cli.rendering.renderer import make_renderer
 
 Array = NDArray[np.floating]
 Figures = dict[str, float]
-Row = dict[str, Any]  # of figures.json: name, program, ours, figures, settings (of several), seconds
+Row = dict[str, Any]  # of figures.json: name, program, ours, figures, settings (of several), seconds, by_frame (of some)
 BORDER = 10  # pixels left out at each edge
 LOWER = ("delta_e", "angle")  # figures that are better when small
 OURS = "l3"
+DIGITS = 12  # of a digest that are stored
 
 
 @dataclass(frozen=True)
 class Protocol:
     """What is made of a frame by a demosaicking, and what is measured of it."""
 
-    planes: Callable[[TrainingPair, TrainingSet, Demosaic], Array]  # in the unit of the frame's target
+    planes: Callable[[TrainingPair, TrainingSet, Method], Array]  # in the unit of the frame's target
     figures: Callable[[Array, TrainingPair], Figures]
 
 
@@ -41,8 +43,10 @@ def judged(
     sets: Mapping[str, Path], tables: Mapping[str, TransformTable], rivals: Sequence[Rival], protocol: Protocol
 ) -> list[Row]:
     """The rows of tables and rivals, best first by the first figure of the first set. `sets`: training sets by name; figures
-    are means over the frames of each, named "SET figure"."""
+    are means over the frames of each, named "SET figure". Rows of tables, and of rivals that are given the noise, have
+    those of every frame, too."""
     methods: dict[str, tuple[Row, dict[str, Callable[[TrainingPair, TrainingSet], Array]]]] = {}
+    given_noise = {f"{rival.program} {rival.name}" for rival in rivals if rival.given_noise}
     for name, table in tables.items():
         methods[name] = ({"name": name, "program": OURS, "ours": True}, {"": functools.partial(rendered, _renderer(table))})
     for rival in rivals:
@@ -50,11 +54,20 @@ def judged(
         methods[f"{rival.program} {rival.name}"] = ({"name": rival.name, "program": rival.program, "ours": False}, runs)
     rows = []
     for key, (row, runs) in methods.items():
-        means = {setting: _means(sets, run, protocol) for setting, run in runs.items()}
+        frames = {setting: _frames(sets, run, protocol) for setting, run in runs.items()}
+        means = {setting: {figure: float(np.mean(of)) for figure, of in each.items()} for setting, each in frames.items()}
         row |= best_settings(means)
+        if row["ours"] or key in given_noise:
+            chosen = {figure: frames[row["settings"].get(figure, PLAIN)][figure] for figure in row["figures"]}
+            row["by_frame"] = {figure: [round(value, 4) for value in of] for figure, of in chosen.items()}
         rows.append(row)
         print(f"{key}: {row['figures']} {row['settings']}", file=sys.stderr, flush=True)
     put_seconds(rows, sets, tables, rivals)
+    return best_first(rows)
+
+
+def best_first(rows: Sequence[Row]) -> list[Row]:
+    """Rows by their first figure."""
     first = next(iter(rows[0]["figures"]))
     return sorted(rows, key=lambda row: row["figures"][first], reverse=not lower_is_better(first))
 
@@ -107,14 +120,24 @@ def picture_protocol() -> Protocol:
         made, ideal = (displayed(cropped(of, BORDER), frame.white, scale) for of in (planes, frame.target))
         return {"psnr": psnr(srgb_curve(made), srgb_curve(ideal)), "delta_e": float(displayed_delta_e(made, ideal).mean())}
 
-    def planes(frame: TrainingPair, head: TrainingSet, demosaic: Demosaic) -> Array:
+    def planes(frame: TrainingPair, head: TrainingSet, demosaic: Method) -> Array:
         colour = fit_colour(head.camera, light_of(frame, head.camera), head.target_light)
-        return develop(frame, head.camera, colour, demosaic)
+        balance = colour.balance / (frame.luminance * frame.exposure)
+        return develop(frame, head.camera, colour, _given_noise(demosaic, frame, head.camera, balance))
 
     return Protocol(planes, figures)
 
 
-def _bands(frame: TrainingPair, head: TrainingSet, demosaic: Demosaic) -> Array:
+def _given_noise(method: Method, frame: TrainingPair, camera: CameraModel, balance: Array) -> Demosaic:
+    """`balance`: what a photo-electron is in the mosaic, by channel."""
+    if not isinstance(method, Denoiser):
+        return method
+    constant, _, _ = camera.noise_terms(camera.dark_signal(frame.dark_time))
+    return method.given(Noise(balance, constant / camera.gain**2))
+
+
+def _bands(frame: TrainingPair, head: TrainingSet, demosaic: Method) -> Array:
+    assert not isinstance(demosaic, Denoiser)
     return develop_bands(frame, head.camera, head.target_light is not None, demosaic)
 
 
@@ -137,17 +160,31 @@ def raw_frame(values: NDArray[np.uint16], frame: TrainingPair, camera: CameraMod
     return RawFrame(frame.scene, values, camera.black_level, camera.white_level, dark=dark)
 
 
-def _by_rival(protocol: Protocol, demosaic: Demosaic) -> Callable[[TrainingPair, TrainingSet], Array]:
+def _by_rival(protocol: Protocol, demosaic: Method) -> Callable[[TrainingPair, TrainingSet], Array]:
     return lambda frame, head: protocol.planes(frame, head, demosaic)
 
 
-def _means(sets: Mapping[str, Path], run: Callable[[TrainingPair, TrainingSet], Array], protocol: Protocol) -> Figures:
-    means: Figures = {}
+def _frames(
+    sets: Mapping[str, Path], run: Callable[[TrainingPair, TrainingSet], Array], protocol: Protocol
+) -> dict[str, list[float]]:
+    """Figures of all frames, by set and figure."""
+    figures: dict[str, list[float]] = {}
     for name, path in sets.items():
         with open_training_set(path) as reader:
             frames = [protocol.figures(run(frame, reader.head), frame) for frame in reader]
-        means |= {f"{name} {figure}": float(np.mean([each[figure] for each in frames])) for figure in frames[0]}
-    return means
+        figures |= {f"{name} {figure}": [each[figure] for each in frames] for figure in frames[0]}
+    return figures
+
+
+def described(sets: Mapping[str, Path]) -> dict[str, Any]:
+    """The scene of each frame of the first set, and a digest of all frames."""
+    whole, frames = hashlib.sha256(), []
+    for path in sets.values():
+        with open_training_set(path) as reader:
+            for frame in reader:
+                whole.update(frame.raw.tobytes() + frame.target.tobytes())
+                frames.append(frame.scene)
+    return {"frames": frames[: len(frames) // len(sets)], "digest": whole.hexdigest()[:DIGITS]}
 
 
 def put_seconds(
@@ -157,13 +194,16 @@ def put_seconds(
     with open_training_set(next(iter(sets.values()))) as reader:
         frame, head = reader.frame(0), reader.head
     cfa = head.camera.cfa
-    share = (frame.raw - head.camera.black_level) / (head.camera.white_level - head.camera.black_level)
+    span = head.camera.white_level - head.camera.black_level
+    share = (frame.raw - head.camera.black_level) / span
+    electron = np.full(len(head.camera.channels), head.camera.gain / span)
 
     def table_figures(table: TransformTable) -> Callable[[int], Callable[[], object]]:
         _, renderer = _renderer(table)
         return lambda side: lambda: renderer.outputs(raw_frame(tiled_to(frame.raw, side, cfa.shape), frame, head.camera))
 
-    def rival_figures(demosaic: Demosaic) -> Callable[[int], Callable[[], object]]:
+    def rival_figures(method: Method) -> Callable[[int], Callable[[], object]]:
+        demosaic = _given_noise(method, frame, head.camera, electron)
         return lambda side: lambda: demosaic(tiled_to(share, side, cfa.shape), cfa)
 
     by_name = {(rival.name, rival.program): rival for rival in rivals}

@@ -16,8 +16,9 @@ from l3cli.stages.starting import start
 
 PICTURES = {"Kodak": "kodak", "McMaster": "mcmaster"}  # folders in demosaicking/ of the data
 RECIPES = ("default",)  # of classes, where there is noise
-LEVELS = (0.2, 0.02)  # mean signal as a share of full scale
+LEVELS = (0.2, 0.02, 0.01)  # mean signal as a share of full scale
 DAYS, FACES = ("01", "06", "13"), (1, 2, 4, 5, 6)
+PHOTOS = {"BanteaySrei_03.jpg": 4, "FruitMCC_6500.tif": 3, "woodDuck.png": 3, "elephant.png": 2}  # with their shrinking
 NANOMETRES = [405, 435, 450, 470, 505, 525, 570, 590, 630, 645, 660, 700, 780, 850, 870, 890, 910, 940, 970]
 COMPOSITION = '[[scene]]\nsource = "composition"\nsize = [360, 480]\nseed = 7\n'
 PATTERN = re.compile(r"^pattern = \[.*?^\]", re.DOTALL | re.MULTILINE)
@@ -26,7 +27,7 @@ PATTERN = re.compile(r"^pattern = \[.*?^\]", re.DOTALL | re.MULTILINE)
 def data_folder() -> Path:
     """The folder of L3_DATA; SystemExit where it lacks the pictures."""
     folder = Path(os.environ.get("L3_DATA", "../shared/data")).resolve()
-    for needed in ("demosaicking/kodak", "demosaicking/training", "scenes"):
+    for needed in ("demosaicking/kodak", "demosaicking/training", "pictures", "scenes"):
         if not (folder / needed).is_dir():
             raise SystemExit(f"{folder / needed} is missing; give the folder of the real data in L3_DATA")
     return folder
@@ -72,7 +73,7 @@ def noise(folder: Path, data: Path, jobs: int, recipes: Sequence[str] = RECIPES)
     sets = {}
     for level in LEVELS:
         head = f'illuminants = ["D65"]\nexposure_mean = [{level}]\n'
-        recipe = _written(folder / f"test{level}.toml", head + COMPOSITION + _faces(data))
+        recipe = _written(folder / f"test{level}.toml", head + COMPOSITION + _faces(data) + _photos(data))
         sets[f"{level}"] = _simulated(recipe, "bayer", folder / f"test{level}.h5", jobs)
     training = _simulated("default", "bayer", folder / "training.h5", jobs)
     return sets, {name: _trained(training, name, folder / f"{name}.h5", jobs) for name in recipes}
@@ -80,6 +81,12 @@ def noise(folder: Path, data: Path, jobs: int, recipes: Sequence[str] = RECIPES)
 
 def _faces(data: Path) -> str:
     return "".join(f'[[scene]]\nsource = "iset"\nfile = "{data}/scenes/people_small_{face}_scene.mat"\n' for face in FACES)
+
+
+def _photos(data: Path) -> str:
+    return "".join(
+        f'[[scene]]\nsource = "rgb"\nfile = "{data}/pictures/{name}"\nshrink = {shrink}\n' for name, shrink in PHOTOS.items()
+    )
 
 
 def _written(path: Path, text: str) -> Path:

@@ -1,8 +1,8 @@
-"""python docs/peers/peers.py [PART …] [--folder DIR] [--seconds]: ours beside other methods, and the page docs/peers.md.
+"""python docs/peers/peers.py [PART …] [--folder DIR] [--seconds | --ours]: ours beside other methods, and docs/peers.md.
 
 One run makes one page: without names all parts are measured, and named by day, machine and source. Training sets and tables
 lie in the folder (build/peers) and are not made again where they are there; the page says so where their source was another.
-With names, the other parts of figures.json stay as they are, with the run that they are of.
+With names, the other parts of figures.json stay as they are, with the run that they are of; with --ours, so do the rivals.
 """
 
 import argparse
@@ -10,15 +10,26 @@ import functools
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cbm3d
 import libraw_rivals
 import making
 import network
 import provenance
 import rawtherapee
-from judging import OURS, Protocol, band_protocol, code_protocol, judged, picture_protocol, put_seconds
+from judging import (
+    OURS,
+    Protocol,
+    band_protocol,
+    best_first,
+    code_protocol,
+    described,
+    judged,
+    picture_protocol,
+    put_seconds,
+)
 from peers_page import Part, page
 from rivals import PLAIN, Demosaic, Rival, gathered, installed
 from seconds import core_seconds
@@ -49,7 +60,25 @@ class Comparison:
         """The part as figures.json has it, but for its run."""
         rows = judged(self.sets, self._loaded(), self.rivals, self.protocol)
         trained = {name: provenance.stamped(path) for name, path in self.tables.items()}
-        return {"trained": trained, "rows": rows, "missing": list(self.missing), "absent": list(self.absent)}
+        return {
+            "trained": trained,
+            **described(self.sets),
+            "rows": rows,
+            "missing": list(self.missing),
+            "absent": list(self.absent),
+        }
+
+    def renewed(self, part: Part) -> Part:
+        """The same part with figures of ours measured now, beside the rivals and all seconds as they were; SystemExit if the
+        rivals saw other frames."""
+        ours = replace(self, rivals=(), missing=part["missing"]).measured()
+        if ours["digest"] != part.get("digest"):
+            raise SystemExit("the rivals were measured on other frames; measure them again, without --ours")
+        before, rivals = ([row for row in part["rows"] if row["ours"] == of] for of in (True, False))
+        seconds = {row["name"]: {"seconds": row["seconds"]} for row in before if "seconds" in row}
+        rows = [row | seconds.get(row["name"], {}) for row in ours["rows"]]
+        run = part.get("rivals", part["run"])
+        return ours | {"rows": best_first(rows + rivals), "rivals": run, "timed": part.get("timed", run)}
 
     def timed(self, part: Part) -> Part:
         """The same part with the seconds of a run now; a row whose method is not there keeps its own."""
@@ -90,7 +119,7 @@ def bands(folder: Path, data: Path, jobs: int) -> Comparison:
 def noise(folder: Path, data: Path, jobs: int) -> Comparison:
     sets, tables = making.noise(folder, data, jobs)
     programs: Programs = [_plain_bayer, _colour_demosaicing, functools.partial(libraw_rivals.bayer, True)]
-    programs += [functools.partial(rawtherapee.bayer, True), functools.partial(network.rivals, (2, 2), True)]
+    programs += [functools.partial(rawtherapee.bayer, True), functools.partial(network.rivals, (2, 2), True), cbm3d.bayer]
     return Comparison(sets, tables, *_rivals(programs, picture_protocol()))
 
 
@@ -121,20 +150,23 @@ def _colour_demosaicing() -> list[Rival]:
     return [Rival(name, program, {PLAIN: demosaic}) for name, demosaic in methods.items()]
 
 
-def main(names: list[str], folder: Path, jobs: int, seconds: bool = False) -> int:
-    """0, or 2 if a name is none of a part. `seconds`: figures stay as they are, only the seconds are measured again."""
+def main(names: list[str], folder: Path, jobs: int, seconds: bool = False, ours: bool = False) -> int:
+    """0, or 2 if a name is none of a part. `seconds`: figures stay as they are, only the seconds are measured again; `ours`:
+    rivals stay as they are."""
     if unknown := [name for name in names if name not in PARTS]:
         print(f'no part "{unknown[0]}"; there are {", ".join(PARTS)}', file=sys.stderr)
         return 2
     data = making.data_folder()
     run = provenance.origin()
-    partial = (names or seconds) and FIGURES.exists()
+    partial = (names or seconds or ours) and FIGURES.exists()
     parts = json.loads(FIGURES.read_text(encoding="utf-8")) if partial else {}
-    for name in names or (parts if seconds else PARTS):
+    for name in names or (parts if seconds or ours else PARTS):
         start = core_seconds()
         compared = PARTS[name](folder / name, data, jobs)
         if seconds:
             parts[name] = compared.timed(parts[name]) | {"timed": run}
+        elif ours:
+            parts[name] = {"run": run} | compared.renewed(parts[name])
         else:
             parts[name] = {"run": run} | compared.measured()
         parts = {each: parts[each] for each in PARTS if each in parts}
@@ -150,5 +182,6 @@ if __name__ == "__main__":
     parser.add_argument("--folder", type=Path, default=Path("build/peers"))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--seconds", action="store_true", help="measure the seconds again, and nothing else")
+    parser.add_argument("--ours", action="store_true", help="measure ours again, beside the rivals as they were")
     given = parser.parse_args()
-    sys.exit(main(given.names, given.folder.resolve(), given.jobs, given.seconds))
+    sys.exit(main(given.names, given.folder.resolve(), given.jobs, given.seconds, given.ours))

@@ -13,6 +13,27 @@ Demosaic = Callable[[Array, CFA], Array]  # mosaic (row, col) where a white is 1
 PLAIN = ""  # the setting that changes nothing
 
 
+@dataclass(frozen=True)
+class Noise:
+    """The true noise of a mosaic where a white is 1: its shot noise, and its variance where there is no light."""
+
+    electron: Array  # (channel) a photo-electron in the mosaic's unit
+    dark: float  # electrons²
+
+
+@dataclass(frozen=True)
+class Denoiser:
+    """A demosaicking that is given the noise of the mosaic, too."""
+
+    channels: Callable[[Array, CFA, Noise], Array]
+
+    def given(self, noise: Noise) -> Demosaic:
+        return lambda mosaic, cfa: self.channels(mosaic, cfa, noise)
+
+
+Method = Demosaic | Denoiser
+
+
 class NotInstalled(Exception):
     """A program of rivals that this machine lacks; its text names it."""
 
@@ -23,7 +44,11 @@ class Rival:
 
     name: str
     program: str  # with its version
-    settings: Mapping[str, Demosaic]
+    settings: Mapping[str, Method]
+
+    @property
+    def given_noise(self) -> bool:
+        return any(isinstance(each, Denoiser) for each in self.settings.values())
 
 
 def installed(package: str) -> str:

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 import l3cli
-from l3cli.evaluation.demosaic import bilinear
+from l3cli.evaluation.demosaic import bilinear, menon
 from l3cli.frames.frame import tiled
 from tests.helpers.cameras import BAYER, bayer_camera
 from tests.helpers.paths import ROOT
@@ -28,7 +28,7 @@ RUN = {"date": "2026-01-02", "source": "abc", "machine": "a processor, 2 cores"}
 PLAIN = {"run": RUN, "trained": {"o": RUN}, "missing": [], "absent": []}
 SHAPE = (120, 160)
 COLOUR = np.array([0.9, 0.5, 0.25])
-NOISE = [f"{level} {key}" for level in ("0.2", "0.02") for key in ("psnr", "delta_e")]
+NOISE = [f"{level} {key}" for level in ("0.2", "0.02", "0.01") for key in ("psnr", "delta_e")]
 
 
 @pytest.fixture
@@ -84,6 +84,34 @@ def test_the_page_states_where_ours_is_beaten_what_is_missing_and_of_which_run_i
     assert "| CDM-CNN (Tan and others 2017) | published | — | — | *42.04* | *38.98* |" in published.splitlines()
 
 
+def test_the_page_shows_every_frame_beside_a_rival_that_is_given_the_noise(peers: Callable[[str], ModuleType]) -> None:
+    """Ties are won by nobody."""
+    figures = dict.fromkeys(NOISE, 1.0)
+    ours = row("o", 40, ours=True, figures=figures, by_frame={key: [2.0, 3.0, 4.0] for key in NOISE})
+    rival = row("x", 40, figures=figures, by_frame={key: [3.0, 2.0, 4.0] for key in NOISE})
+    part = PLAIN | {"frames": ["a", "b", "c"], "rows": [ours, rival, row("y", 40, figures=figures)]}
+    lines = peers("peers_page").section("noise", part).splitlines()
+    assert f"| a |{' 2.00 / **3.00** | **2.00** / 3.00 |' * 3}" in lines
+    assert f"| c |{' 4.00 / 4.00 |' * 6}" in lines
+    assert f"| o better on |{' 1 of 3 |' * 6}" in lines
+
+
+def test_ours_is_measured_again_beside_rivals_as_they_were(
+    peers: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = peers("peers")
+    monkeypatch.setattr(script, "judged", lambda *_: [row("o", 43, ours=True, seconds=9.0)])
+    monkeypatch.setattr(script, "described", lambda _: {"frames": ["a"], "digest": "1"})
+    part = PLAIN | {"rows": [row("x", 42), row("o", 41, ours=True), row("y", 40)], "digest": "1", "missing": ["z"]}
+    renewed = {"run": RUN | {"date": "2026-01-05"}} | script.Comparison({}, {}, [], None).renewed(part)
+    assert [(each["name"], each["figures"]["bands psnr"]) for each in renewed["rows"]] == [("o", 43), ("x", 42), ("y", 40)]
+    assert renewed["rows"][0]["seconds"] == 0.1
+    assert "The others than ours: 2026-01-02," in peers("peers_page").section("bands", renewed)
+    assert "Not installed: z." in peers("peers_page").section("bands", renewed)
+    with pytest.raises(SystemExit, match="other frames"):
+        script.Comparison({}, {}, [], None).renewed(part | {"digest": "2"})
+
+
 def test_the_best_setting_counts_by_figure(peers: Callable[[str], ModuleType]) -> None:
     means = {"": {"a psnr": 30.0, "a delta_e": 2.0}, "denoised": {"a psnr": 29.0, "a delta_e": 1.5}}
     best = peers("judging").best_settings(means)
@@ -97,6 +125,36 @@ def test_libraw_gives_channels_back(peers: Callable[[str], ModuleType]) -> None:
     for demosaic in runs:
         channels = demosaic(plain_mosaic(), GRBG)
         np.testing.assert_allclose(channels, np.broadcast_to(COLOUR[:, None, None], (3, *SHAPE)), atol=1e-3)
+
+
+@pytest.mark.parametrize("electrons", [10.0, 100.0, 1000.0])
+def test_noise_is_made_one_and_light_comes_back_without_bias(peers: Callable[[str], ModuleType], electrons: float) -> None:
+    cbm3d, rng, dark = peers("cbm3d"), np.random.default_rng(1), 16.0
+    stable = cbm3d.anscombe(rng.poisson(electrons, 200_000) + rng.normal(0.0, np.sqrt(dark), 200_000), dark)
+    assert stable.std() == pytest.approx(1.0, abs=0.04)
+    assert cbm3d.inverse_anscombe(stable.mean(), dark) == pytest.approx(electrons, rel=0.01, abs=0.05)
+
+
+def test_the_spectrum_is_that_of_noise_after_demosaicking(peers: Callable[[str], ModuleType]) -> None:
+    """Power adds up to the variance of a frame that was not among those that it was taken of."""
+    cbm3d, deviation = peers("cbm3d"), np.array([1.0, 0.7, 0.9])
+    power = cbm3d.spectrum((128, 192), GRBG, deviation)
+    noise = np.random.default_rng(5).normal(size=(128, 192)) * deviation[tiled(GRBG, (128, 192))]
+    planes = np.tensordot(cbm3d.OPPONENT, menon(100 + noise, GRBG), 1)
+    np.testing.assert_allclose(power.mean((1, 2)) / (128 * 192), planes.var((1, 2)), rtol=0.1)
+    assert power[0, 64, 96] < 0.5 * power[0, 2, 2]  # interpolated: finest detail holds less
+
+
+def test_cbm3d_gives_channels_back_with_less_noise(peers: Callable[[str], ModuleType]) -> None:
+    pytest.importorskip("bm3d")
+    rng, electron = np.random.default_rng(2), np.array([0.01, 0.01, 0.02])
+    scale = electron[tiled(GRBG, (64, 96))]
+    clean = COLOUR[tiled(GRBG, (64, 96))]
+    noisy = (rng.poisson(clean / scale) + rng.normal(0.0, 4.0, clean.shape)) * scale
+    noise = peers("rivals").Noise(electron, 16.0)
+    made = peers("cbm3d").bayer()[0].settings[""].given(noise)(noisy, GRBG)
+    np.testing.assert_allclose(made.mean((1, 2)), COLOUR, rtol=0.03)
+    assert (made.std((1, 2)) < 0.3 * menon(noisy, GRBG).std((1, 2))).all()
 
 
 @pytest.mark.slow
@@ -125,14 +183,27 @@ def test_tables_and_rivals_are_judged_alike(
     bad = rivals.Rival(
         "bad", "p", {"": lambda mosaic, cfa: bilinear(mosaic, cfa) * np.array([1.0, 0.0, 1.0])[:, None, None]}
     )
+    seen: list[Any] = []
+
+    def with_noise(mosaic: NDArray[np.floating], cfa: NDArray[np.uint8], noise: Any) -> NDArray[np.floating]:
+        seen.append((mosaic / noise.electron[tiled(cfa, mosaic.shape)], noise.dark))
+        return bilinear(mosaic, cfa)
+
+    given = rivals.Rival("given noise", "p", {"": rivals.Denoiser(with_noise)})
     table = random_table(BAYER, bits=12, black_level=64.0, patch=5)
-    rows = judging.judged({"s": tmp_path / "set.h5"}, {"ours": table}, [bad, good], judging.picture_protocol())
-    assert [each["name"] for each in rows if not each["ours"]] == ["good", "bad"]
+    rows = judging.judged({"s": tmp_path / "set.h5"}, {"ours": table}, [bad, good, given], judging.picture_protocol())
+    assert [each["name"] for each in rows if not each["ours"]] == ["good", "given noise", "bad"]
     assert [each["ours"] for each in rows].count(True) == 1
     best = next(each for each in rows if each["name"] == "good")
     assert best["settings"] == {"s psnr": "brighter", "s delta_e": "brighter"}
     assert best["figures"]["s delta_e"] < 15  # hard edges of a small chart
     assert all(each["seconds"] == 1 for each in rows)
+    assert [each["name"] for each in rows if "by_frame" in each] == ["given noise", "ours"]
+    for each in rows[1], rows[-1]:
+        assert np.mean(each["by_frame"]["s delta_e"]) == pytest.approx(each["figures"]["s delta_e"], abs=1e-3)
+    for electrons, dark in seen:  # of 4 DN each but for what is dark; 4 e of reading, 2 of fixed pattern, and rounding
+        assert np.ptp((electrons * 0.25 + 0.5 - (electrons * 0.25).ravel()[0]) % 1) < 1e-3
+        assert dark == pytest.approx(16 + 4 + 16 / 12, abs=0.5)
 
 
 GALLERY = ROOT / "docs/gallery"
