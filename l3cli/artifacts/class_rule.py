@@ -158,6 +158,9 @@ class ClassRule:
     chroma_weights: NDArray[np.int32] = data(
         "int32", "chroma", "channel", doc="weights of the channel means; the chroma of the lowest score wins"
     )
+    chroma_dither: int = data(
+        "int64", default=0, doc="1: about as near to a second chroma as to the nearest, sites take one or the other in turn"
+    )
     features: FurtherFeatures | None = group(default=None)  # None: level, contrast, saturation and chroma alone
     spared_cases: int = data(
         "int64", default=0, doc="saturation cases, the first after case 0, in which every filter has a channel that is not"

@@ -4,6 +4,9 @@ chroma = the first k of least Σ clamp((S · round(65536 / n) >> 12) − chroma_
 
 With f the channel means above black over their sum and q a chroma centre, |f − q|² is least where |q|² Σ f − 2 Σ f q is:
 hence the weights |q|² − 2 q, and no division.
+
+A rule may dither (docs/method.md#dither): from the middle between two chromas to the centre of either a falling share of the
+CFA sites takes the other, so that colours do not step; layers that follow take the mean.
 """
 
 import warnings
@@ -23,6 +26,9 @@ from l3cli.recipes.toml import Recipe
 CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chroma scores
 TOP = 2**16 - 1  # of what enters the scores, which only values at the top of the range pass
 STARTS = 4  # of k-means: one in ten ends at centres that cost a tenth of S-CIELAB
+WIDTH_FRACTION = 8  # fractional bits of widths
+DITHERED = 0.6  # of the squared distance to the next centre: with all of it the palest paint takes on a cast
+TURN = 159  # 256 times the golden section: sites one after the other, and any few of them, differ
 SNIPPET = "features/chroma.cl"
 
 
@@ -31,6 +37,9 @@ class Options(Recipe):
 
     chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = (
         9  # colours distinguished where nothing is saturated, white one of them; 0 or 1: none (docs/method.md#chroma)
+    )
+    chroma_dither: bool = (
+        False  # between two chromas some CFA sites take one and some the other: no seams, for tables of several layers
     )
 
 
@@ -84,6 +93,18 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
     return np.clip((square - weights) / 2.0, 0.0, 1.0)
 
 
+def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
+    """Return for each chroma (chroma) how much nearer a colour is to it than to the second where no site takes that: DITHERED
+    of the squared distance of its centre to the nearest other, in 256ths of what scores are to sums of the channels; zeros
+    without dither."""
+    centres = chroma_centres(rule)
+    distance = ((centres[:, None] - centres[None]) ** 2).sum(axis=2)
+    nearest = np.where(distance > 0, distance, np.inf).min(axis=1)
+    if not rule.chroma_dither or not np.isfinite(nearest).all():
+        return np.zeros(rule.chromas, np.int32)
+    return np.rint(DITHERED * nearest * (CHROMA_SCALE << WIDTH_FRACTION)).astype(np.int32)
+
+
 def stored_black_level(camera: CameraModel, shift: int) -> int:
     """Return the rule's black level."""
     return int(np.rint((camera.black_level - truncation(shift)) / 2**shift * 2**CHROMA_FRACTION))
@@ -93,7 +114,17 @@ def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
     """Return the chroma (…), whatever is saturated."""
     above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, TOP)
     # below 2⁵³: exact in float64, whose products BLAS does
-    return np.argmin(above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64), axis=-1)
+    scores = above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64)
+    nearest = np.argmin(scores, axis=-1)
+    if not (widths := chroma_widths(rule)).any():
+        return nearest
+    least = np.take_along_axis(scores, nearest[..., None], -1)[..., 0]
+    np.put_along_axis(scores, nearest[..., None], np.inf, -1)
+    second = np.argmin(scores, axis=-1)
+    farther = (np.take_along_axis(scores, second[..., None], -1)[..., 0] - least).astype(np.int64)
+    turn = 2 * (statistics.site * TURN + TURN // 2 & 255) - 255
+    reach = ((above_black.sum(axis=-1) >> WIDTH_FRACTION) * widths[nearest] >> 8) * np.where(nearest < second, turn, -turn)
+    return np.where(farther < reach, second, nearest)
 
 
 def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
@@ -120,12 +151,15 @@ def macros(rule: ClassRule) -> dict[str, int]:
         "CHROMA_FRACTION": CHROMA_FRACTION,
         "CHROMA_TOP": TOP,
         "CHROMA_BLACK_LEVEL": black_level,
+        **({"CHROMA_TURN": TURN, "WIDTH_FRACTION": WIDTH_FRACTION} if chroma_widths(rule).any() else {}),
     }
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return (chroma, 1 + pair of channels), as chroma.cl has them."""
-    pairs = np.zeros((rule.chromas, (rule.channels + 1) // 2, 2), np.int16)  # which the weights fit
-    pairs.reshape(rule.chromas, -1)[:, : rule.channels] = rule.chroma_weights
-    start = 2**15 * rule.chroma_weights.sum(axis=1, keepdims=True, dtype=np.int32)
-    return np.concatenate([start, pairs.view(np.int32)[..., 0]], axis=1)
+    """Return (chroma and one of equal weights, 2 + pair of channels), as chroma.cl has them."""
+    weights = np.concatenate([rule.chroma_weights, np.ones((1, rule.channels), np.int32)])
+    pairs = np.zeros((len(weights), (rule.channels + 1) // 2, 2), np.int16)  # which the weights fit
+    pairs.reshape(len(weights), -1)[:, : rule.channels] = weights
+    start = 2**15 * weights.sum(axis=1, keepdims=True, dtype=np.int32)
+    widths = np.append(chroma_widths(rule), 0)[:, None].astype(np.int32)
+    return np.concatenate([start, widths, pairs.view(np.int32)[..., 0]], axis=1)

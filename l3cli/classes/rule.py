@@ -95,6 +95,7 @@ def make_rule(
             chroma_weights=chroma.chroma_weights(
                 np.full((1, channels), 1 / channels) if chroma_centres is None else chroma_centres
             ),
+            chroma_dither=int(recipe.chroma_dither),
             spared_cases=spared_cases,
         )
         axes = tuple(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.plane_rules import StructureRule, TreeRule
 from l3cli.artifacts.table import PlaneLayer, TransformTable
-from l3cli.classes import contrast, direction, level, saturation
+from l3cli.classes import chroma, contrast, direction, level, saturation
 from l3cli.classes.coarse_chroma import scales_of
 from l3cli.classes.features import further_features
 from l3cli.classes.plane_kernel import rule_constants, rule_macros
@@ -100,6 +100,7 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
             "l3_case_of_code", saturation.kernel_array(rule), "saturation case of each pattern of saturated channels (code)"
         ),
         Array("l3_chroma_weights", rule.chroma_weights, "(chroma, channel)"),
+        Array("l3_chroma_widths", chroma.chroma_widths(rule), "(chroma)"),
     ]
     lines = []
     for _, axis in further_features(rule):

@@ -10,7 +10,7 @@ from l3cli import __version__
 from l3cli.artifacts.plane_rules import GRADIENT
 from l3cli.artifacts.schema import Spec, declared
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, TransformTable, rule_fields
-from l3cli.classes import clipping
+from l3cli.classes import chroma, clipping
 from l3cli.classes.coarse_chroma import ALIKE
 from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, opponent_basis, refined_fixed_point
 from l3cli.classes.refinement import RATIO_DARKEST
@@ -37,7 +37,8 @@ FORMULAS = {
     "saturation": "code: bit c is set where a pixel of channel c within saturation_radius is >= saturation; "
     "case_of_code[code]",
     "chroma": "first k of least sum over channels of clamp((S * mean_reciprocal >> 12) - chroma_black_level, 0, 65535) * "
-    "chroma_weights[k]",
+    "chroma_weights[k]; with chroma_dither, at site s the second least k2 where its score exceeds that of k by less than "
+    "((sum of the clamped >> 8) * chroma_widths[k] >> 8) * t, t = 2 * ((159 s + 79) & 255) - 255, or -t if k > k2",
     "kind": "chroma where the case is 0, else chromas - 1 + case",
     "borders": "the sample of equal CFA phase nearest the mirror image; planes: mirrored about the outermost pixels",
 }
@@ -191,6 +192,9 @@ def _derived(arrays: _Arrays, table: TransformTable) -> None:
         ("variance_reciprocal", neighbours.variance_reciprocal, "round(512 / count)"),
     ):
         arrays.add(f"layer0/{name}", values.astype(np.int32), ("site", "channel"), "1", doc)
+    if table.first.rule.chroma_dither:
+        widths = chroma.chroma_widths(table.first.rule)
+        arrays.add("layer0/chroma_widths", widths, ("chroma",), "1", "how far sites take a second chroma")
     if not table.later:
         return
     basis = opponent_basis(table.white_point)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.plane_rules import GRADIENT, StructureRule, TreeRule
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, CoarseChroma, TransformTable
-from l3cli.classes import clipping, direction, saturation
+from l3cli.classes import chroma, clipping, direction, saturation
 from l3cli.classes.features import further_features
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, raw_middle
 from l3cli.classes.refinement import RATIO_DARKEST
@@ -158,6 +158,8 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         **saturation.macros(rule),
         "CHROMAS": rule.chromas,
         "CHROMA_BLACK_LEVEL": rule.chroma_black_level,
+        "DITHER": rule.chroma_dither,
+        "CHROMA_TURN": chroma.TURN,
         "FURTHER": rule.further,
         "KINDS": rule.kinds,
         "CLASSES": len(table.first.weights),

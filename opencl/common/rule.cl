@@ -59,8 +59,8 @@ INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints squar
 }
 
 // The chroma, or where saturation decides its case behind the chromas.
-INLINE uints kind_of(const Evidence *e, patterns code, RULE_CONSTANTS) {
-    const uints chroma = chroma_of(&e->colour, chroma_weights);
+INLINE uints kind_of(const Evidence *e, uints site, patterns code, RULE_CONSTANTS) {
+    const uints chroma = chroma_of(&e->colour, site, chroma_weights);
     if (!any_case(code, case_of_code)) return chroma;
     const uints saturation = case_of(code, case_of_code);
     return saturation > 0 ? CHROMAS - 1 + saturation : chroma;
@@ -72,7 +72,7 @@ INLINE uints kind_of(const Evidence *e, patterns code, RULE_CONSTANTS) {
 // Of SETS of transforms (l3cli/rendering/conditions.py), pixels compare with the edges of their `set`, which lie behind those of
 // the sets before it, and are of sites beyond theirs.
 INLINE uints class_of(const Evidence *e, uints site, patterns code, SET_VALUE RULE_CONSTANTS) {
-    const uints kind = kind_of(e, code, RULE);
+    const uints kind = kind_of(e, site, code, RULE);
     uints level = 0, edge[CONTRASTS];
     first_contrast_edges(edge, contrast_edges);
 #ifdef SETS

@@ -26,7 +26,9 @@ STRIPES = [[0, 1, 2, 0, 1], [1, 2, 0, 1, 2], [2, 0, 1, 2, 0]]
 SIXTEEN = np.arange(16).reshape(4, 4)
 TABLES = {
     "bayer": lambda: random_table(BAYER, bits=10, black_level=64.0),
-    "five-band": lambda: random_table(FIVE_BAND, bits=12, black_level=108.93, patch=9, contrasts=(1.1, 2.0)),
+    "five-band": lambda: random_table(
+        FIVE_BAND, bits=12, black_level=108.93, patch=9, contrasts=(1.1, 2.0), chroma_dither=True
+    ),
     "x-trans": lambda: random_table(X_TRANS, bits=16, black_level=2048.0, patch=7, contrasts=(1.2, 2.0, 5.0), wild=True),
     "white": lambda: random_table(
         [[0, 3, 1, 3], [3, 0, 3, 1], [1, 3, 2, 3], [3, 1, 3, 2]], bits=14, black_level=512.5, patch=9
@@ -42,8 +44,12 @@ TABLES = {
     "8 directions": lambda: random_table(
         FIVE_BAND, black_level=100.0, direction=direction.Options(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
     ),
-    "two layers": lambda: with_refinement(random_table(FIVE_BAND, black_level=100.0, patch=9), 5, ratios=True),
-    "two layers of 16 bits": lambda: with_refinement(random_table(X_TRANS, bits=16, black_level=2048.0, patch=7), 3),
+    "two layers": lambda: with_refinement(
+        random_table(FIVE_BAND, black_level=100.0, patch=9, chroma_dither=True), 5, ratios=True
+    ),
+    "two layers of 16 bits": lambda: with_refinement(
+        random_table(X_TRANS, bits=16, black_level=2048.0, patch=7, chroma_dither=True), 3
+    ),
     "three layers": lambda: with_refinement(random_table(FIVE_BAND, black_level=100.0, patch=7), 5, 3, seed=2),
     "four layers": lambda: with_refinement(random_table(X_TRANS, bits=14, patch=5), 3, 7, 5, seed=4, ratios=True),
     "a layer of single pixels": lambda: with_refinement(random_table(BAYER, patch=5), 1, seed=6, ratios=True),

@@ -70,12 +70,12 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
         direction=direction.Options(orientations=8, strengths=(4.0,), coherence=0.5),
     ),
     "three layers, 2 × 4, 16 bits": lambda: with_strengths(
-        with_refinement(a_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, patch=7, contrasts=()), 3, 5),
+        with_refinement(a_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, patch=7, contrasts=(), chroma_dither=True), 3, 5),
         5_000_000, 100_000_000, 700_000_000, 1_500_000_000,
     ),
     "smoothed spectra": lambda: with_spectra(a_table([[0, 1], [2, 3]], 12, 64.0, outputs=tuple("abcd")), 5, 0.4),
     "coarse chroma": lambda: with_clipping(
-        with_coarse_chroma(with_refinement(a_table([[0, 1], [2, 3]], 12, 64.0, contrasts=()), 5), 0.1)
+        with_coarse_chroma(with_refinement(a_table([[0, 1], [2, 3]], 12, 64.0, contrasts=(), chroma_dither=True), 5), 0.1)
     ),
     "a tree, 6 × 6": lambda: with_tree(a_table(SIX, 12, 64.0, contrasts=()), ratios=True),
 }  # fmt: skip

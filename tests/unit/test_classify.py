@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.classes.chroma import chroma_centres, chroma_widths
 from l3cli.classes.decide import label_mosaic, label_patches, labels
 from l3cli.classes.level import LEVEL_FRACTION
 from l3cli.classes.rule import ClassRecipe, make_rule
@@ -31,7 +32,8 @@ def test_mosaic_and_patches_are_labelled_alike(
 ) -> None:
     rng = np.random.default_rng(seed)
     centres = rng.dirichlet(np.ones(5), 6)
-    rule = make_rule(ClassRecipe(contrasts=(1.4, 4.0)), fiveband, random_case_of_code(5, rng), centres)
+    recipe = ClassRecipe(contrasts=(1.4, 4.0), chroma_dither=bool(seed % 2))
+    rule = make_rule(recipe, fiveband, random_case_of_code(5, rng), centres)
     values = rng.choice([0, 109, 120, 700, 4000, 4095], (rows, cols)).astype(np.uint16)
     values[: rows // 2] = rng.integers(100, 140, (rows // 2, cols))
     labels = label_mosaic(values, rule, fiveband.cfa, 5, (row_phase, col_phase))
@@ -77,11 +79,40 @@ def extreme_patches(taps: int) -> np.ndarray:
     return np.concatenate([black_and_white, flat, half])
 
 
+def test_sites_take_the_second_chroma_in_turn(fiveband: CameraModel) -> None:
+    """Along a line from one centre to the next a growing share of the sites takes the other, half of them in the middle, and
+    none near the centres; without dither all change at once."""
+    centres = np.array([[0.3, 0.2, 0.2, 0.2, 0.1], [0.1, 0.2, 0.2, 0.2, 0.3], [0.05, 0.05, 0.05, 0.8, 0.05]])
+    close = neighbourhoods(fiveband.cfa, 9, 5)
+    for dither in (False, True):
+        recipe = ClassRecipe(contrasts=(), chroma_dither=dither)
+        rule = make_rule(recipe, fiveband, np.zeros(32, np.uint16), centres)
+        kept = chroma_centres(rule)
+        shares = []
+        for step in np.linspace(0, 1, 33):
+            mean = 5000.0 * ((1 - step) * kept[0] + step * kept[1]) + fiveband.black_level
+            chromas = []
+            for site in range(16):
+                patch = np.rint(mean[close.channel[site]])[None].astype(np.uint16)
+                chromas.append(int(rule.split(label_patches(patch, rule, close, site)[0]).kind))
+            assert set(chromas) <= {0, 1}
+            shares.append(np.mean(chromas))
+        assert np.all(np.diff(shares) >= 0)
+        assert (shares[0], shares[-1]) == (0, 1)
+        inner = [share for share in shares if 0 < share < 1]
+        if dither:
+            assert shares[16] == pytest.approx(0.5, abs=1 / 16)
+            assert max(np.diff(shares)) <= 1 / 8
+        else:
+            assert len(inner) <= 1  # rounded values of the middle are not quite there
+
+
 @pytest.mark.parametrize("patch", [5, 9, 15])
 def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
     """The formulas evaluated in wrapping 32-bit arithmetic, as a kernel does, for the extremes of 16-bit values."""
     camera = dataclasses.replace(fiveband, bits=16, white_level=65535.0)
-    rule = make_rule(ClassRecipe(patch=patch, contrasts=(1.4, 4.0)), camera, np.zeros(32, np.uint16), np.eye(5))
+    recipe = ClassRecipe(patch=patch, contrasts=(1.4, 4.0), chroma_dither=True)
+    rule = make_rule(recipe, camera, np.zeros(32, np.uint16), np.eye(5))
     close = neighbourhoods(camera.cfa, patch, 5)
     patches = extreme_patches(patch**2)
     for site in range(16):
@@ -90,7 +121,7 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
         values = (patches >> rule.shift).astype(np.uint32)
         level_sum = np.zeros(len(patches), np.uint32)
         score = np.zeros((len(rule.chroma_weights), len(patches)), np.int32)
-        contrast_sum = np.zeros(len(patches), np.uint32)
+        contrast_sum, channel_sum = np.zeros(len(patches), np.uint32), np.zeros(len(patches), np.int32)
         for channel in range(5):
             of_channel = values[:, member[:, channel]]
             total, square = of_channel.sum(axis=1, dtype=np.uint32), (of_channel * of_channel).sum(axis=1, dtype=np.uint32)
@@ -99,11 +130,18 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
             deviation = square - mean * (total + total - np.uint32(close.count[site, channel]) * mean)
             level_sum += scaled >> np.uint32(8)
             signal = np.maximum((scaled >> np.uint32(12)).astype(np.int32) - np.int32(rule.chroma_black_level), 0)
+            signal = np.minimum(signal, 65535)
             score += signal * rule.chroma_weights[:, channel, None]
+            channel_sum += signal
             product = deviation * np.uint32(close.variance_reciprocal[site, channel])
             contrast_sum += np.minimum(product, np.uint32((2**32 - 1) // 5))
         level = np.searchsorted(rule.level_edges, level_sum, side="right")
-        chroma = np.argmin(score, axis=0)
+        nearest, second = np.argsort(score, axis=0, kind="stable")[:2]
+        least, next_least = np.sort(score, axis=0)[:2]
+        turn = np.int32(2 * (site * 159 + 79 & 255) - 255)
+        reach = ((channel_sum >> 8) * chroma_widths(rule)[nearest] >> 8) * np.where(nearest < second, turn, -turn)
+        assert reach.dtype == np.int32
+        chroma = np.where(next_least - least < reach, second, nearest)
         contrast = (contrast_sum[None] > rule.contrast_edges[:, level]).sum(axis=0)
         assert ((level * rule.contrasts + contrast) * rule.kinds + chroma == expected).all()
 

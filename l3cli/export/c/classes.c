@@ -31,17 +31,29 @@ static void find_levels(Evidence *restrict e) {
     }
 }
 
-/* The chroma of the lowest score, the first of equals. */
-static void find_chromas(Evidence *restrict e) {
-    int32_t least[L3_BLOCK];
-    for (int i = 0; i < L3_BLOCK; i++) least[i] = INT32_MAX, e->chroma[i] = 0;
+/* The chroma of the lowest score, the first of equals; where widths are not 0, at some sites the second where it is nearly as
+ * low. */
+static void find_chromas(Evidence *restrict e, const uint32_t *restrict sites) {
+    int32_t least[L3_BLOCK], next[L3_BLOCK];
+    uint32_t second[L3_BLOCK];
+    for (int i = 0; i < L3_BLOCK; i++) least[i] = next[i] = INT32_MAX, e->chroma[i] = second[i] = 0;
     for (uint32_t k = 0; k < L3_CHROMAS; k++)
         for (int i = 0; i < L3_BLOCK; i++) {
             int32_t score = 0;
             for (int c = 0; c < L3_CHANNELS; c++) score += e->above_black[c][i] * l3_chroma_weights[k][c];
-            e->chroma[i] = score < least[i] ? k : e->chroma[i];
-            least[i] = score < least[i] ? score : least[i];
+            const int nearer = score < least[i];
+            second[i] = nearer ? e->chroma[i] : score < next[i] ? k : second[i];
+            next[i] = nearer ? least[i] : score < next[i] ? score : next[i];
+            e->chroma[i] = nearer ? k : e->chroma[i];
+            least[i] = nearer ? score : least[i];
         }
+    for (int i = 0; L3_DITHER && i < L3_BLOCK; i++) {
+        int32_t sum = 0;
+        for (int c = 0; c < L3_CHANNELS; c++) sum += e->above_black[c][i];
+        const int32_t turn = 2 * (int32_t)((sites[i] * L3_CHROMA_TURN + L3_CHROMA_TURN / 2) & 255) - 255;
+        const int32_t reach = (sum >> 8) * l3_chroma_widths[e->chroma[i]] >> 8;
+        if (next[i] - least[i] < reach * (e->chroma[i] < second[i] ? turn : -turn)) e->chroma[i] = second[i];
+    }
 }
 
 /* `spread` begins at the first column of the block's patches. */
@@ -64,8 +76,10 @@ static uint32_t class_of(const Evidence *e, int i, uint32_t site) {
 static void label_block(const Statistics *s, ptrdiff_t span, int y, ptrdiff_t x, int width, int phase_row, int phase_column,
                         uint32_t *labels) {
     const int site_row = (y + phase_row) % L3_CFA_ROWS;
-    uint32_t sum[L3_BLOCK], square[L3_BLOCK];
+    uint32_t sum[L3_BLOCK], square[L3_BLOCK], sites[L3_BLOCK];
     Evidence e;
+    for (int i = 0; i < L3_BLOCK; i++)
+        sites[i] = (uint32_t)(site_row * L3_CFA_COLUMNS + (i + phase_column) % L3_CFA_COLUMNS);
     for (int i = 0; i < L3_BLOCK; i++) e.level_sum[i] = e.variance_sum[i] = 0;
     for (int c = 0; c < L3_CHANNELS; c++) {
         const int at = (site_row * L3_CHANNELS + c) * L3_BLOCK;
@@ -74,13 +88,10 @@ static void label_block(const Statistics *s, ptrdiff_t span, int y, ptrdiff_t x,
         add_evidence(&e, c, sum, square, s->count + at, s->mean + at, s->variance + at);
     }
     find_levels(&e);
-    find_chromas(&e);
+    find_chromas(&e, sites);
     find_codes(&e, s->spread + x);
     further_features(s->padded + y * span + x, span, e.level, e.further);
-    for (int i = 0; i < width; i++) {
-        const int site = site_row * L3_CFA_COLUMNS + (i + phase_column) % L3_CFA_COLUMNS;
-        labels[i] = class_of(&e, i, (uint32_t)site);
-    }
+    for (int i = 0; i < width; i++) labels[i] = class_of(&e, i, sites[i]);
 }
 
 /* The mosaic, already padded -> labels (row, column) of the first layer. */
