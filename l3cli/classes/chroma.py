@@ -94,8 +94,8 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
 
 
 def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
-    """Return for each chroma (chroma) how much nearer than the second a colour is to it where no site takes that: DITHERED of
-    the squared distance of its centre to the nearest other, in 256ths of what scores are to sums of the channels; zeros
+    """Return for each chroma (chroma) how much nearer than the second a colour is to it where no site takes that: DITHERED
+    of the squared distance from its centre to the nearest other, in 256ths of what scores are to sums of the channels; 0
     without dither."""
     centres = chroma_centres(rule)
     distance = ((centres[:, None] - centres[None]) ** 2).sum(axis=2)
