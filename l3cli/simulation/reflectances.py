@@ -26,10 +26,10 @@ DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)  # nm: where colours are drawn
 KINDS = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
 DYED = ("library", "mixture", "gaussian")  # kinds whose saturation a frame draws; the others have their own
 VIVID = (0.0, 1.2)  # saturation of the dyed materials of a chart, greys included
+VESSEL = 0.007  # cm, radius of those that hold the blood of skin
 PAINTED = 0.75  # of the dyed materials scatter by titanium white, as paint, plastic and paper do
 
 # Molar extinction of oxygenated and deoxygenated haemoglobin, cm-1/M, 390…780 nm by 10 (S. Prahl, omlc.org).
-VESSEL = 0.007  # cm, radius
 HAEMOGLOBIN_WAVELENGTH = np.arange(390.0, 781.0, 10.0)
 OXYGENATED = np.array(
     [167748, 266232, 466840, 480360, 246072, 102580, 62816, 44480, 33209, 26629, 23684, 20932, 20035, 24202, 39956, 53236]
