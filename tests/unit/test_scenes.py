@@ -201,9 +201,10 @@ def test_materials_have_the_colours_of_their_names() -> None:
     mean = {
         kind: np.mean([reflectances._material(rng, of, kind, 1.0) for _ in range(200)], axis=0) for kind in ("skin", "leaf")
     }
-    at = {nm: int(np.flatnonzero(nm == WAVELENGTH)[0]) for nm in (450, 540, 560, 580, 650, 680, 700)}
+    at = {nm: int(np.flatnonzero(nm == WAVELENGTH)[0]) for nm in (420, 450, 480, 540, 560, 580, 600, 650, 680, 700)}
     assert mean["skin"][at[560]] > mean["skin"][at[540]] < mean["skin"][at[650]]  # the W of haemoglobin
-    assert mean["skin"][at[580]] < mean["skin"][at[560]]
+    assert 1.25 < mean["skin"][at[600]] / mean["skin"][at[580]] < 1.6  # its edge; 112 measured skins: 1.38 to 1.55
+    assert 0.6 < mean["skin"][at[420]] / mean["skin"][at[480]] < 0.75  # which vessels hide; measured: 0.63 to 0.70
     assert mean["leaf"][at[560]] > 1.3 * mean["leaf"][at[450]]
     assert mean["leaf"][at[700]] > 1.3 * mean["leaf"][at[680]]  # the red edge
 
