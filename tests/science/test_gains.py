@@ -227,8 +227,8 @@ def test_refinement_of_the_dark_is_that_of_signals_of_twice_the_noise(several: T
     each = [np.flatnonzero((place.level == one) & (place.kind < later.rule.structures)) for one in (0, above - 1, above)]
     mixed = (1 - share) * later.weights[each[1]] + share * later.weights[each[2]]
     np.testing.assert_allclose(made.later[0].weights[each[0]], mixed, atol=1e-3 * np.abs(mixed).max())
-    place = rule.split(np.arange(len(several.first.weights)))
-    darkest = (place.level == 0) & (place.kind < rule.chromas)
+    there = rule.split(np.arange(len(several.first.weights)))
+    darkest = (there.level == 0) & (there.kind < rule.chromas)
     np.testing.assert_allclose(made.first.weights[darkest], several.first.weights[darkest], rtol=1e-6)
 
 

@@ -100,7 +100,8 @@ def test_splits_are_judged_by_small_windows_where_there_is_no_noise(
     noise: str, side: int, leaves: Path, trained: Trained, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Filters learned for the leaves have the whole windows."""
-    seen, grow = [], rules.grow
+    seen: list[int] = []
+    grow = rules.grow
 
     def watched(samples: Sequence[rules.TreeSample], *further: Any) -> rules.Tree:
         seen.extend(one.columns.shape[1] - rules.OUTPUTS for one in samples)
