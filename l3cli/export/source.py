@@ -158,7 +158,7 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         **saturation.macros(rule),
         "CHROMAS": rule.chromas,
         "CHROMA_BLACK_LEVEL": rule.chroma_black_level,
-        "DITHER": rule.chroma_dither,
+        "DITHER": int(chroma.chroma_widths(rule).any()),
         "CHROMA_TURN": chroma.TURN,
         "FURTHER": rule.further,
         "KINDS": rule.kinds,
