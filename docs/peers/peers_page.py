@@ -116,7 +116,7 @@ def section(name: str, part: Part) -> str:
         lines.append(f"Settings other than the plain one: {'; '.join(chosen)}.\n")
     lines += [frame_by_frame(columns, part["frames"], *pair) for pair in _compared(part["rows"])]
     if any("seconds" not in row for row in part["rows"]):
-        lines.append(f"Seconds were not measured of all (`make peers PARTS='{name} --seconds'` does).\n")
+        lines.append("Seconds were not measured of all; `make help` says how they are.\n")
     lines += [f"Not installed: {each}.\n" for each in part["missing"]]
     lines += [f"Not measured, since the pictures are not there: {each}.\n" for each in part["absent"]]
     lines.append(origin(part))

@@ -28,6 +28,7 @@ TOP = 2**16 - 1  # of what enters the scores, which only values at the top of th
 STARTS = 4  # of k-means: one in ten ends at centres that cost a tenth of S-CIELAB
 WIDTH_FRACTION = 8  # fractional bits of widths
 DITHERED = 0.6  # of the squared distance to the next centre: with all of it the palest paint takes on a cast
+TWINS = 2e-3  # squared distance of two centres, in shares of the mean channel, below which no site changes between them
 TURN = 159  # 256 times the golden section: sites one after the other, and any few of them, differ
 SNIPPET = "features/chroma.cl"
 
@@ -96,12 +97,13 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
 def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
     """Return for each chroma (chroma) how much nearer than the second a colour is to it where no site takes that: DITHERED
     of the squared distance from its centre to the nearest other, in 256ths of what scores are to sums of the channels; 0
-    without dither."""
+    without dither, and of twins, between which greys would flicker."""
     centres = chroma_centres(rule)
     distance = ((centres[:, None] - centres[None]) ** 2).sum(axis=2)
     nearest = np.where(distance > 0, distance, np.inf).min(axis=1)
     if not rule.chroma_dither or not np.isfinite(nearest).all():
         return np.zeros(rule.chromas, np.int32)
+    nearest[nearest * rule.channels**2 < TWINS] = 0.0
     return np.rint(DITHERED * nearest * (CHROMA_SCALE << WIDTH_FRACTION)).astype(np.int32)
 
 
