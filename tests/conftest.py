@@ -21,7 +21,7 @@ from l3cli.parallel import processes
 from l3cli.physics.spectra import colour_science
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
-from tests.helpers.recipes import CLASSES, SCENES, UNSEEN
+from tests.helpers.recipes import CLASSES, GAIN_CLASSES, SCENES, UNSEEN
 
 os.fsync = lambda fd: None  # nobody cuts the power, and to reach the disk takes as long as a small command
 settings.register_profile("shared machines", deadline=None, suppress_health_check=[HealthCheck.too_slow])  # not timed
@@ -180,3 +180,25 @@ def make_pipeline(folder: Path) -> None:
     l3("simulate", folder / "unseen.toml", *unseen)
     raw = next((folder / "unseen").glob("*_raw.tif"))
     l3("render", folder / "table.h5", raw, "-o", folder / "picture.png")
+
+
+@pytest.fixture(scope="session")
+def gain_tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Sets of frames at gains 1, 8 and 16 of a camera whose read noise is known up to there; of the first a table, one.h5,
+    and one with transforms for filtered frames, several.h5; of the last alone at16.h5."""
+    return made_once("gains", make_gain_tables, tmp_path_factory)
+
+
+def make_gain_tables(folder: Path) -> None:
+    bayer, layer = CONFIGS / "cameras/bayer.toml", "draws = 4\n[[layer]]\nside = 3\nmosaics = 16\nrows = 500\n"
+    gains = f"[gain]\ngains = [16.0]\nread_noise_e = [{load_camera(bayer).noise.read_noise}]\n"
+    (folder / "camera.toml").write_text(f"{bayer.read_text()}\n{gains}")
+    for gain, count in ((1, 4), (8, 1), (16, 4)):
+        scene = f'[[scene]]\nsource = "dead leaves"\nsize = [96, 96]\ncount = {count}\n'
+        (folder / "scenes.toml").write_text(f"exposure_share = [0.03]\n{scene}[sensor]\nanalog_gain = {gain}.0\n")
+        call = ["simulate", folder / "scenes.toml", "--camera", folder / "camera.toml", "-o", folder / f"set{gain}.h5"]
+        assert run([*map(str, call), "--quiet"]) == 0
+    for name, gain, keys in (("one", 1, ""), ("several", 1, "noise_left = 0.1\n"), ("at16", 16, "")):
+        (folder / "classes.toml").write_text(GAIN_CLASSES + keys + layer)
+        call = ["train", folder / f"set{gain}.h5", "--classes", folder / "classes.toml", "-o", folder / f"{name}.h5"]
+        assert run([*map(str, call), "--quiet"]) == 0

@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, Optics
-from l3cli.artifacts.camera_recipe import CfaRecipe, NoiseRecipe, OpticsRecipe, SensorRecipe, camera_files, load_camera
+from l3cli.artifacts.camera_recipe import (
+    CfaRecipe,
+    GainRecipe,
+    NoiseRecipe,
+    OpticsRecipe,
+    SensorRecipe,
+    camera_files,
+    load_camera,
+)
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 from l3cli.recipes.builtin import CURVES, find_recipe
@@ -305,15 +313,18 @@ def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
     pitch, rows = round(camera.pixel_pitch * 1e6, 6), [[camera.channels[site] for site in row] for row in camera.cfa]
     levels = (camera.bits, camera.gain, camera.black_level, camera.white_level, camera.fixed_pattern_seed)
     dark = (noise.read_noise, noise.dark_current, noise.dsnu, noise.prnu, noise.column_noise)
-    tables = {
+    tables: dict[str, Recipe] = {
         "sensor": SensorRecipe(camera.rows, camera.cols, pitch, *levels),
         "cfa": CfaRecipe(list(camera.channels), [" ".join(row) for row in rows]),
         "noise": NoiseRecipe(noise.well_capacity, *dark),
         "optics": OpticsRecipe(round(optics.focal_length * 1e3, 9), optics.f_number, optics.object_distance),
     }
+    if (gains := camera.gains) is not None:
+        tables["gain"] = GainRecipe(gains.iso, tuple(gains.analog_gain.tolist()), tuple(gains.gain_read_noise.tolist()))
     recipe = [f"# {printable(origin)}", f"name = {toml_value(camera.name)}", f'responsivity = {{ file = "{CURVES}" }}']
     for name, table in tables.items():
-        recipe += ["", f"[{name}]", *(f"{key} = {toml_value(each)}" for key, each in msgspec.structs.asdict(table).items())]
+        known = {key: each for key, each in msgspec.structs.asdict(table).items() if each is not None}
+        recipe += ["", f"[{name}]", *(f"{key} = {toml_value(each)}" for key, each in known.items())]
     curves = [",".join(["wavelength_nm", *(f"{name} (e-/photon)" for name in camera.channels)])]
     for at, row in zip(camera.wavelength, camera.responsivity.T, strict=True):
         curves.append(f"{at:g}," + ",".join(f"{value:.6f}" for value in row))

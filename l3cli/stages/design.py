@@ -40,7 +40,7 @@ from l3cli.evaluation.evaluation import raw_of
 from l3cli.evaluation.quality import Target
 from l3cli.frames.frame import least_period
 from l3cli.frames.scene import Scene
-from l3cli.options.commands import DesignOptions, MomentsOptions, SimulateOptions, TrainOptions
+from l3cli.options.commands import DesignOptions, MomentsOptions, PartsOptions, SimulateOptions, TrainOptions
 from l3cli.parallel import WorkerPool, workers
 from l3cli.physics.display import displayed, srgb_codes, white_luminance
 from l3cli.recipes.builtin import find_recipe
@@ -52,11 +52,11 @@ from l3cli.simulation.sources import Spectral, WantedScene, holds_codes, wanted_
 from l3cli.stages.evaluation import FrameRenderers
 from l3cli.stages.simulation.preparation import fitting, input_files, prepare, scene_over_time
 from l3cli.stages.simulation.simulate import simulate
-from l3cli.stages.simulation.units import key_of
+from l3cli.stages.simulation.units import is_of_run, key_of
 from l3cli.stages.training.train import train
 from l3cli.system.checkpoint import PartsFolder, parts_folder
 from l3cli.system.console import Console, Silent
-from l3cli.system.files import dated, sha256, write_whole
+from l3cli.system.files import dated, refuse_existing, sha256, write_whole
 from l3cli.system.outputs import Made, OutputGuard, before_work
 from l3cli.system.text import counted
 
@@ -95,22 +95,23 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
     with OutputGuard(console) as guard:
         recipe, (pixel, pixel_files) = load_recipe(scenes, SceneRecipe), pixel_camera(camera)
         guard.protect(scenes, *pixel_files)
-        guard.guard_file(output, options.force)
+        guard.guard_file(output, options.force or options.resume)
         _refuse(recipe, scenes)
         run, files = prepare(recipe, scenes, pixel, options.seed)
         files, _ = fitting(run, files, scenes, False, console)
         inputs = {"camera": pixel_files, **input_files(run, files)}
         guard.protect(*itertools.chain(*inputs.values()))
-        before_work({"scene recipe": [scenes], **inputs}, Made(output, "scene moments"))
         digests = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
         text = f"{read_text(scenes)}\n{read_text(camera) if is_design(camera) else recipe_text(camera)}"
         stage = Stage("design moments", options.chosen(), text, digests)
+        parts = Parts(parts_folder(output), key_of(stage))
+        if _begin(output, "scene moments", parts, {"scene recipe": [scenes], **inputs}, options):
+            return load(SceneMoments, output)
         wanted = [
             each for source, paths in zip(run.recipe.scene, files, strict=True) for each in wanted_scenes(source, paths)
         ]
         size = -(-len(wanted) // PARTS)
         chunks = [list(enumerate(wanted))[start : start + size] for start in range(0, len(wanted), size)]
-        parts = Parts(parts_folder(output), key_of(stage))
         with parts.held(options.resume, options.force), workers(options.jobs) as pool:
             spectra = parts.each("spectra", functools.partial(_spectra, run), chunks, pool, console)
             powers = functools.reduce(np.add, (part["power"] for part in spectra))
@@ -138,6 +139,18 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
         spectra_of = ", ".join(f"{each.illuminant} {each.terms} spectra" for each in lights)
         console.info(f"{output}: {lights[0].patches.sum():.0f} patches, {spectra_of}")
         return moments
+
+
+def _begin(output: Path, what: str, parts: Parts, reads: Mapping[str, Sequence[Path]], options: PartsOptions) -> bool:
+    """Return whether the run has ended before, so that with `resume` nothing is left to do; end a dry run here. L3Error if
+    another output is there that may not be replaced."""
+    finished = options.resume and not options.force and is_of_run(output, parts.key)
+    if not finished:
+        refuse_existing(output, options.force)
+    before_work(reads, *([] if finished else [Made(output, what)]))
+    if finished:
+        options.console.info(f"{output} is finished already")
+    return finished
 
 
 def _refuse(recipe: SceneRecipe, path: Path) -> None:
@@ -286,7 +299,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> Design:
     console = options.console
     with OutputGuard(console) as guard:
         guard.protect(recipe, options.moments)
-        guard.guard_file(output, options.force)
+        guard.guard_file(output, options.force or options.resume)
         task = Task(recipe, options.moments)
         files = [*pixel_camera(recipe)[1], *curve_files(task.wanted, recipe.parent)]
         guard.protect(*files)
@@ -295,10 +308,11 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> Design:
         if wrong := [each.name for each in task.levels if clips_everything(seen[each.light], each, noise)]:
             raise RecipeError(f"{listed(wrong)}: every filter clips in every part of the scenes; expose less")
         lists = [task.arrays_of(pattern, number) for number, pattern in enumerate(task.wanted.pattern)]
-        before_work({"recipe": files, "moments": [options.moments]}, Made(output, "design"))
         sums = {"recipe": [sha256(path) for path in files], "moments": [sha256(options.moments)]}
         stage = Stage("design", options.chosen(), read_text(recipe), sums)
         parts = Parts(parts_folder(output), key_of(stage))
+        if _begin(output, "design", parts, {"recipe": files, "moments": [options.moments]}, options):
+            return load(Design, output)
         with parts.held(options.resume, options.force), workers(options.jobs) as pool:
             run = _Run(task, parts, pool, options)
             arrays = list(run.candidates(lists))

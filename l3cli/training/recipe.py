@@ -194,6 +194,9 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
     if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:
         keys = ("learning.darkest", "learning.highlight_from", "learning.brightest")
         yield fault("learning needs 0 ≤ darkest < highlight_from < brightest", *keys)
+    if (ends := recipe.dark_share + recipe.highlight_share) > 1:
+        message = f"learning.dark_share and learning.highlight_share are {ends:g} together, more than all draws"
+        yield fault(message, "learning.dark_share", "learning.highlight_share")
     if recipe.noise_left and recipe.noise == "none":
         yield fault('learning.noise_left has no noise to leave a share of where noise is "none"', "learning.noise_left")
     if recipe.lights and len(set(recipe.lights)) < max(2, len(recipe.lights)):

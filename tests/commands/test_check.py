@@ -71,6 +71,7 @@ contrasts = [2, 1]  # contrasts must be positive and increase
 lowest_level = 2  # 0 < lowest_level < highest_level
 [learning]
 darkest = 0.5  # darkest < highlight_from
+dark_share = 0.9  # 1.15 together, more than all draws
 ridge = 0  # learning.ridge is 0; give more than 0
 level_power = 2  # learning.level_power is 2; the most is 1
 [[layer]]

@@ -12,6 +12,7 @@ import pytest
 
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.design import Design, SceneMoments, Truth
+from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load
 from l3cli.design import task
 from l3cli.design.task import BOUNDS
@@ -63,7 +64,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from l3cli.cli import run as command
 
     made = tmp_path_factory.mktemp("design")
-    (made / "camera.toml").write_text(bayer_camera())
+    (made / "camera.toml").write_text(bayer_camera() + "[gain]\niso = 100\ngains = [8.0]\nread_noise_e = [2.5]\n")
     (made / "scenes.toml").write_text(SCENES)
     (made / "design.toml").write_text(DESIGN)
     (made / "bare.csv").write_text("nm,bare (e-/photon)\n380,0.5\n720,0.6\n")
@@ -108,6 +109,14 @@ def test_a_run_that_goes_on_in_two_processes_makes_the_same_bytes(
     assert code == 0, err
     assert (tmp_path / "d.h5").read_bytes() == (folder / "design.h5").read_bytes()
     assert json.loads(out)["arrays"][0]["array"] == load(Design, tmp_path / "d.h5").patterns[0]
+    for finished in (call, ranking):  # again: nothing is left to do
+        file = finished[finished.index("-o") + 1]
+        made = file.stat().st_mtime_ns
+        code, _, err = l3(*finished, "--resume")
+        assert (code, f"{file} is finished already" in err) == (0, True)
+        assert file.stat().st_mtime_ns == made
+        code, _, err = l3(*finished, "--resume", "--seed", 1)  # another run
+        assert (code, f"{file} exists; add --force" in err) == (1, True)
     assert not list(tmp_path.glob("*.parts"))
 
 
@@ -204,6 +213,8 @@ def test_the_best_array_becomes_a_folder_of_recipes(folder: Path, tmp_path: Path
     used = [made.filters.index(name) for name in camera.channels]
     np.testing.assert_allclose(camera.responsivity, made.efficiency[used], atol=1e-6)
     assert (camera.noise, camera.optics, camera.gain) == (pixel.noise, pixel.optics, pixel.gain)
+    assert pixel.gains is not None
+    assert equal(camera.gains, pixel.gains)
     assert "CAMERA ?= camera.toml" in (mine / "Makefile").read_text()
     assert "not empty" in refused(1, "init", "--from", folder / "design.h5", mine)
     assert "one folder" in refused(2, "init", "--from", folder / "design.h5", "--from", folder / "design.h5", tmp_path / "a")

@@ -117,7 +117,8 @@ def test_resuming_gives_the_same_bytes(runs: Runs, exposure: float | str) -> Non
     assert runs(*options, "--resume") == (0, "", "")
     assert all(path.stat().st_mtime_ns == then for path, then in done.items())
     runs.require_whole(*options)
-    assert "--force" in runs(*options, "--resume")[2]
+    finished = "frame_07.png exists, and no run was stopped there: it is finished; add --force"
+    assert finished in runs.refused(1, *options, "--resume")
 
 
 @pytest.mark.parametrize("output", ["out", "out/p_%02d.png"])

@@ -28,6 +28,9 @@ SMALL = {
     "classes": "[classes]\npatch = 5\nlevels = 6\nlowest_level = 0.02\nchromas = 3\nmax_cases = 4\n"
     "[learning]\npatches = 2000\ndraws = 4\nfirst_draws = 0\n",
 }
+GAIN_CLASSES = (
+    "[classes]\npatch = 3\nlevels = 8\nchromas = 2\n[classes.direction]\n[learning]\npatches = 4000\nfirst_draws = 1\n"
+)
 VALUES: list[Any] = [-1, 0, 2, 1.25, 1e9 + 0.5, "x", "D65", [], {}, [1, 2], [[1, 2]], True, {"peak": 1}]  # of all types
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.io.destination import Destination, refuse_outputs
 from l3cli.io.pictures.registry import file_identity
@@ -199,11 +199,14 @@ def checkpointed(
         yield None
         return
     checkpoint = PictureCheckpoint(destination.checkpoint, key, options.force)
+    is_ours = checkpoint.is_ours
     if options.resume and checkpoint.path.is_file():
         checkpoint.go_on(destination.path)
         if sequence.count is not None:
             _refuse_changed(destination, sequence, checkpoint, digests())
-    refuse_outputs(destination, sequence, checkpoint.force, checkpoint.is_ours)
+    elif options.resume:
+        is_ours = _refuse_finished
+    refuse_outputs(destination, sequence, checkpoint.force, is_ours)
     checkpoint.begin()
     try:
         yield checkpoint
@@ -212,6 +215,13 @@ def checkpointed(
             checkpoint.end()
         raise
     checkpoint.end()
+
+
+def _refuse_finished(file: Path) -> bool:
+    """Raise L3Error if a picture is there that no stopped run has left."""
+    if file.is_file():
+        raise L3Error(f"{file} exists, and no run was stopped there: it is finished; add ‹force› to render it again")
+    return False
 
 
 def _refuse_changed(

@@ -80,7 +80,7 @@ def remove_finished(output: Path) -> None:
 
 
 def is_of_run(output: Path, key: str) -> bool:
-    """Return whether `output` is the whole training set of the run called `key`."""
+    """Return whether `output` is that of the run called `key`, finished."""
     if not output.is_file():
         return False
     try:
