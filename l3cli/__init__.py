@@ -6,27 +6,7 @@ What is named here comes from `l3cli.api` and is imported when it is used.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from l3cli.api import (
-        L3Error,
-        Renderer,
-        calibrate,
-        delta_e_2000,
-        evaluate,
-        load,
-        load_camera,
-        load_table,
-        load_training_set,
-        psnr,
-        raw_frame,
-        read_raw,
-        region,
-        render,
-        save,
-        scielab,
-        simulate,
-        ssim,
-        train,
-    )
+    from l3cli.api import *  # noqa: F403
 
 __version__ = "0.1.0"
 __all__ = [

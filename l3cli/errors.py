@@ -3,7 +3,8 @@
 A message that names a parameter marks it ‹force›, by its name in Python; the command line writes its option there, --force.
 """
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Iterable, Iterator
 from itertools import accumulate
 
 
@@ -29,6 +30,15 @@ class DeviceError(L3Error):
     """No usable OpenCL device."""
 
     exit_code = 4
+
+
+@contextlib.contextmanager
+def raised_as(kind: type[L3Error], name: object, of: type[Exception] = ValueError, cure: str = "") -> Iterator[None]:
+    """Raise an error `of` the block as one of a kind that calls the culprit by its name."""
+    try:
+        yield
+    except of as error:
+        raise kind(f"{name}: {error}{cure}") from error
 
 
 MOST = 240  # characters of a list of names

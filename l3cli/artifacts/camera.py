@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.fit import Fit
 from l3cli.artifacts.schema import MOST, Artifact, data, group
-from l3cli.errors import InputFileError
+from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.frame import tiled
 from l3cli.physics import lens, spectra
 from l3cli.system.limits import most_pixels
@@ -350,10 +350,8 @@ class CameraModel(Artifact):
 
         InputFileError if the camera collects next to nothing of that light, or its wavelengths are all invisible.
         """
-        try:
+        with raised_as(InputFileError, f"camera {self.name}", InputFileError):
             white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
-        except InputFileError as error:
-            raise InputFileError(f"camera {self.name}: {error}") from None
         electrons = float((self.signal_weights @ white).max())
         exposure = self.full_scale / electrons if electrons > 0 else np.inf
         if not exposure <= MOST:

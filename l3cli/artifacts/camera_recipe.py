@@ -24,7 +24,7 @@ from l3cli.artifacts.camera import (
 from l3cli.artifacts.camera_curves import ResponsivityRecipe, curve_faults, curve_table, differences, responsivity
 from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.artifacts.store import load
-from l3cli.errors import RecipeError, suggestion
+from l3cli.errors import RecipeError, raised_as, suggestion
 from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import (
     Count,
@@ -281,7 +281,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
     filters = _filters(recipe)
     wavelength, curves = responsivity(recipe.responsivity, filters, path.parent)
     curves = curves[[filters.index(each) for each in filters_of(recipe.channel, recipe.cfa.channels)]]
-    try:
+    with raised_as(RecipeError, path):
         return CameraModel(
             name=recipe.name,
             rows=sensor.rows,
@@ -303,8 +303,6 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
             readout=readout_of(recipe.channel, recipe.cfa.channels, noise.read_noise_e),
             gains=gains_of(recipe.gain, noise.read_noise_e),
         )
-    except ValueError as error:
-        raise RecipeError(f"{path}: {error}") from error
 
 
 def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:

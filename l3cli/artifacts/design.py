@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import Artifact, check, data, group
+from l3cli.frames.frame import array_rows
 
 SHARP, SOFT = slice(0, 3), slice(3, 6)  # of targets: X, Y, Z; the same, blurred as an eye sees chroma
 WEIGHTINGS = ("seen", "linear")
@@ -272,7 +273,7 @@ class Design(Artifact):
 
 def shown(cfa: NDArray[np.integer], names: Sequence[str]) -> str:
     """Return an array (row, col) of numbers of filters as text, rows of names divided by /."""
-    return " / ".join(" ".join(names[site] for site in row) for row in cfa)
+    return " / ".join(array_rows(names, cfa))
 
 
 def sites(pattern: str, names: Sequence[str]) -> NDArray[np.intp]:

@@ -21,7 +21,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5p, h5s, h5t
 from l3cli.artifacts import container
 from l3cli.artifacts.container import ENCODING, KNOWN_FILTERS, Stored, datasets, encoded, is_scale, require_readable
 from l3cli.artifacts.schema import Artifact, Group, Spec, Stage, check, declared, instances
-from l3cli.errors import InputFileError
+from l3cli.errors import InputFileError, raised_as
 from l3cli.system.files import require_regular
 from l3cli.system.limits import read_bounded
 from l3cli.system.text import a
@@ -242,7 +242,7 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     """Return an instance of dataclass `cls` from the datasets below `group`."""
     values = dict(extra)
     held = members(group, path)
-    try:
+    with raised_as(InputFileError, path, cure="; make the file again"):
         for name, spec, optional in declared(cls):
             if isinstance(spec, Spec) and (name in held or spec.formerly in held or not optional):
                 values[name] = _read_dataset(
@@ -255,8 +255,6 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
         instance = cls(**values)
         if not isinstance(instance, Artifact):  # which checks itself
             check(instance)
-    except ValueError as error:
-        raise InputFileError(f"{path}: {error}; make the file again") from error
     return instance
 
 
@@ -459,7 +457,7 @@ def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple
     for stage in stages:  # which grows
         named = {digest for digests in stage.inputs.values() for digest in digests}
         for path in (path for path, digest in inputs.items() if digest in named):
-            stages += [other for other in _history_of(path) if other not in stages]
+            stages += [other for other in history_of(path) if other not in stages]
     links, named_inputs = [], set()
     for stage in stages:
         for role, digests in sorted(stage.inputs.items()):
@@ -473,8 +471,8 @@ def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple
     return tuple(links), tuple(path for path in inputs if path not in named_inputs)
 
 
-def _history_of(path: Path) -> tuple[Stage, ...]:
-    """Return an artifact's history; nothing for another file."""
+def history_of(path: Path) -> tuple[Stage, ...]:
+    """Return an artifact's history; nothing for another file, or none."""
     try:
         with open_artifact(path) as root:
             return read_history(root, path)

@@ -12,7 +12,7 @@ from l3cli.artifacts.camera import CameraModel, FlatField
 from l3cli.artifacts.fit import Fit, SeriesFit
 from l3cli.calibration import agreement, noise, responsivity, statistics
 from l3cli.calibration.responsivity import COVERAGE, Curves, light_centre
-from l3cli.errors import InputFileError
+from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.measurement import PATCHES, BandCapture, Body, Capture, ChartCapture, Measurements, MonoCapture
 from l3cli.physics import spectra
 
@@ -153,10 +153,8 @@ def flat_field(response: Array, body: Body) -> FlatField:
         lines = np.meshgrid(np.linspace(-1, 1, GRID[0]), np.linspace(-1, 1, GRID[1]), indexing="ij")
         root = (_surface(*map(np.ravel, lines)) @ terms).reshape(GRID)
         gains.append((root / terms[0]) ** 2)
-    try:
+    with raised_as(InputFileError, "the white frames make no flat field"):
         return FlatField(np.linspace(0, body.rows - 1, GRID[0]), np.linspace(0, body.cols - 1, GRID[1]), np.array(gains))
-    except ValueError as error:
-        raise InputFileError(f"the white frames make no flat field: {error}") from error
 
 
 def corner_falloff(field: FlatField) -> Array:
@@ -239,9 +237,7 @@ def _nearest(darks: Sequence[Capture], exposure: float) -> int:
 def _check_level(mean: NDArray[np.floating], camera: CameraModel, name: str) -> None:
     span = camera.white_level - camera.black_level
     for channel, label in enumerate(camera.channels):
-        rows, cols = camera.cfa.shape
-        sites = np.argwhere(camera.cfa == channel)
-        values = np.concatenate([mean[row::rows, col::cols].ravel() for row, col in sites])
+        values = mean[camera.channel_map(mean.shape) == channel]
         if np.quantile(values, 0.999) >= camera.black_level + noise.SATURATED * span:
             raise InputFileError(f"{name}: channel {label} is clipped; expose the white frames shorter")
         if np.median(values) < camera.black_level + LEAST_SIGNAL * span:

@@ -21,7 +21,7 @@ from l3cli.calibration.captures import (
 from l3cli.calibration.photo.responsivity import fit_photos
 from l3cli.calibration.responsivity import Curves, check_efficiency, efficiency
 from l3cli.calibration.statistics import Each, channel_shares
-from l3cli.errors import InputFileError
+from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.measurement import Body, Measurements, SensorFigures
 
 DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothings tried in Eq. 1
@@ -76,10 +76,8 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
     if measurements.iso is None:
         return None
     for captures in measurements.gains:
-        try:
+        with raised_as(InputFileError, f"ISO {captures.iso:g}", InputFileError):
             sensor = measure_sensor(replace(measurements, darks=captures.darks, whites=captures.whites), each)
-        except InputFileError as error:
-            raise InputFileError(f"ISO {captures.iso:g}: {error}") from error
         noise = summarise(sensor, describe_noise(sensor, body), body)
         times, stated = noise.gain / camera.gain, captures.iso / measurements.iso
         if not 1 / SAME_SPEED < times / stated < SAME_SPEED:
@@ -250,7 +248,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
         check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
     elif body.readout is not None:
         curve, band = filter_curves(curve, band, body)
-    try:
+    with raised_as(InputFileError, "the measurements make no camera", cure="; check dark and white frames"):
         return CameraModel(
             name=body.name,
             rows=body.rows,
@@ -273,8 +271,6 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
             fit=fit,
             readout=measured_readout(body, fit.noise, sensor.noise.read_noise),
         )
-    except ValueError as error:
-        raise InputFileError(f"the measurements make no camera: {error}; check dark and white frames") from error
 
 
 def _declared(fit: Fit) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 import functools
 import importlib
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -33,17 +33,13 @@ class RecipeFile(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         return Recipe(self.kind).read(value)
 
-    def names(self) -> Iterable[str]:
-        """Return the recipes that come with l3."""
-        from l3cli.recipes.builtin import known_recipes
-
-        return known_recipes(self.kind)
-
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
         """Return names and, beside them, files: bash completes no files where anything else is offered."""
         from click.shell_completion import CompletionItem
 
-        names = [name for name in self.names() if name.startswith(incomplete)]
+        from l3cli.recipes.builtin import known_recipes
+
+        names = [name for name in known_recipes(self.kind) if name.startswith(incomplete)]
         if not names:
             return super().shell_complete(ctx, param, incomplete)
         visible = (each for each in os.scandir() if each.name.startswith(incomplete) and not each.name.startswith("."))

@@ -20,6 +20,7 @@ from l3cli.artifacts.camera_recipe import (
     load_camera,
 )
 from l3cli.errors import RecipeError, suggestion
+from l3cli.frames.frame import array_rows
 from l3cli.physics import spectra
 from l3cli.recipes.builtin import CURVES, find_recipe
 from l3cli.recipes.faults import Fault, fault, inside
@@ -310,12 +311,12 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
 def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
     """Return the recipe of a camera without a readout, and the curves that it names, by file."""
     noise, optics = camera.noise, camera.optics
-    pitch, rows = round(camera.pixel_pitch * 1e6, 6), [[camera.channels[site] for site in row] for row in camera.cfa]
+    pitch = round(camera.pixel_pitch * 1e6, 6)
     levels = (camera.bits, camera.gain, camera.black_level, camera.white_level, camera.fixed_pattern_seed)
     dark = (noise.read_noise, noise.dark_current, noise.dsnu, noise.prnu, noise.column_noise)
     tables: dict[str, Recipe] = {
         "sensor": SensorRecipe(camera.rows, camera.cols, pitch, *levels),
-        "cfa": CfaRecipe(list(camera.channels), [" ".join(row) for row in rows]),
+        "cfa": CfaRecipe(list(camera.channels), array_rows(camera.channels, camera.cfa)),
         "noise": NoiseRecipe(noise.well_capacity, *dark),
         "optics": OpticsRecipe(round(optics.focal_length * 1e3, 9), optics.f_number, optics.object_distance),
     }

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frames.frame import RawFrame
+from l3cli.frames.frame import RawFrame, array_rows
 from l3cli.frames.shading import CLIPPED, Shading, shading_of
 from l3cli.system.files import require_same
 
@@ -335,7 +335,7 @@ def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
     """Return the correction that a camera model knows; InputFileError if it knows none, or its array is not the table's."""
     camera = _camera_of(file)
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
-        theirs, ours = (_written(each.cfa, each.channels) for each in (camera, table))
+        theirs, ours = ("/".join(array_rows(each.channels, each.cfa)) for each in (camera, table))
         raise InputFileError(
             f"{file.path.name} is a camera with the array {theirs}, the table is for {ours}; give its camera"
         )
@@ -371,7 +371,3 @@ def hot_test(table: "TransformTable") -> HotTest:
             "‹hot› needs the camera's noise, which tables of older versions do not hold; train the table again"
         )
     return HotTest.of(table.camera)
-
-
-def _written(cfa: np.ndarray, channels: tuple[str, ...]) -> str:
-    return "/".join(" ".join(channels[site] for site in row) for row in cfa)

@@ -184,6 +184,11 @@ def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
     return pattern[: lengths[0], : lengths[1]]
 
 
+def array_rows(channels: Sequence[str], cfa: NDArray[np.integer], between: str = " ") -> list[str]:
+    """Return the rows of an array (row, col) of channels as text, their names divided by blanks or by what is given."""
+    return [between.join(channels[site] for site in row) for row in cfa]
+
+
 def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:
     """Return the super-pixel as seen from a frame whose pixel (0, 0) has site `phase`."""
     return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))

@@ -1,5 +1,6 @@
 """All that is wrong with a measurement file, and with the files that it names, or what it means."""
 
+import functools
 import os
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -46,15 +47,11 @@ def _photo_faults(photo: PhotoRecipe, key: KeyPath, source: RecipeSource) -> Ite
     """Yield the faults of the files, the light and the chart of a photo."""
     for field in ("frames", "dark", "white"):
         yield from _missing(getattr(photo, field), (*key, field), source)
-    for field, name, named in (("light", photo.light, spectra.require_illuminant), ("chart", photo.chart, _named_chart)):
+    named_chart = functools.partial(charts.chart, wavelength=spectra.SAMPLED)
+    for field, name, named in (("light", photo.light, spectra.require_illuminant), ("chart", photo.chart, named_chart)):
         if name is not None:
             work = (read_table, source.file(name)) if is_table(name) else (named, name)
             yield from source.attempt((*key, field), *work)
-
-
-def _named_chart(name: str) -> None:
-    """Raise RecipeError unless a chart has that name."""
-    charts.chart(name, spectra.SAMPLED)
 
 
 def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: RecipeSource) -> Iterator[Fault]:

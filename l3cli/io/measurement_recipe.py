@@ -26,6 +26,7 @@ from l3cli.artifacts.camera_recipe import (
     settings_of,
     share_faults,
 )
+from l3cli.frames.frame import array_rows
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, KeyPath, Positive, Recipe, toml_key, toml_value
 from l3cli.spectra.file import SUFFIXES
@@ -328,7 +329,7 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
     return MeasurementRecipe(
         name=camera.name,
         sensor=BodyRecipe(camera.rows, camera.cols, round(camera.pixel_pitch * 1e6, 9), camera.bits),
-        cfa=CfaRecipe(list(camera.channels), [" ".join(camera.channels[site] for site in row) for row in camera.cfa]),
+        cfa=CfaRecipe(list(camera.channels), array_rows(camera.channels, camera.cfa)),
         optics=OpticsRecipe(round(optics.focal_length * 1e3, 9), optics.f_number, optics.object_distance),
         uncertainty=uncertainty,
         channel=settings_of(camera.readout, camera.channels),

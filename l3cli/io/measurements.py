@@ -27,7 +27,7 @@ from l3cli.artifacts.camera_recipe import (
     settings_from,
 )
 from l3cli.artifacts.schema import Stage
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, RecipeError, raised_as
 from l3cli.frames.frame import RawFrame, least_period, shifted_cfa, tiled
 from l3cli.frames.measurement import (
     PATCH_NAMES,
@@ -130,10 +130,8 @@ def _light(photo: PhotoRecipe, path: Path) -> tuple[Array, Array]:
     if photo.light is None:
         return GRID, np.ones_like(GRID)
     if not is_table(photo.light):
-        try:
+        with raised_as(RecipeError, path, RecipeError):
             return GRID, np.asarray(spectra.illuminant(photo.light, GRID), np.float64)
-        except RecipeError as error:
-            raise RecipeError(f"{path}: {error}") from error
     file = path.parent / photo.light
     table = read_table(file).column(photo.column)
     unit = None if any(table.units) else photo.unit
@@ -156,10 +154,8 @@ def _chart_of_photo(photo: PhotoRecipe, path: Path) -> Chart:
         wavelength, name = table.wavelength, Path(photo.chart).stem
     else:
         name, wavelength = photo.chart, GRID
-        try:
+        with raised_as(RecipeError, path, RecipeError):
             shares = np.asarray(charts.chart(photo.chart, GRID)[1], np.float64)
-        except RecipeError as error:
-            raise RecipeError(f"{path}: {error}") from error
     if len(shares) != rows * cols:
         raise RecipeError(f"{path}: {photo.chart} has {len(shares)} patches, layout = [{rows}, {cols}] {rows * cols}")
     return Chart(name, (rows, cols), wavelength, shares)

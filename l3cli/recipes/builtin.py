@@ -100,6 +100,12 @@ def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
     return known
 
 
+def common_files() -> dict[str, bytes]:
+    """Return what a folder holds beside a camera that its recipe describes."""
+    files = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
+    return files | known_camera(files)
+
+
 def summary(starter: Path) -> str:
     """Return one line on a camera recipe, or that of a benchmark: the period of its array, its channels, the first sentence
     of the file's first comment."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import QUANTISATION, CameraModel, sensitivity_threshold
 from l3cli.artifacts.fit import NoiseFit
+from l3cli.frames.frame import array_rows
 from l3cli.report import colours
 from l3cli.report.drawing import GLYPH, Plot, box, escape, sheet, spanning
 from l3cli.report.parts import Block, Data, Details, Figure, Figures, Section, Subsection, Table, Text
@@ -59,7 +60,7 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
 # ---------------------------------------------------------------------------------------------------------- array
 
 
-def array_figure(camera: colours.Filters) -> Figure:
+def array_figure(camera: CameraModel) -> Figure:
     """Return one period of the array."""
     rows, cols = camera.cfa.shape
     light = colours.channel_light(camera)
@@ -108,7 +109,7 @@ def _declared_from(camera: CameraModel) -> str:
 # -------------------------------------------------------------------------------------------------- responsivities
 
 
-def responsivity_figures(camera: colours.Filters) -> tuple[Figure, ...]:
+def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
     """Return the curves, and where they were measured their confidence bands."""
     label = "quantum efficiency (e⁻/photon)" if camera.absolute else "relative responsivity (1)"
     upper, measured = camera.responsivity + camera.responsivity_band, bool(camera.responsivity_band.any())
@@ -128,7 +129,7 @@ def responsivity_figures(camera: colours.Filters) -> tuple[Figure, ...]:
     return (curves, _band_figure(camera)) if measured else (curves,)
 
 
-def _band_figure(camera: colours.Filters) -> Figure:
+def _band_figure(camera: CameraModel) -> Figure:
     """Return the half widths alone, since a good calibration's bands are thinner than its lines."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
@@ -229,7 +230,7 @@ MEANINGS = (
 def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
     """Return what was measured, and how."""
     first, last = float(noise.exposure.min()), float(noise.exposure.max())
-    array = " / ".join(" ".join(camera.channels[channel] for channel in row) for row in camera.cfa)
+    array = " / ".join(array_rows(camera.channels, camera.cfa))
     rows = (
         ("Camera", camera.name),
         ("Pixels", f"{camera.cols} × {camera.rows}, {tidy(1e6 * camera.pixel_pitch)} µm"),

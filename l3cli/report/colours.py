@@ -1,7 +1,6 @@
 """Colours and marks of channels, and chromaticities: from spectra and never from names."""
 
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,29 +13,12 @@ from l3cli.report.parts import Key
 Array = NDArray[np.floating]
 
 
-class Filters(Protocol):
-    """Part of a camera that drawings of its array take."""
-
-    @property
-    def channels(self) -> tuple[str, ...]: ...
-    @property
-    def cfa(self) -> NDArray[np.uint8]: ...
-    @property
-    def wavelength(self) -> NDArray[np.float64]: ...
-    @property
-    def responsivity(self) -> NDArray[np.float64]: ...
-    @property
-    def responsivity_band(self) -> NDArray[np.float64]: ...
-    @property
-    def absolute(self) -> bool: ...
-
-
 LINE_LUMINANCE = 0.18  # contrast over 4 to white and to the dark page alike
 MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # of a line → of a point
 ALIKE = 170  # sum of sRGB differences below which two colours are easily taken for one another
 
 
-def channel_light(camera: Filters) -> NDArray[np.float64]:
+def channel_light(camera: CameraModel) -> NDArray[np.float64]:
     """Return linear sRGB (channel, 3), largest value 1, of the daylight that each channel takes in; grey where a channel
     sees nothing visible."""
     seen = camera.responsivity * spectra.illuminant("D65", camera.wavelength)
@@ -45,7 +27,7 @@ def channel_light(camera: Filters) -> NDArray[np.float64]:
     return np.where(top > 0, linear / np.where(top > 0, top, 1.0), 0.5)
 
 
-def channel_keys(camera: Filters) -> tuple[Key, ...]:
+def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
     """Return the key of each channel's line: its light at one luminance, distinct from white and from black paper, and of
     channels of like colour the mark that fewest of those before have."""
     keys: list[Key] = []

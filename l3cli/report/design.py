@@ -7,8 +7,8 @@ import numpy as np
 
 from l3cli.artifacts.design import KINDS, Design, Truth
 from l3cli.report.camera import array_figure, responsivity_figures
-from l3cli.report.drawing import SERIES, Plot, spanning
-from l3cli.report.parts import Figure, Figures, Gallery, Jpeg, Key, Picture, Section, Subsection, Table, Text
+from l3cli.report.drawing import Plot, spanning
+from l3cli.report.parts import Figure, Figures, Gallery, Jpeg, Picture, Section, Subsection, Table, Text
 
 ROWS, DRAWN = 20, 5  # arrays in the table, and drawn
 ENLARGED = 4  # times, crops of what training gives
@@ -53,12 +53,9 @@ def _over_light(design: Design) -> Figure:
         spanning("luminance of white × time (cd s/m²)", design.dose, log=True),
         spanning(f"predicted error ({design.unit})", design.map_error, log=True),
     )
-    keys = []
-    for number, (name, errors) in enumerate(zip(design.mapped, design.map_error, strict=True)):
-        colour, mark = SERIES[number % len(SERIES)], MARKS[number % len(MARKS)]
-        plot.line(design.dose, errors, colour, mark, series=name)
-        keys.append(Key(name, colour, mark))
-    return plot.figure("Error over light", " ".join(design.crossings) or "One array leads at every light.", tuple(keys))
+    series = {name: (design.dose, errors) for name, errors in zip(design.mapped, design.map_error, strict=True)}
+    keys = plot.curves(series, MARKS, size=0)
+    return plot.figure("Error over light", " ".join(design.crossings) or "One array leads at every light.", keys)
 
 
 def _groups(design: Design) -> Table:

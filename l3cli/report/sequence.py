@@ -66,7 +66,7 @@ def _sentence(name: str, document: dict[str, Any]) -> str:
 def _cell(figure: str, value: float | None) -> str:
     if value is None:
         return "–"
-    form = {"largest_jump_frame": ".0f", "psnr": ".2f", "still_share": ".3f"}.get(figure, ".3f")
+    form = {"largest_jump_frame": ".0f", "psnr": ".2f"}.get(figure, ".3f")
     return number(value, form).replace("-", "−")
 
 

@@ -123,7 +123,7 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
     values = ", ".join(f"{_title(side, sides)} {figure_text(figure, _mean(side, shared, OURS, figure))}" for side in ranked)
     errors = np.array([[frame[OURS][figure] for frame in _frames(side, shared)] for side in ranked])
     won = int((errors[0] <= errors.min(axis=0)).sum())
-    frames = "the frame" if len(shared) == 1 else f"{counted(len(shared), 'frame')}"
+    frames = "the frame" if len(shared) == 1 else counted(len(shared), "frame")
     known = all(all(_shown(sides, place)) for place in shared)
     caveat = f" {CAVEAT if known else UNKNOWN}" if any(not equal(side.camera, sides[0].camera) for side in sides) else ""
     caveat += f" Left out are {counted(others, 'frame')}: {OTHERS}." if others else ""

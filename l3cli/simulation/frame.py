@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, Optics
 from l3cli.artifacts.training_set import LightSpectrum, Shown, TrainingFrame, TrainingPair, TrainingSet, TrainingSetReader
-from l3cli.errors import InputFileError
+from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.frame import RawFrame, as_taken
 from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.physics import spectra
@@ -328,10 +328,8 @@ class SimulationRun:
         light = self._light(scene, shot)
         exposure = self._exposure(light, shot) if seconds is None else seconds
         noise, seed = self.recipe.sensor.noise_model or self.recipe.sensor.noise, (self.seed, shot.index)
-        try:
+        with raised_as(InputFileError, f"scene {scene.name}"):
             return simulate(self.camera, scene, light, exposure, self.recipe.lens, seed, self.target, noise)
-        except ValueError as error:
-            raise InputFileError(f"scene {scene.name}: {error}") from error
 
     def exposure_time(self, scene: Scene | ChannelPicture, shot: Shot) -> float:
         """Return the seconds that the recipe exposes a frame for; InputFileError as `frame`."""
@@ -340,10 +338,8 @@ class SimulationRun:
         if isinstance(exposure, float):
             return exposure
         rates = _collected(self.camera, scene, light, self.recipe.lens, XYZ)[1]
-        try:
+        with raised_as(InputFileError, f"scene {scene.name}"):
             return exposure(self.camera, sensor.mosaic(rates, self.camera.cfa))
-        except ValueError as error:
-            raise InputFileError(f"scene {scene.name}: {error}") from error
 
     def _light(self, scene: Scene | ChannelPicture, shot: Shot) -> Light:
         if shot.illuminant == SCENE_LIGHT:

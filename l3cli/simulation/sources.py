@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.errors import L3Error, RecipeError
+from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.scene import NO_ILLUMINANT, Scene, SpectralCube
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
@@ -165,7 +165,12 @@ class WantedScene:
     def name(self) -> str:
         if self.path is not None:
             return self.path.stem
-        return f"{self.source.__struct_config__.tag} {getattr(self.source, 'seed', 0)}.{self.number}"
+        return f"{name_of(self.source)} {getattr(self.source, 'seed', 0)}.{self.number}"
+
+    @property
+    def error(self) -> type[L3Error]:
+        """Return the kind of what is wrong with it."""
+        return RecipeError if self.path is None else InputFileError
 
 
 def name_of(source: Source) -> str:

@@ -16,7 +16,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.store import save
 from l3cli.calibration import figures, model
-from l3cli.calibration.draft.compose import compose
+from l3cli.calibration.draft.compose import Composer
 from l3cli.calibration.draft.folder import Reading, compose_tables, first_lines, survey
 from l3cli.calibration.draft.names import natural, read_name
 from l3cli.calibration.draft.sorting import Spectra
@@ -160,7 +160,7 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> str:
             def read(path: str) -> NDArray[np.float64]:
                 return reading.read(path).values.astype(np.float64)
 
-            text, notes = compose(seen, known, name, named_from(folder, output), read), seen.notes
+            text, notes = Composer(seen, known, named_from(folder, output), read).text(name), seen.notes
             contents = f"{len(seen.groups)} captures, {sum(len(group.frames) for group in seen.groups)} frames"
         write_whole(output, str(text))
         assumed = first_lines([f"assumed: {line}" for line in text.assumed], MOST_LINES, "… and {} more, marked ASSUMED")

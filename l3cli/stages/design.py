@@ -72,7 +72,7 @@ class Parts(PartsFolder):
     ) -> Iterator[dict[str, NDArray]]:
         """Yield the arrays that `work` makes of each item, in order, those of a run before as they are stored."""
         paths = [self.folder / f"{what}-{number:05d}.npz" for number in range(len(items))]
-        done = [self.checkpoint.items.get(path.name) == list(dated(path) or ()) for path in paths]
+        done = [path.is_file() and self.checkpoint.items.get(path.name) == dated(path) for path in paths]
         fresh = pool(work, [item for item, stored in zip(items, done, strict=True) if not stored])
         for path, stored in console.progress(zip(paths, done, strict=True), len(paths), what):
             if not stored:

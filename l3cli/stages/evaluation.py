@@ -22,7 +22,7 @@ from l3cli.artifacts.training_set import (
     frame_name,
     open_training_set,
 )
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, RecipeError, raised_as
 from l3cli.evaluation import standards
 from l3cli.evaluation.evaluation import Evaluation, raw_of, white_of
 from l3cli.evaluation.likeness import unlike
@@ -329,7 +329,5 @@ def evaluate_sequence(rendered: Path, options: SequenceOptions) -> SequenceFigur
         console.warn(
             f"{rendered} is {ratio:.3g} times as bright as {ideal}; render it with ‹exposure› {1 / ratio:.3g} times as large"
         )
-    try:
+    with raised_as(InputFileError, rendered):
         return evaluation.figures()
-    except ValueError as error:
-        raise InputFileError(f"{rendered}: {error}") from error

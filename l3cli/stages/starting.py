@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
@@ -19,7 +18,7 @@ from l3cli.calibration.photo.recipe import PhotoCamera, SensorNoise, gains_of, n
 from l3cli.calibration.photo.responsivity import ColourMatrix
 from l3cli.design.recipe import camera_texts
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frames.frame import shifted_cfa
+from l3cli.frames.frame import array_rows, shifted_cfa
 from l3cli.frames.measurement import Body, Measurements, Stated
 from l3cli.frames.raw_sanity import PhaseDoubt, black_doubt, phase_doubt
 from l3cli.io.curves import shipped_statistics
@@ -29,7 +28,7 @@ from l3cli.io.raw.cfa_codes import code_of
 from l3cli.io.raw.files import BY_SUFFIX, is_photo
 from l3cli.io.raw.libraw import stated
 from l3cli.options.commands import InitOptions
-from l3cli.recipes.builtin import COMMON, CURVES, curves_of, folder_files, known_camera, recipe_folder, summary
+from l3cli.recipes.builtin import COMMON, CURVES, common_files, curves_of, folder_files, known_camera, summary
 from l3cli.system.console import Console
 from l3cli.system.files import atomic_output, blamed_on, refuse_protected, require_regular
 from l3cli.system.outputs import Made, OutputGuard, before_work
@@ -37,6 +36,7 @@ from l3cli.system.outputs import Made, OutputGuard, before_work
 NEW_FOLDER = "mine"  # as the documentation calls it
 SHOWN = "picture"  # and the photo's suffix: a link to it, for make cannot hold every name
 SEARCHED = 4  # photos of a camera that a chart is looked for in
+WRITTEN = (*COMMON, "camera.toml", CURVES)  # into a folder
 Taken = Sequence[tuple[Path, Stated]]  # the raw files of a camera, and what each states of it
 
 
@@ -60,12 +60,9 @@ def start(starter: Path, folder: Path, options: InitOptions) -> None:
 def start_named(name: str, folder: Path, options: InitOptions) -> None:
     """Write the recipe folder of a camera by its name (l3cli/io/known_cameras). L3Error as `start`."""
     with OutputGuard(options.console) as guard:
-        guard.guard_folder(folder, options.force, *COMMON, "camera.toml", CURVES)
+        guard.guard_folder(folder, options.force, *WRITTEN)
         camera = named_camera(name)
-        contents = _contents(camera)
-        before_work({}, *(Made(folder / each, "recipe", len(content)) for each, content in contents.items()))
-        write_folder(folder, contents)
-        load_camera(folder / "camera.toml")
+        _write_recipes(folder, _contents(camera), {})
         options.console.info(_camera_line(folder, camera))
 
 
@@ -74,18 +71,22 @@ def start_designed(path: Path, folder: Path, options: InitOptions) -> None:
     `start`."""
     with OutputGuard(options.console) as guard:
         guard.protect(path)
-        guard.guard_folder(folder, options.force, *COMMON, "camera.toml", CURVES)
+        guard.guard_folder(folder, options.force, *WRITTEN)
         design = load(Design, path)
         camera = design.camera(*design.winner)
-        common = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
         texts = camera_texts(camera, f"The best array of the design {design.name}, by predicted error.")
-        contents = common | known_camera(common) | {name: text.encode() for name, text in texts.items()}
-        before_work({"design": [path]}, *(Made(folder / each, "recipe", len(content)) for each, content in contents.items()))
-        write_folder(folder, contents)
-        load_camera(folder / "camera.toml")
+        contents = common_files() | {name: text.encode() for name, text in texts.items()}
+        _write_recipes(folder, contents, {"design": [path]})
         options.console.info(
             f"{folder}: {camera.name}, the best of {design.tried} arrays; next: make -C {shlex.quote(str(folder))}"
         )
+
+
+def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[str, Sequence[Path]]) -> None:
+    """Write a recipe folder, and refuse a camera that cannot be simulated; end a dry run before."""
+    before_work(reads, *(Made(folder / each, "recipe", len(content)) for each, content in contents.items()))
+    write_folder(folder, contents)
+    load_camera(folder / "camera.toml")
 
 
 def named_camera(name: str) -> PhotoCamera:
@@ -111,12 +112,11 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
 
     InputFileError if a file is not a raw file that states its array and levels, L3Error if the folder cannot be written.
     """
-    names = (*COMMON, "camera.toml", CURVES)
     console = options.console
     with OutputGuard(console) as guard:
         files = [file for photo in photos for file in _raw_files(photo)]
         guard.protect(*files)
-        guard.guard_folder(folder, options.force, *names, *(f"*/{name}" for name in names))
+        guard.guard_folder(folder, options.force, *WRITTEN, *(f"*/{name}" for name in WRITTEN))
         listed = {file for photo in photos if photo.is_dir() for file in _raw_files(photo)}
         cameras = _sorted_by_camera(files, listed, console)
         if len(cameras) > 1 and (options.phase or options.black_level is not None):
@@ -167,8 +167,7 @@ def _rendering(table: Path, photos: Sequence[Path], output: Path) -> str:
 
 def _contents(camera: PhotoCamera) -> dict[str, bytes]:
     """Return the content of a camera's folder, by name."""
-    common = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
-    common |= known_camera(common)
+    common = common_files()
     makefile = common["Makefile"].decode()
     shown = camera.photo and _shown(camera)
     known = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in camera.overrides.items())
@@ -195,14 +194,14 @@ def _shown(camera: PhotoCamera) -> str:
 
 def _camera_line(place: Path, camera: PhotoCamera) -> str:
     """Return one line on a folder: the camera, what is from where, what is assumed, what comes next."""
-    body = camera.body
+    body, array = camera.body, "/".join(array_rows(camera.body.channels, camera.body.cfa, ""))
     white = f" ‹white› {camera.light}" if camera.light else ""
     known = "".join(f" ‹{name}› {value}" for name, value in camera.overrides.items())
     others = f"l3 render {shlex.quote(str(place / 'table.h5'))} RAW{white}{known} -o PICTURE.png"
     levels = f"{camera.black_level:g}…{camera.white_level:g} DN"
     photo = "" if camera.photo else " PHOTO=RAW"
     return (
-        f"{place}: {camera.name}, {_pattern(body, body.cfa)}, {body.rows}×{body.cols}, {levels}; curves {camera.origin}; "
+        f"{place}: {camera.name}, {array}, {body.rows}×{body.cols}, {levels}; curves {camera.origin}; "
         f"noise {camera.noise.source}; assumed: {', '.join(camera.assumed)}; next: make -C {shlex.quote(str(place))} "
         f"picture.png{photo}; another photo: {others}"
     )
@@ -321,20 +320,16 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
 
 def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
     """Return the doubt about an array, and how to answer it."""
-    stated = _pattern(body, body.cfa)
-    shown = [(f"{row},{col}", _pattern(body, shifted_cfa(body.cfa, (row, col)))) for row, col in doubt.phases]
+    phases = [(0, 0), *doubt.phases]
+    patterns = ["/".join(array_rows(body.channels, shifted_cfa(body.cfa, each), "")) for each in phases]
+    stated, *shown = [(f"{row},{col}", pattern) for (row, col), pattern in zip(phases, patterns, strict=True)]
     (best, pattern), others = shown[0], " or ".join(f"{phase} ({pattern})" for phase, pattern in shown[1:])
     if doubt.by_grey:
         why = f"its mean is far from the grey that it states, and near to it as {pattern}, unless that white is wrong"
     else:
         why = f"its pixels show {pattern}: sites of one channel differ by {doubt.stated:.1%}, so by {doubt.least:.1%}"
     other = f", {others} where that gives true colours" if others else ""
-    return f"it states {stated}, {why}; give ‹phase› {best}{other}, or 0,0 if it is right"
-
-
-def _pattern(body: Body, cfa: NDArray[np.uint8]) -> str:
-    """Return an array as rg/gb."""
-    return "/".join("".join(body.channels[site] for site in row) for row in cfa)
+    return f"it states {stated[1]}, {why}; give ‹phase› {best}{other}, or 0,0 if it is right"
 
 
 def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:

@@ -21,7 +21,7 @@ from pathlib import Path
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.system.signals import uninterrupted
 
-Dated = tuple[int, int]  # size in bytes, time of the last change in ns
+Dated = list[int]  # size in bytes, time of the last change in ns
 
 
 @dataclass
@@ -86,7 +86,7 @@ def dated(path: Path) -> Dated | None:
         state = os.stat(path)
     except OSError:
         return None
-    return state.st_size, state.st_mtime_ns
+    return [state.st_size, state.st_mtime_ns]
 
 
 def fingerprint(path: Path) -> tuple[int, ...]:

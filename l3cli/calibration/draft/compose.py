@@ -24,6 +24,7 @@ from l3cli.calibration.draft.sorting import (
     unknown_unit,
 )
 from l3cli.errors import listed
+from l3cli.frames.frame import array_rows
 from l3cli.recipes.toml import toml_value
 from l3cli.spectra.table import CurveTable
 from l3cli.spectra.units import PHOTON_RADIANCE, POWER_RADIANCE
@@ -139,12 +140,6 @@ class Survey:
         return [group for group in self.groups if group.kind in kinds]
 
 
-def compose(seen: Survey, camera: CameraModel | None, name: str, folder: str, read: Callable[[str], Mosaic]) -> DraftText:
-    """Return the draft of everything in a folder, whose frames' names begin with `folder`; `read` returns the DN (row, col)
-    of a frame by its path."""
-    return _Composer(seen, camera, folder, read).text(name)
-
-
 # ------------------------------------------------------------------------------------------------------- the camera
 
 
@@ -153,8 +148,7 @@ def known_body(out: DraftText, camera: CameraModel) -> None:
     optics = camera.optics
     out.table("[sensor]", rows=camera.rows, cols=camera.cols, pixel_pitch_um=round(camera.pixel_pitch * 1e6, 9))
     out.key("bits", camera.bits)
-    rows = [" ".join(camera.channels[site] for site in row) for row in camera.cfa]
-    out.table("[cfa]", channels=list(camera.channels), pattern=rows)
+    out.table("[cfa]", channels=list(camera.channels), pattern=array_rows(camera.channels, camera.cfa))
     out.table("[optics]", focal_length_mm=round(optics.focal_length * 1e3, 9), f_number=optics.f_number)
     out.key("object_distance_m", optics.object_distance)
 
@@ -199,7 +193,10 @@ def _seen_body(out: DraftText, seen: Survey, photo: bool) -> None:
         unknown_optics(out)
 
 
-class _Composer:
+class Composer:
+    """Composer of the draft of everything in a folder, whose frames' names begin with `folder`; `read` returns the DN (row,
+    col) of a frame by its path."""
+
     def __init__(self, seen: Survey, camera: CameraModel | None, folder: str, read: Callable[[str], Mosaic]) -> None:
         self.seen, self.camera, self.folder, self.read = seen, camera, folder, read
         self.out = DraftText()

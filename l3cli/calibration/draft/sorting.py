@@ -332,11 +332,8 @@ def _in_order(
 
 def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
     """Return the number of each capture's step, where one that is taken again too long follows its step."""
-    numbers = [0]
-    for before, step in itertools.pairwise(steps):
-        again = scale.clipped(step) and not scale.clipped(before)
-        numbers.append(numbers[-1] + (0 if again else 1))
-    return numbers
+    forward = (not scale.clipped(step) or scale.clipped(before) for before, step in itertools.pairwise(steps))
+    return list(itertools.accumulate(forward, initial=0))
 
 
 def _by_wavelength(name: Name, columns: Sequence[Column]) -> Column | None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import MOST_GAIN
 from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, LEAST_F_NUMBER, LEAST_FOCAL_MM, PITCH_UM
+from l3cli.frames.frame import array_rows
 from l3cli.frames.measurement import Body, FinishedCurves, Stated
 from l3cli.recipes.builtin import CURVES
 from l3cli.recipes.toml import toml_value
@@ -90,7 +91,7 @@ class PhotoCamera:
         body = self.body
         known = "as it is known by its name" if self.photo is None else f"as its raw file shows it ({self.photo.name})"
         source = "nominal; a file states its own" if self.photo is None else "the file's"
-        rows = "\n".join(f'  "{" ".join(body.channels[site] for site in row)}",' for row in body.cfa)
+        rows = "\n".join(f'  "{row}",' for row in array_rows(body.channels, body.cfa))
         pitch, full = self.stated.pitch_um, (self.white_level - self.black_level) / self.noise.gain
         return f"""\
 # {printable(f"{self.name}, {known}")}. What is not known is assumed, and marked so: correct it if you

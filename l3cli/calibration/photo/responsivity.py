@@ -25,7 +25,7 @@ from l3cli.calibration.photo.estimate import (
     turned,
 )
 from l3cli.calibration.responsivity import BAND_FLOOR, COVERAGE, Curves
-from l3cli.errors import InputFileError
+from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.chart import (
     LEAST_FIT,
     PatchValues,
@@ -81,10 +81,8 @@ def measure(capture: PhotoCapture, body: Body) -> Photograph:
     mosaics = [each.values.astype(np.float64) - black for each in capture.frames]
     to_pixels = _geometry(capture, np.mean(mosaics, axis=0), cfa, reflectance)
     saturation = noise.SATURATED * (frame.white_level - black)
-    try:
+    with raised_as(InputFileError, capture.name, cure="; the chart is too small or its corners are wrong"):
         values = patch_values(mosaics, cfa, to_pixels, chart.grid, saturation)
-    except ValueError as error:
-        raise InputFileError(f"{capture.name}: {error}; the chart is too small or its corners are wrong") from error
     _check(capture, values, body, reflectance)
     light = _over_white(capture.whites, black, cfa, to_pixels, chart.grid, saturation) if capture.whites else 1.0
     rows, cols = chart.grid

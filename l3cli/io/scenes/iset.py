@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.errors import InputFileError
+from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.scene import Scene
 from l3cli.io.scenes.cube import Content, array_shapes, read_matlab
 from l3cli.physics import spectra
@@ -43,13 +43,11 @@ def read(path: Path, light: Curve | None = None) -> Scene:
         )
     if illuminant.size != wavelength.size or not (illuminant > 0).all():
         raise InputFileError(f"{path}: its illuminant is not one positive value for each of {wavelength.size} wavelengths")
-    try:
+    with raised_as(InputFileError, path):
         photons /= illuminant.astype(np.float32)
         _, illuminant = spectra.ascending(wavelength, illuminant)
         wavelength, photons = spectra.ascending(wavelength, photons)
         return Scene(path.stem, wavelength, np.maximum(photons, 0.0, out=photons), illuminant)
-    except ValueError as error:
-        raise InputFileError(f"{path}: {error}") from error
 
 
 def size(path: Path, light: Curve | None = None) -> tuple[int, int]:

@@ -24,7 +24,7 @@ from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.options.render import GAIN, RenderOptions
 from l3cli.rendering.temporal.chunks import CHUNK
 from l3cli.system.checkpoint import Checkpoint, key_in
-from l3cli.system.files import fingerprint, is_noting, require_regular, sha256
+from l3cli.system.files import dated, fingerprint, is_noting, require_regular, sha256
 from l3cli.system.limits import read_bounded
 from l3cli.system.outputs import Made, before_work, is_dry
 from l3cli.system.text import counted
@@ -97,11 +97,6 @@ def plan(
     before_work({"table": [table], "inputs": files or inputs, "dark frames": options.dark}, made, *others)
 
 
-def file_state(path: Path) -> list[int] | None:
-    """Return size and time of a regular file; None if there is none."""
-    return list(fingerprint(path)[:2]) if path.is_file() else None
-
-
 class PictureCheckpoint(Checkpoint):
     """The checkpoint of pictures, each by its name: state of its file, origin of its frame, inode of the frame's file, and
     the identity that the picture states of its frame."""
@@ -118,7 +113,7 @@ class PictureCheckpoint(Checkpoint):
         self._unasked = set(self.items)
 
     def _is_there(self, name: str, made: list[Any]) -> bool:
-        return bool(file_state(self.path.with_name(name)) == made[0])
+        return dated(self.path.with_name(name)) == made[0]
 
     def is_ours(self, file: Path) -> bool:
         """Return whether a file exists that the run has made."""
@@ -145,7 +140,7 @@ class PictureCheckpoint(Checkpoint):
 
     def made(self, file: Path, temporary: Path, reference: FrameReference) -> None:
         """List a picture of a frame that is about to get its name."""
-        self.add(file.name, [file_state(temporary), reference.origin, list(reference.inode or ()), reference.identity])
+        self.add(file.name, [dated(temporary), reference.origin, list(reference.inode or ()), reference.identity])
 
 
 def listed_pictures(path: Path) -> list[Path]:
@@ -153,7 +148,7 @@ def listed_pictures(path: Path) -> list[Path]:
     found = Checkpoint(path, key_in(path) or "")
     found.take_over()
     named = {path.with_name(name): made[0] for name, made in found.items.items()}
-    return [picture for picture, state in named.items() if file_state(picture) == state]
+    return [picture for picture, state in named.items() if dated(picture) == state]
 
 
 class FrameDigests:

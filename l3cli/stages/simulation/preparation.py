@@ -10,7 +10,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import recipe_text
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.training_set import TrainingSet
-from l3cli.errors import InputFileError, RecipeError, listed
+from l3cli.errors import InputFileError, RecipeError, listed, raised_as
 from l3cli.io.file_names import find_scenes
 from l3cli.io.scenes import format_of, is_folder
 from l3cli.recipes.faults import refuse_first
@@ -54,15 +54,13 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
     else:
         scene = _from_file(wanted, wanted.path, run)
     culprit = str(wanted.path or wanted.name)
-    try:
+    with raised_as(wanted.error, culprit):
         if wanted.source.motion is not None:
             return clip_of(scene, wanted, run)
         if isinstance(scene, ChannelPicture):
             scene = replace(scene, signal=framed(scene.signal, wanted.source, run.camera))
         else:
             scene = replace(scene, reflectance=framed(scene.reflectance, wanted.source, run.camera))
-    except ValueError as error:
-        raise (RecipeError if wanted.path is None else InputFileError)(f"{culprit}: {error}") from error
     samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
     sources.check_size(samples.shape[:2], run.camera, InputFileError, culprit)
     return lambda _: scene
@@ -80,20 +78,16 @@ def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "
         from l3cli.simulation.sources import scene_of
 
         assert isinstance(source, sources.Spectral)
-        try:
+        with raised_as(InputFileError, path):
             return scene_of(content, source, path.stem, run.recorded[source.light] if source.light else None)
-        except ValueError as error:
-            raise InputFileError(f"{path}: {error}") from error
     from l3cli.simulation import procedural, reflectances
 
     assert isinstance(source, sources.RgbPictures)
     linear = reflectances.shrunk(content, source.shrink)
     if sources.holds_codes(source):
         order = [sources.CODED.index(channel) for channel in run.camera.channels]
-        try:
+        with raised_as(InputFileError, path):
             return ChannelPicture(path.stem, linear[..., order])
-        except ValueError as error:
-            raise InputFileError(f"{path}: {error}") from error
     return reflectances.raise_to_spectra(linear, procedural.grid(run.camera.wavelength), path.stem)
 
 
@@ -118,17 +112,12 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
         bad.append({})
         for wanted in sources.wanted_scenes(source, paths):
             try:
-                _check_size(wanted, run)
+                name = str(wanted.path or wanted.name)
+                sources.check_size(size_of(wanted, run), run.camera, wanted.error, name)
             except InputFileError as error:
                 assert wanted.path is not None
                 bad[-1][wanted.path] = error
     return bad
-
-
-def _check_size(wanted: sources.WantedScene, run: SimulationRun) -> None:
-    """Raise RecipeError for a synthetic scene, InputFileError for a file, if it does not fit on the sensor."""
-    error = RecipeError if wanted.path is None else InputFileError
-    sources.check_size(size_of(wanted, run), run.camera, error, str(wanted.path or wanted.name))
 
 
 def size_of(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
@@ -137,11 +126,8 @@ def size_of(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
 
     source = wanted.source
     size = source.size if isinstance(source, sources.Synthetic) else _file_size(wanted, run)
-    try:
+    with raised_as(wanted.error, wanted.path or wanted.name):
         return framed_size(size, source, run.camera)
-    except ValueError as wrong:
-        error = RecipeError if wanted.path is None else InputFileError
-        raise error(f"{wanted.path or wanted.name}: {wrong}") from wrong
 
 
 def _file_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
@@ -154,7 +140,7 @@ def _file_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, in
 
 def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> tuple[SimulationRun, list[list[Path]]]:
     """Return everything checked and resolved before any work: the run, and the files of each source."""
-    try:
+    with raised_as(RecipeError, path, RecipeError):
         refuse_first(asked.scene_faults(recipe, camera))
         named = asked.curve_files(recipe)
         curves = {name: read_curve(path.parent / name, role) for name, role in named.items()}
@@ -163,8 +149,6 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
         wanted = {*recipe.illuminants, *filter(None, [other])} - {SCENE_LIGHT}
         lights = {name: make_light(name, curves, fitted.wavelength) for name in sorted(wanted)}
         recorded = {name: recorded_under(name, curves, fitted.wavelength) for name in asked.recorded_lights(recipe)}
-    except RecipeError as error:
-        raise RecipeError(f"{path}: {error}") from error
     outputs = recipe.target.outputs
     names = column_names(path.parent / outputs) if outputs in curves else ()
     target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.schema import Stage
-from l3cli.artifacts.store import open_artifact, read_history
+from l3cli.artifacts.store import history_of
 from l3cli.artifacts.training_set import SceneCoverage, TrainingPair, TrainingSetWriter, read_part, write_part
-from l3cli.errors import InputFileError, L3Error
+from l3cli.errors import InputFileError, L3Error, raised_as
 from l3cli.parallel import WorkerPool
 from l3cli.parallel.cluster import scratch_folder
 from l3cli.simulation import sources
@@ -49,8 +49,8 @@ class StoredFrames(PartsFolder):
         self.checkpoint.add(self.path(index).name, dated(self.path(index)))
 
     def __contains__(self, index: int) -> bool:
-        state = dated(self.path(index))
-        return state is not None and self.checkpoint.items.get(self.path(index).name) == list(state)
+        path = self.path(index)
+        return path.is_file() and self.checkpoint.items.get(path.name) == dated(path)
 
     def close(self, total: int) -> None:
         """Note that all frames, `total` of them, are stored, some by other processes."""
@@ -81,13 +81,7 @@ def remove_finished(output: Path) -> None:
 
 def is_of_run(output: Path, key: str) -> bool:
     """Return whether `output` is that of the run called `key`, finished."""
-    if not output.is_file():
-        return False
-    try:
-        with open_artifact(output) as root:
-            history = read_history(root, output)
-    except InputFileError:
-        return False
+    history = history_of(output)
     return bool(history) and key_of(history[-1]) == key
 
 
@@ -203,7 +197,5 @@ def _pair(pair: Pair, run: SimulationRun) -> Any:
         picture = read_rgb_picture(path) @ to_xyz.T.astype(np.float32)
     else:
         raise InputFileError(f"{path} has no channels called {', '.join(outputs)}; give an EXR with them")
-    try:
+    with raised_as(InputFileError, path):
         return make_pair(raw, upright(picture, picture_flip(path)), outputs, run.camera, pair, path.stem)
-    except ValueError as error:
-        raise InputFileError(f"{path}: {error}") from error

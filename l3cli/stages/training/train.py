@@ -21,7 +21,7 @@ from l3cli.artifacts.partial_sums import (
 from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import PlaneRule, TransformTable, rule_fields
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, RecipeError, raised_as
 from l3cli.options.commands import ShardOptions, TrainOptions
 from l3cli.parallel import workers
 from l3cli.recipes.faults import refuse_first
@@ -72,11 +72,9 @@ def execution_of(
         frames = sum(source.frames for source in run.training)
         made = Made(output, f"{what} of {sum(run.patches)} patches in {frames} frames")
         before_work({"training sets": training, "class recipe": [classes] if classes else []}, made)
-        try:
-            with workers(options.jobs, scheduler) as pool, cached_for_a_run():  # workers start while the first reads
-                yield run, Execution(pool, scheduler is not None, options.console)
-        except RecipeError as error:
-            raise RecipeError(f"{classes or 'the built-in class recipe'}: {error}") from error
+        blamed = raised_as(RecipeError, classes or "the built-in class recipe", RecipeError)
+        with blamed, workers(options.jobs, scheduler) as pool, cached_for_a_run():  # workers start while the first reads
+            yield run, Execution(pool, scheduler is not None, options.console)
 
 
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
