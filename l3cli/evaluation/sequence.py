@@ -176,9 +176,7 @@ class SequenceEvaluation:
         self._steps: list[Array] = []  # of each frame but the first the mean square of its change
         self._motion: Literal["known", "estimated"] | None = None
         self._last: Array | None = None  # L* of the last frame
-        self._ideal: tuple[Array, Array] | None = (
-            None  # L* of the last frame's ideal, and the difference of the frame from it
-        )
+        self._ideal: tuple[Array, Array] | None = None  # of the last frame: L* of its ideal, and its difference from that
         self._offset = 0.0  # of the last frame's mean L* from the ideal's, or from 0
         self._sum: Array | float = 0.0
         self._squares: Array | float = 0.0

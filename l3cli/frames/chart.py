@@ -107,16 +107,12 @@ def patch_values(
         variance[index, channel] = _robust_variance(differences.ravel()[part])
         noise = np.sqrt(variance[index, channel] / len(frames) / clean.sum())
         deviation[index, channel] = np.hypot(noise, PRECISION * mean[index, channel])
-        why = (
-            "clipped"
-            if clipped.ravel()[part].mean() > CLIPPED
-            else "dusty or not plain"
-            if clean.mean() < 1 - DUSTY
-            else None
-        )
-        if why:
-            used[index, channel] = False
-            left_out.append((index, channel, why))
+        if clipped.ravel()[part].mean() > CLIPPED:
+            left_out.append((index, channel, "clipped"))
+        elif clean.mean() < 1 - DUSTY:
+            left_out.append((index, channel, "dusty or not plain"))
+    for index, channel, _ in left_out:
+        used[index, channel] = False
     return PatchValues(mean, deviation, variance, used, tuple(left_out))
 
 

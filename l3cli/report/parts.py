@@ -264,8 +264,5 @@ def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
 
 def _digests(role: str, digests: list[str]) -> str:
     """Return a role and its files by the first digits of their SHA-256."""
-    return (
-        f"{role} "
-        + " ".join(digest[:12] for digest in digests[:4])
-        + (f" … ({len(digests)} files)" if len(digests) > 4 else "")
-    )
+    more = f" … ({len(digests)} files)" if len(digests) > 4 else ""
+    return " ".join((role, *(digest[:12] for digest in digests[:4]))) + more

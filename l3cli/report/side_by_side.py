@@ -162,11 +162,7 @@ def _frame_block(sides: list[Side], pictures: list[dict[str, Pixels]], limit: in
 def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:
     figure_names = tuple(sides[0].document["frames"][0][OURS])
     same = len({main_of(side.document) for side in sides}) == 1
-    heads = (
-        ("table", "frames", "array", *(FIGURES[figure].heading for figure in figure_names))
-        if same
-        else ("table", "frames", "array")
-    )
+    heads = ("table", "frames", "array", *(FIGURES[figure].heading for figure in figure_names if same))
     rows = []
     for side in sides:
         height, width = side.camera.cfa.shape

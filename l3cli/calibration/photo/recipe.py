@@ -57,10 +57,8 @@ class PhotoCamera:
             return ""
         lines = ["", "[gain]", f"iso = {self.stated.iso:g} # at gain_dn_per_e"]
         if self.gains:
-            gains, noises = (
-                ", ".join(f"{gain:g}" for gain, _ in self.gains),
-                ", ".join(f"{noise:.4g}" for _, noise in self.gains),
-            )
+            gains = ", ".join(f"{gain:g}" for gain, _ in self.gains)
+            noises = ", ".join(f"{noise:.4g}" for _, noise in self.gains)
             source = "assumed" if self.photo is None else "by the ISO speeds and noise profiles of other files"
             lines += [f"gains = [{gains}] # {source}", f"read_noise_e = [{noises}] # {source}"]
         return "\n".join(lines) + "\n"
