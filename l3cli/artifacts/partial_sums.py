@@ -15,7 +15,7 @@ from l3cli.artifacts import store
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.schema import Artifact, check, data, group
-from l3cli.artifacts.table import RATIO_TAPS, PlaneRule, TransformTable, one_rule
+from l3cli.artifacts.table import PLANES, RATIO_TAPS, PlaneRule, TransformTable, one_rule
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 
@@ -88,7 +88,10 @@ class LayerSums:
         "float64", "plane_class", "plane_pair", doc="products of columns without noise: upper triangle, row by row"
     )
     noise: NDArray[np.float64] = data(
-        "float64", "plane_class", "plane_tap_pair", doc="products of what noise adds to the taps: upper triangle, row by row"
+        "float64",
+        "plane_class",
+        "plane_tap_pair",
+        doc="products of what noise adds to taps, and to outputs that are corrected: upper triangle, row by row",
     )
     count: NDArray[np.float64] = data("float64", "plane_class", doc="training rows")
 
@@ -149,9 +152,9 @@ class PartialLayerSums(Artifact):
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
         """Return the shapes of moments, noise and count of every site."""
         classes, outputs = self.rule.classes_per_site, len(self.table.outputs)
-        taps = outputs * self.side**2 + self.ratio_taps
-        width = taps + 1 + outputs
-        return (classes, width * (width + 1) // 2), (classes, taps * (taps + 1) // 2), (classes,)
+        taps = PLANES * self.side**2 + self.ratio_taps
+        width, noisy = taps + 1 + outputs, taps + (outputs if self.table.components else 0)
+        return (classes, width * (width + 1) // 2), (classes, noisy * (noisy + 1) // 2), (classes,)
 
 
 Head = PartialSums | PartialLayerSums

@@ -25,6 +25,7 @@ PlaneRule = StructureRule | TreeRule
 PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far below the noise of any sensor
 RATIO_TAPS = 2  # behind those of the windows, of a last layer that has them: chroma as shading would make it
 PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 bits stay within 32 bits
+PLANES = 3  # that a refinement layer reads
 WINDOWS = (3, 5, 7, 9)  # sides that can be
 COMPARED = (4, 3, 3)  # in coarse chroma: steps; planes; powers of luminance
 
@@ -138,7 +139,7 @@ class PlaneLayer:
     @property
     def window_taps(self) -> int:
         """Return the taps of the windows; what follows are those of the colour ratios (docs/method.md#colour-ratios)."""
-        return self.weights.shape[1] * self.side**2
+        return PLANES * self.side**2
 
     @property
     def ratio_taps(self) -> int:
@@ -327,6 +328,18 @@ class SpectralSmoothing:
 
 
 @dataclass(frozen=True)
+class LeadingComponents:
+    """Components of a spectrum, which a refinement layer reads to correct it (docs/method.md#leading-components)."""
+
+    basis: NDArray[np.float64] = data("float64", "output", "plane", doc="rows of outputs times it are the planes")
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.basis.shape[1] != PLANES:
+            raise ValueError(f"basis makes {self.basis.shape[1]} planes, not {PLANES}")
+
+
+@dataclass(frozen=True)
 class TransformTable(Artifact):
     """Local linear transforms for every class: of the mosaic and, in refinement layers, of the layer before."""
 
@@ -357,6 +370,8 @@ class TransformTable(Artifact):
     camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
     conditions: tuple[Condition, ...] = group(default=(), older=older_conditions)  # other noise, then light by light
     spectra: SpectralSmoothing | None = group(default=None)  # of the outputs, the last step; None: as layers leave them
+    # whose windows a refinement layer reads, to correct the first layer's outputs; None: it makes outputs of X, Y, Z
+    components: LeadingComponents | None = group(default=None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -381,6 +396,10 @@ class TransformTable(Artifact):
             raise ValueError("a layer that another follows has coarse chroma; only the last one may")
         if self.spectra and (len(self.outputs) == 1 or self.outputs[:3] == ("X", "Y", "Z")):
             raise ValueError(f"spectra of {', '.join(self.outputs)} cannot be smoothed; they must be bands")
+        if self.later and (
+            len(self.later) > 1 or self.later[-1].coarse_chroma if self.components else len(self.outputs) != 3
+        ):
+            raise ValueError("outputs that are not three have one refinement layer at most, of components alone")
         for index, condition in enumerate(self.conditions):
             condition.check_fits(f"conditions/{index}", self.later, self.first.rule.levels)
         there = [(None, None), *((each.light and each.light.name, each.noise) for each in self.conditions)]
@@ -391,9 +410,9 @@ class TransformTable(Artifact):
     def _check_refinement(self, layer: PlaneLayer) -> None:
         """Raise ValueError if a layer does not fit the first one, whose levels, saturation cases and outputs it takes."""
         layer.rule.check_fits(self.cfa.size, self.first.rule)
-        taps = layer.side**2 * len(self.outputs)
+        taps = layer.window_taps
         if layer.side % 2 == 0 or layer.weights.shape[2] not in (taps, taps + RATIO_TAPS):
-            raise ValueError(f"weights has {layer.weights.shape[2]} taps, {len(self.outputs)} windows of odd side {taps}")
+            raise ValueError(f"weights has {layer.weights.shape[2]} taps, {PLANES} windows of odd side {taps}")
 
     @property
     def layers(self) -> tuple[MosaicLayer | PlaneLayer, ...]:

@@ -4,6 +4,7 @@ Weights of each channel are rounded so that they add up to their rounded sum: el
 areas, and differently at every site. They fit 16 bits, which processors multiply twice as fast as floats.
 """
 
+import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -44,11 +45,15 @@ def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
     return basis
 
 
+def planes_basis(table: TransformTable) -> NDArray[np.float64]:
+    """Return the columns (output, plane) that make planes of rows of a table's outputs."""
+    return opponent_basis(table.white_point) if table.components is None else table.components.basis
+
+
 def fixed_point(table: TransformTable) -> FixedPoint:
-    """Return the first layer of a table whose outputs are X, Y, Z; InputFileError if its transforms are beyond all
-    planes."""
+    """Return the first layer of a table as integers; InputFileError if its transforms are beyond all planes."""
     first, read = table.first, _raw(table.bits, table.black_level, table.white_level)
-    channels, basis = window_channels(table.cfa, first.rule.patch), opponent_basis(table.white_point)
+    channels, basis = window_channels(table.cfa, first.rule.patch), planes_basis(table)
     sites = [(first.rule.of_site(site), channel) for site, channel in enumerate(channels)]
     return _fixed_point(first.weights, first.intercept, basis, read, sites)
 
@@ -113,8 +118,9 @@ def _fixed_point(
 ) -> FixedPoint:  # fmt: skip
     """Return transforms (class, output, tap), (class, output) as integers; `layouts`: classes, channels of taps."""
     offset = _to_planes(intercept.T, basis) / PLANE_STEP
+    shape = len(weights), basis.shape[1]
     made = FixedPoint(
-        np.empty(weights.shape, np.int16), np.empty(offset.T.shape, np.int64), np.empty(len(weights), np.int32)
+        np.empty((*shape, weights.shape[2]), np.int16), np.empty(shape, np.int64), np.empty(shape[0], np.int32)
     )
     for classes, channel in layouts:
         order = np.argsort(channel, kind="stable")
@@ -186,6 +192,10 @@ def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float6
 
 
 def _to_planes(values: NDArray[np.float32], basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (X Y Z, …) → (plane, …), one product after the other, so that every machine rounds alike."""
-    x, y, z = values.astype(np.float64)
-    return np.stack([x + basis[1, 0] * y, y, z + basis[1, 2] * y])
+    """Return (output, …) → (plane, …), one product after the other, so that every machine rounds alike."""
+    exact = values.astype(np.float64)
+
+    def plane(column: NDArray[np.float64]) -> NDArray[np.float64]:
+        return functools.reduce(np.add, [column[output] * exact[output] for output in np.flatnonzero(column)])
+
+    return np.stack(list(map(plane, basis.T)))

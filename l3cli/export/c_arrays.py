@@ -12,7 +12,7 @@ from l3cli.classes import chroma, contrast, direction, level, saturation
 from l3cli.classes.coarse_chroma import scales_of
 from l3cli.classes.features import further_features
 from l3cli.classes.plane_kernel import rule_constants, rule_macros
-from l3cli.classes.planes import fixed_point, opponent_basis, refined_fixed_point
+from l3cli.classes.planes import fixed_point, planes_basis, refined_fixed_point
 from l3cli.classes.refinement import first_label_words
 from l3cli.classes.windows import neighbourhoods
 from l3cli.export.wordlengths import ShortWords
@@ -118,6 +118,12 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
             white = table.later[-1].clipping.white.astype(np.float32)
             arrays.append(Array("l3_clip_response", response, "(clipped, signal, output)", packed=True))
             arrays.append(Array("l3_clip_white", white, "signals of a white (channel)", packed=True))
+    if table.later and table.components:
+        first = layout.first_weights(table, table.first)
+        arrays += [
+            Array("l3_first_weights", _fill(first.taps), "(class, output, tap)", packed=True),
+            Array("l3_first_intercept", first.intercept, "(class, output)", packed=True),
+        ]
     if table.later:
         more, layers = _layers(table)
         return [*arrays, *more], [*lines, *layers, ""]
@@ -161,7 +167,7 @@ def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
 
 def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
     """Return arrays and structs of a table of several layers."""
-    basis = opponent_basis(table.white_point)
+    basis = planes_basis(table)
     arrays = _fixed("l3_", layout.first_plane_weights(fixed_point(table), table.bits))
     structs, entries = [], []
     for number, layer in enumerate(table.later, 2):

@@ -12,7 +12,7 @@ from l3cli.artifacts.schema import Spec, declared
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, TransformTable, rule_fields
 from l3cli.classes import chroma, clipping
 from l3cli.classes.coarse_chroma import ALIKE
-from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, opponent_basis, refined_fixed_point
+from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, planes_basis, refined_fixed_point
 from l3cli.classes.refinement import RATIO_DARKEST
 from l3cli.classes.structure import NOISE_TRACE
 from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP, turned_tests
@@ -54,7 +54,8 @@ LAYERS = {
     "F = fraction[class]; value: DN in the first layer; in others clamp(plane + 2^(coarse - 1) >> coarse, "
     "-coarse_top, coarse_top)",
     "output": "sum of the last layer's weights * plane * plane_step + intercept; taps plane by plane, each row by row, "
-    "behind them those of the colour ratios if it has two taps more",
+    "behind them those of the colour ratios if it has two taps more; where the table has components, added to sum of the "
+    "first layer's weights * (DN - black_level) / (white_level - black_level) + intercept",
     "colour ratios": "mean * clamp((Y - mean Y) / max(mean Y, ratio_darkest), -1, 1) of the first and of the third plane; "
     "means over the window",
     "coarse chroma": "of a layer that has it, first and third output += plane_step * d of the plane of the same number; d = "
@@ -99,6 +100,9 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
     if table.spectra:
         content["spectra"] = {"doc": SPECTRA_DOC, **arrays.add_fields("spectra/", table.spectra)}
         content["constants"]["spectra_darkest"] = SPECTRA_DARKEST
+    if table.components:
+        doc = "what makes planes of outputs, as fixed_weights of the first layer do of the mosaic"
+        content["components"] = {"doc": doc, **arrays.add_fields("components/", table.components)}
     if table.conditions:
         content["conditions"] = {"doc": CONDITIONS_DOC, "sets": []}
     for number, condition in enumerate(table.conditions):
@@ -197,7 +201,7 @@ def _derived(arrays: _Arrays, table: TransformTable) -> None:
         arrays.add("layer0/chroma_widths", widths, ("chroma",), "1", "how far sites take a second chroma")
     if not table.later:
         return
-    basis = opponent_basis(table.white_point)
+    basis = planes_basis(table)
     for number, fixed in enumerate((fixed_point(table), *(refined_fixed_point(layer, basis) for layer in table.later[:-1]))):
         _fixed(arrays, f"layer{number}/", fixed, "per DN" if number == 0 else "per coarse step of a plane")
     tests = [turned_tests(turn) for turn in range(8)]

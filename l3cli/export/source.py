@@ -74,8 +74,9 @@ def c_files(
     for feature, axis in further_features(table.first.rule):
         if feature is not direction:
             raise InputFileError(f'C source has no class feature "{axis.name}"; export the table as a folder')
-    if table.spectra and words == "int16":
-        raise InputFileError("the table smooths spectra, in floats; leave out ‹words› or export it as a folder")
+    floats = "smooths spectra" if table.spectra else "corrects bands" if _corrects(table) else ""
+    if floats and words == "int16":
+        raise InputFileError(f"the table {floats}, in floats; leave out ‹words› or export it as a folder")
     short = short_words(table) if words == "int16" else None
     arrays, layers = table_arrays(table, short)
     vector, shows = make_vector(table), table.outputs == XYZ
@@ -125,8 +126,11 @@ def _pieces(table: TransformTable, words: Words) -> tuple[str, ...]:
     further = "direction.c" if table.first.rule.axes else "no_direction.c"
     coarse = "coarse_chroma.c" if _coarse_chroma(table) else "no_coarse_chroma.c"
     clips = "clipping.c" if table.later and table.later[-1].clipping else "no_clipping.c"
+    corrections = "corrections.c" if _corrects(table) else "no_corrections.c"
     layer_files = (
-        ("planes.c", coarse, clips, "structure.c", "tree.c", "several_layers.c") if table.later else ("one_layer.c",)
+        ("planes.c", corrections, coarse, clips, "structure.c", "tree.c", "several_layers.c")
+        if table.later
+        else ("one_layer.c",)
     )
     spectra = "spectra.c" if table.spectra else "no_spectra.c"
     return ("head.c", further, "classes.c", f"{words}.c", *layer_files, spectra, "render.c")
@@ -179,6 +183,10 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         values |= {"OUTPUT_FRACTION": OUTPUT_FRACTION, "OUTPUT_TOP": OUTPUT_TOP}
         values |= {"VALUE_OFFSET": offset_of(table), "SPLIT": split_of(table)}
     return values | (_plane_macros(table) if table.later else {"LAST_TAPS": filled(rule.patch**2)})
+
+
+def _corrects(table: TransformTable) -> bool:
+    return bool(table.later and table.components)
 
 
 def _coarse_chroma(table: TransformTable) -> CoarseChroma | None:
@@ -285,6 +293,7 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
     parts = ["readme.md", "readme_int16.md" if short else "readme_float32.md"]
     parts += ["readme_direction.md"] if rule.axes else []
     parts += ["readme_planes.md"] if table.later else ["readme_one_layer.md"]
+    parts += ["readme_corrections.md"] if _corrects(table) else []
     parts += ["readme_ratios.md"] if table.later and table.later[-1].ratio_taps else []
     parts += ["readme_coarse_chroma.md"] if _coarse_chroma(table) else []
     parts += ["readme_clipping.md"] if table.later and table.later[-1].clipping else []

@@ -10,7 +10,7 @@ from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, SpectralS
 from l3cli.classes.clipping import Mosaic, replaced
 from l3cli.classes.coarse_chroma import coarse_change, scales_of
 from l3cli.classes.decide import label_mosaic
-from l3cli.classes.planes import CHROMA, FixedPoint, coarse, opponent_basis, refined_fixed_point
+from l3cli.classes.planes import CHROMA, FixedPoint, coarse, planes_basis, refined_fixed_point
 from l3cli.classes.refinement import label_planes, mirrored, shaded_chroma
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import RawFrame, pad_mosaic, shifted_cfa
@@ -56,12 +56,14 @@ class ReferenceRenderer:
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
         gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
+        made = np.zeros(())
         if self.table.later:
             planes, refined_labels = self._refine(levelled, labels, len(self.table.later))
             made = refinement_outputs(planes, refined_labels, self._sets.later[-1], self._sets.share(frame))
-            made = gain * self._with_plain_clipped_areas(made, levelled)
-        else:
-            made = gain * output_planes(levelled, labels, self.table, self._sets.first)
+            made = self._with_plain_clipped_areas(made, levelled)
+        if not self.table.later or self.table.components:
+            made = made + output_planes(levelled, labels, self.table, self._sets.first)
+        made = gain * made
         return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
@@ -72,7 +74,7 @@ class ReferenceRenderer:
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
         """Return the fixed-point transforms of all layers but the last."""
-        basis = opponent_basis(self.table.white_point)
+        basis = planes_basis(self.table)
         return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:

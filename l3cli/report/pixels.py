@@ -30,6 +30,7 @@ QUALITY = 95  # of the crop's pictures
 PLACES = 8  # of crops along each side of a frame
 STEPS = 127  # of the square root of a weight's share of the largest
 PLANES = ("X − aY", "Y", "Z − bY")  # that refinement layers read
+COMPONENTS = ("first component", "mean", "second component")  # the same of bands
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,8 @@ def _crop(
     those of the "frame" or "all", with as many of their weights as `letters` for each layer hold."""
     layers = []
     for layer, worded, of in zip(table.layers, words, labels, strict=True):
-        side, planes = (layer.rule.patch, ("mosaic",)) if isinstance(layer, MosaicLayer) else (layer.side, PLANES)
+        read = COMPONENTS if table.components else PLANES
+        side, planes = (layer.rule.patch, ("mosaic",)) if isinstance(layer, MosaicLayer) else (layer.side, read)
         taps = side**2 * len(planes)
         pixels = np.bincount(of.ravel(), minlength=len(layer.weights))
         seen, indices = np.unique(of[area], return_inverse=True)

@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.table import PLANES
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.physics.display import XYZ
+from l3cli.physics.spectra import is_spectrum
 from l3cli.training.highlights import error_of_white
 from l3cli.training.patches import white_signal
 from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces
@@ -39,12 +41,17 @@ def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
     return light if light is not None and light.spread <= ONE_LIGHT else None
 
 
+def has_components(head: TrainingSet) -> bool:
+    """Return whether the outputs are a spectrum whose leading components a layer may refine."""
+    return len(head.outputs) > PLANES and is_spectrum(head.outputs, head.camera.channels)
+
+
 def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) -> Goal:
     """Return the goal of a training with sets of this head, of the mean `white_point` (output) and `light`."""
     camera = head.camera
     levels = camera.black_level, camera.white_level
     isolated: dict[str, Any] = {}
-    if len(head.outputs) == 3:
+    if len(head.outputs) == 3 or has_components(head):
         isolated["integers"] = Integers(camera.bits, *levels)
     if camera.readout is not None:
         isolated |= {"filters": tuple(camera.readout.same_filter.tolist()), "sensitivity": camera.sensitivity}

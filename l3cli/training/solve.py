@@ -107,6 +107,7 @@ class Solution:
     colours: Array  # (channel, channel) second moments of the channels' means over plain patches, of trace 1
     white: Array | None  # (channel) signals of white, if the training patches bear them out
     power: Array  # (class) sum of the channels' squared means over its patches and those that help it
+    outputs: Array  # (output, output) second moments of the targets of unsaturated classes
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,8 @@ def solve(
                 rows[batch[:, None, None], np.arange(used)[:, None], wanted] = solution[..., : len(wanted)]
                 compliance[batch, number, :used] = solution[..., len(wanted) :]
                 condition[batch] = np.maximum(condition[batch], worst)
-    about = solved, samples, condition, plain_colours(sums, rule, window), white, power
+    targets = moment_matrix(sums.moments[~saturated].sum(axis=0), width_of(sums.moments))[groups.size :, groups.size :]
+    about = solved, samples, condition, plain_colours(sums, rule, window), white, power, targets
     return Solution(rows, member @ rows, compliance, member @ compliance, *about)
 
 

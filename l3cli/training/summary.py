@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.artifacts.recipe_source import Meaning, RecipeSource
-from l3cli.artifacts.table import RATIO_TAPS, PlaneLayer, PlaneRule, SceneLight, TransformTable
+from l3cli.artifacts.table import PLANES, RATIO_TAPS, PlaneLayer, PlaneRule, SceneLight, TransformTable
 from l3cli.classes import level
 from l3cli.classes.features import further_features
 from l3cli.classes.names import class_name, kind_name
@@ -88,7 +88,7 @@ def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, A
     return {
         "classes": {"all": len(trained), "trained": int(trained.sum()), "filled": int((~trained).sum())},
         "side": layer.side,
-        "planes": len(outputs),
+        "planes": PLANES,
         "levels": rule.levels,
         "structures": rule.structures,
         **_features(rule),
@@ -143,7 +143,7 @@ def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict
     }
 
 
-OUTPUTS = 3  # of pictures, and planes that refinement layers read
+OUTPUTS = 3  # of pictures
 WEIGHT, OTHERS = 4, 12  # bytes of a weight or intercept; of the number of samples and the condition of a class
 
 
@@ -227,7 +227,7 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     first = levels * contrasts * int(np.prod(list(further.values()), initial=1)) * (chromas + cases - 1)
     layers = [{"classes_per_site": first, "taps": classes.patch**2}]
     for each in recipe.layer:
-        taps = OUTPUTS * each.side**2 + RATIO_TAPS * each.colour_ratios
+        taps = PLANES * each.side**2 + RATIO_TAPS * each.colour_ratios
         layers.append({"classes_per_site": _refinement_classes(each, levels, cases), "taps": taps})
     document = {
         "levels": levels, "contrasts": contrasts, "further": further, "chromas": chromas, "saturation_cases": cases,

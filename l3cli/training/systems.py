@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.table import PLANES
 from l3cli.classes.planes import opponent_basis, room_between, room_for
 
 Array = NDArray[np.float64]
@@ -47,8 +48,9 @@ def solve_within(equations: Equations, ridge: float, member: Array, integers: In
 
 
 def fits(rows: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
-    """Return whether the planes of transforms (class, tap and intercept, output) to X, Y, Z fit integers (class)."""
-    planes = np.swapaxes(rows @ opponent_basis(white), 1, 2)
+    """Return whether the planes of transforms (class, tap and intercept, output) to X, Y, Z, or, as they are larger than
+    their components, those to others, fit integers (class)."""
+    planes = np.swapaxes(rows @ opponent_basis(white) if len(white) == PLANES else rows, 1, 2)
     return room_for(planes[..., :-1], planes[..., -1], *integers) > ROUNDED
 
 

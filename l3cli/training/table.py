@@ -11,11 +11,19 @@ from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums, LayerSums
 from l3cli.artifacts.schema import Stage
-from l3cli.artifacts.table import Condition, MosaicLayer, PlaneLayer, PlaneRule, SpectralSmoothing, TransformTable
+from l3cli.artifacts.table import (
+    Condition,
+    LeadingComponents,
+    MosaicLayer,
+    PlaneLayer,
+    PlaneRule,
+    SpectralSmoothing,
+    TransformTable,
+)
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet
 from l3cli.classes.chroma import channel_shares, choose_chromas
 from l3cli.classes.decide import observe_patches
-from l3cli.classes.planes import fixed_point, opponent_basis
+from l3cli.classes.planes import fixed_point, planes_basis
 from l3cli.classes.rule import make_rule
 from l3cli.classes.saturation import choose_cases, saturation_codes, spared_cases
 from l3cli.classes.windows import neighbourhoods
@@ -23,7 +31,7 @@ from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
 from l3cli.training.clipping import learned_clipping
-from l3cli.training.goal import one_light
+from l3cli.training.goal import has_components, one_light
 from l3cli.training.layers.coarse_chroma import measured_noise
 from l3cli.training.layers.learn import LayerPass, learn_layer
 from l3cli.training.patches import expose_patches, levels_at, patches_of, white_signal
@@ -193,6 +201,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
         light=pass_.light,
         camera=replace(camera, fit=None),
         spectra=_spectra(head, pass_.recipe),
+        components=_components(head, solutions, copies, pass_.white_point),
     )
 
 
@@ -201,6 +210,21 @@ def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | N
     if not recipe.spectral_window or len(head.outputs) == 1 or not spectra.is_spectrum(head.outputs, head.camera.channels):
         return None
     return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)
+
+
+def _components(
+    head: TrainingSet, solutions: dict[int, Solution], copies: list[int], white: NDArray[np.float64]
+) -> LeadingComponents | None:
+    """Return the mean of the outputs over those of a white, and what else varies most of these, as the second plane and
+    those beside it; None if they are no spectrum. Rounded: no two machines find the same vectors."""
+    if not has_components(head):
+        return None
+    targets = np.average([each.outputs for each in solutions.values()], axis=0, weights=copies) / np.outer(white, white)
+    without_mean = np.eye(white.size) - 1 / white.size
+    vectors = np.linalg.eigh(without_mean @ targets @ without_mean)[1]
+    first, second = (each * np.sign(each[np.abs(each).argmax()]) for each in (vectors[:, -1], vectors[:, -2]))
+    basis = np.stack([first, np.full(white.size, white.size**-0.5), second], axis=1) * white.size**-0.5
+    return LeadingComponents(np.rint(basis / white[:, None] * 2**20) / 2**20)
 
 
 def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:
@@ -242,7 +266,8 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
         camera=table.camera,
         rule=table.first.rule,
         fixed=fixed_point(table),
-        basis=opponent_basis(table.white_point),
+        basis=planes_basis(table),
+        outputs=table.first if table.components else None,
         white_point=table.white_point,
         grey=np.asarray(table.camera.sensitivity) if table.light is None else white_signal(table.light, table.camera),
         before=table.later,

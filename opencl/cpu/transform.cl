@@ -122,6 +122,14 @@ INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns 
 #define CLIPPING_READ
 #endif
 
+#ifdef CORRECTS
+#define CORRECTED_PARAMETER , __global const float *restrict corrected  // (output, row, col) of the first layer
+#define CORRECTED_READ , corrected
+#else
+#define CORRECTED_PARAMETER
+#define CORRECTED_READ
+#endif
+
 #if !defined(JOINED) && !defined(CLASSES_ONLY)
 #define TRANSFORM_PARAMETERS \
     __global const SOURCE *restrict source,      /* (source, row, col) DN of the mosaic, or planes */ \
@@ -130,7 +138,7 @@ INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns 
     __global const uint *restrict labels,        /* (row, col) */ \
     __global const tap *restrict weights,        /* (class, …) per unit of the source */ \
     __global const float *restrict matrix,       /* (3, 3) encoded values from X, Y, Z, before the curve */ \
-    __global CODE *restrict picture GAIN_PARAMETER COARSE_PARAMETERS CLIPPING_PARAMETER, \
+    __global CODE *restrict picture GAIN_PARAMETER COARSE_PARAMETERS CLIPPING_PARAMETER CORRECTED_PARAMETER, \
     float black_level, int source_rows, int rows, int columns
 
 COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
@@ -174,6 +182,10 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
 #ifdef CLIPPING
             replace_clipped(made, row_source[y + RADIUS], x0 + x, source_rows, columns CLIPPING_READ);
 #endif
+#ifdef CORRECTS
+            __global const float *first = corrected + (size_t)row_source[y + RADIUS] * columns + x0 + x;
+            for (int o = 0; o < OUTPUTS; o++) made[o] += LOAD_GLOBAL(floats, first + o * stride);
+#endif
 #ifdef SHADED
             even_pixels(made, gain + (size_t)y * GAIN_NODES(columns), x0 + x);
 #endif
@@ -184,7 +196,7 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
 
 KERNEL_OF_ONE transform(TRANSFORM_PARAMETERS) {
     transform_tile(GROUP_COLUMN, GROUP_ROW, source, row_source, column_source, labels, weights, matrix, picture GAIN_READ COARSE_READ
-                   CLIPPING_READ, black_level,
+                   CLIPPING_READ CORRECTED_READ, black_level,
                    source_rows, rows, columns);
 }
 #endif

@@ -148,6 +148,9 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
 #ifdef CLIPPING
                __global const float *restrict maps,         // (map, quad row, quad column)
 #endif
+#ifdef CORRECTS
+               __global const float *restrict corrected,    // (output, source row, col) of the first layer
+#endif
                float black_level, int source_rows, int rows, int columns) {
     __local tap signal[TILE_ROWS][TILE_COLUMNS][SOURCES];
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
@@ -217,6 +220,10 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         output[4 * f + 2] = total[f].z;
         output[4 * f + 3] = total[f].w;
     }
+#ifdef CORRECTS
+    for (int o = 0; o < OUTPUTS; o++)
+        output[o] += corrected[((size_t)o * source_rows + row_source[y + RADIUS]) * columns + x];
+#endif
 #ifdef SHADED
     __global const float *node = gain + (size_t)y * GAIN_NODES(columns) + x / GAIN_STEP;
     const float factor = node[0] + (node[1] - node[0]) * ((x % GAIN_STEP) * (1.0f / GAIN_STEP));

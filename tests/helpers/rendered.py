@@ -15,6 +15,7 @@ from tests.helpers.tables import (
     random_table,
     with_clipping,
     with_coarse_chroma,
+    with_components,
     with_low_noise,
     with_refinement,
     with_tree,
@@ -72,6 +73,10 @@ TABLES = {
     ),
     "tree of stripes": lambda: with_tree(random_table(STRIPES, bits=14, black_level=512.5, patch=5, seed=11), 7, seed=4),
     "tree of one leaf": lambda: with_tree(random_table(BAYER, patch=3), leaves=1, seed=5),
+    "corrected bands": lambda: with_components(random_table(SIXTEEN, black_level=100.0, outputs=tuple("abcdefghijklmnop"))),
+    "two sets of corrected bands": lambda: with_low_noise(
+        with_components(random_table(STRIPES, bits=14, patch=5, outputs=tuple("abcdef"), contrasts=(1.2,)), 3)
+    ),
     "two sets": lambda: with_low_noise(
         random_table(FIVE_BAND, contrasts=(1.1, 2.0), direction=direction.Options(orientations=8, strengths=(1.5, 6.0)))
     ),

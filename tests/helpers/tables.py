@@ -10,10 +10,12 @@ from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.plane_rules import TESTS, GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.table import (
     COMPARED,
+    PLANES,
     RATIO_TAPS,
     Clipping,
     CoarseChroma,
     Condition,
+    LeadingComponents,
     MosaicLayer,
     PlaneLayer,
     SceneLight,
@@ -61,12 +63,18 @@ def with_refinement(table: TransformTable, *sides: int, seed: int = 1, ratios: b
             cases=below.lost_cases,
         )
         classes = sites * rule.classes_per_site
-        weights = (rng.normal(size=(classes, outputs, outputs * side**2)) / side).astype(np.float32)
+        weights = (rng.normal(size=(classes, outputs, PLANES * side**2)) / side).astype(np.float32)
         samples = np.where(np.arange(classes) % 2, 10.0, 0.0)
         layers.append(PlaneLayer(side, weights, np.zeros((classes, outputs), np.float32), samples, rule))
     if ratios:
         layers[-1] = with_ratios(layers[-1], rng)
     return dataclasses.replace(table, later=tuple(layers))
+
+
+def with_components(table: TransformTable, side: int = 5, seed: int = 3) -> TransformTable:
+    """The table with a layer of random weights that reads three mixtures of its outputs and corrects these."""
+    basis = np.random.default_rng(seed).normal(size=(len(table.outputs), PLANES)) / len(table.outputs)
+    return with_refinement(dataclasses.replace(table, components=LeadingComponents(basis)), side, ratios=True)
 
 
 def with_low_noise(table: TransformTable, *shares: float, seed: int = 9) -> TransformTable:
@@ -156,7 +164,7 @@ def with_tree(table: TransformTable, side: int = 3, leaves: int = 40, seed: int 
     tree = random_tree(Evidence(seen.numerators[:, free], seen.denominators[:, free]), leaves, rng)
     rule = TreeRule(factor, shift, *tree, rng.integers(0, 8, sites).astype(np.uint8), below.cases)
     classes = sites * rule.classes_per_site
-    weights = (rng.normal(size=(classes, outputs, outputs * side**2)) / side).astype(np.float32)
+    weights = (rng.normal(size=(classes, outputs, PLANES * side**2)) / side).astype(np.float32)
     samples = np.where(np.arange(classes) % 2, 10.0, 0.0)
     layer = PlaneLayer(side, weights, np.zeros((classes, outputs), np.float32), samples, tree=rule)
     return dataclasses.replace(table, later=(with_ratios(layer, rng) if ratios else layer,))

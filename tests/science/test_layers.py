@@ -13,7 +13,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.store import load
-from l3cli.artifacts.table import PLANE_STEP, RATIO_TAPS, PlaneLayer, TransformTable
+from l3cli.artifacts.table import PLANE_STEP, PLANES, RATIO_TAPS, PlaneLayer, TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.classes.refinement import label_planes, shaded_chroma
 from l3cli.errors import L3Error
@@ -58,12 +58,12 @@ def a_rule(layer: LayerPass) -> StructureRule:
     return structure_rule(layer, gradient_scale(layer, []))
 
 
-def filtered(planes: NDArray) -> NDArray[np.float32]:
-    """What TRUTH makes (row, col, plane) of planes (plane, row, col), zero at the edges."""
+def filtered(planes: NDArray, truth: NDArray = TRUTH) -> NDArray[np.float32]:
+    """What filters make (row, col, output) of planes (plane, row, col), zero at the edges."""
     rows, cols = planes.shape[1:]
-    made = np.zeros((rows, cols, 3), np.float32)
+    made = np.zeros((rows, cols, len(truth)), np.float32)
     windows = np.lib.stride_tricks.sliding_window_view(planes * PLANE_STEP, (SIDE, SIDE), axis=(1, 2))
-    made[1:-1, 1:-1] = np.einsum("opt,prct->rco", TRUTH, windows.reshape(*windows.shape[:3], -1))
+    made[1:-1, 1:-1] = np.einsum("opt,prct->rco", truth, windows.reshape(*windows.shape[:3], -1))
     return made
 
 
@@ -106,6 +106,28 @@ def test_a_known_filter_is_learned(bayer: CameraModel) -> None:
         assert (learned.samples > 60).all()
         assert in_planes(layer, learned) == pytest.approx(np.broadcast_to(TRUTH, (len(learned.weights), 3, 3, 9)), abs=1e-3)
         assert np.abs(learned.intercept).max() < 1e-3
+
+
+def test_what_outputs_lack_is_learned_beside_noise(bayer: CameraModel) -> None:
+    """That filters make both of planes and of their noise, which the outputs have, too; a white lacks nothing."""
+    layer, rng = a_pass(bayer, luminance_noise=1, **UNSPREAD), np.random.default_rng(5)
+    table = a_table(bayer)
+    layer = dataclasses.replace(layer, outputs=table.first, basis=rng.normal(size=(5, PLANES)), pictures=False)
+    truth = rng.normal(0, 0.2, (5, PLANES, SIDE**2))
+    truth[:, 1, -1] -= truth[:, 1].sum(axis=-1)
+    rule, shape = a_rule(layer), (240, 260)
+    clean, noise = (rng.normal(0, size, (PLANES, *shape)).round().astype(np.float32) for size in (2000, 700))
+    site = np.arange(shape[0])[:, None] % 2 * 2 + np.arange(shape[1]) % 2
+    label = rule.join(rng.integers(0, rule.levels, shape), rng.integers(0, rule.kinds, shape), site)
+    none, ones = np.zeros(shape, np.int64), np.ones(shape, np.float32)
+    noisy, missing, spread = (clean + noise).astype(np.int32), filtered(clean, truth), -filtered(noise, truth)
+    seen = Seen(1, np.zeros((*shape, 5), np.float32), none, ones, noisy, clean, missing, spread)
+    sums = no_sums(layer, rule)
+    gathered = GatheredRows(sums, rule, layer.reading(SIDE), layer.basis, layer.grid_steps(rule))
+    gathered.add(seen, label, seen.inner_pixels(layer.margin), ones)
+    gathered.add_up()
+    learned = learn_layer(layer, rule, sums).weights
+    assert learned == pytest.approx(np.broadcast_to(truth.reshape(5, -1), learned.shape), abs=1e-3)
 
 
 def test_so_is_what_light_and_shade_make_of_chroma(bayer: CameraModel) -> None:
@@ -337,7 +359,7 @@ def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: L3) -> None:
     assert l3("simulate", tmp_path / "scenes.toml", "--camera", camera, "-o", training)[0] == 0
     recipe = LAYER.replace("levels = 4", "levels = 2\nchromas = 2").replace("first_draws = 0", "first_draws = 1")
     recipe = recipe.replace("patch = 3", "patch = 5").replace("3000", "300")
-    (tmp_path / "classes.toml").write_text(recipe)
+    (tmp_path / "classes.toml").write_text(recipe + "coarse_chroma = true\n")
     run = ("train", training, "--classes", tmp_path / "classes.toml")
     whole, sums, first, table = (tmp_path / f"{name}.h5" for name in ("whole", "sums", "first", "table"))
     for further in (("-o", whole), ("--shard", "1/1", "-o", sums)):
@@ -351,6 +373,44 @@ def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: L3) -> None:
     np.testing.assert_array_equal(twice, jointly)
     assert not np.array_equal(once, twice)
     assert load(TransformTable, table).later == ()
+
+
+def test_bands_get_a_layer_that_corrects_them(tmp_path: Path, l3: L3) -> None:
+    """Whole or in shards the same; it takes noise and error off what it has been learned on, and leaves white as it is."""
+    training = tmp_path / "training.h5"
+    (tmp_path / "scenes.toml").write_text(LEAVES.replace("count = 6", "count = 3") + '[target]\noutputs = "camera"\n')
+    assert l3("simulate", tmp_path / "scenes.toml", "--camera", CONFIGS / "cameras/fiveband.toml", "-o", training)[0] == 0
+    recipe = (
+        LAYER.replace("levels = 4", "levels = 8\nchromas = 2")
+        .replace("patch = 3", "patch = 5")
+        .replace("3000", "1500\ndarkest = 0.05")
+    )
+    (tmp_path / "classes.toml").write_text(recipe + "mosaics = 60\nrows = 900\nluminance_noise = 1\n")
+    run = ("train", training, "--classes", tmp_path / "classes.toml")
+    whole, sums, first, table = (tmp_path / f"{name}.h5" for name in ("whole", "sums", "first", "table"))
+    assert l3(*run, "-o", whole)[0] == 0
+    assert l3(*run, "--shard", "1/1", "-o", sums)[0] == 0
+    assert l3("train", "--merge", sums, "-o", first)[0] == 0
+    assert l3(*run, "--shard", "1/1", "--first", first, "--force", "-o", sums)[0] == 0
+    assert l3("train", "--merge", sums, "-o", table)[0] == 0
+    jointly, merged = load(TransformTable, whole), load(TransformTable, table)
+    np.testing.assert_array_equal(jointly.later[0].weights, merged.later[0].weights)
+    assert jointly.components is not None
+    basis = jointly.components.basis
+    assert jointly.white_point @ basis == pytest.approx([0, 1, 0], abs=1e-4)
+    rule = jointly.later[0].rule
+    free = rule.case(rule.split(np.arange(len(jointly.later[0].weights))).kind) == 0
+    of_white = jointly.later[0].weights.reshape(len(free), 5, PLANES, -1)[free, :, 1].sum(axis=-1)
+    assert of_white == pytest.approx(np.zeros_like(of_white), abs=1e-4)
+    with open_training_set(training) as reader:
+        frame = reader.frame(0)
+    raw = RawFrame("leaves", frame.raw, jointly.black_level, jointly.white_level)
+    unclipped = free[ReferenceRenderer(jointly).labels(raw, 1)]
+    error = []
+    for each in (dataclasses.replace(jointly, later=()), jointly):
+        made = ReferenceRenderer(each).exact_outputs(raw) * (each.output_unit / frame.exposure)
+        error.append(np.square(made - frame.target)[:, unclipped].mean())
+    assert error[1] < 0.97 * error[0], unclipped.mean()
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,7 @@ from tests.helpers.tables import (
     random_table,
     with_clipping,
     with_coarse_chroma,
+    with_components,
     with_first,
     with_low_noise,
     with_refinement,
@@ -74,6 +75,9 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
         5_000_000, 100_000_000, 700_000_000, 1_500_000_000,
     ),
     "smoothed spectra": lambda: with_spectra(a_table([[0, 1], [2, 3]], 12, 64.0, outputs=tuple("abcd")), 5, 0.4),
+    "corrected bands": lambda: with_components(
+        a_table([[0, 1], [2, 3]], 16, 600.25, patch=7, outputs=tuple("abcdef"), contrasts=()), 3
+    ),
     "coarse chroma": lambda: with_clipping(
         with_coarse_chroma(with_refinement(a_table([[0, 1], [2, 3]], 12, 64.0, contrasts=(), chroma_dither=True), 5), 0.1)
     ),

@@ -1,5 +1,5 @@
-"""How good 16 bands are on scenes that training has not seen, and that no switch of the shipped recipe is better off
-(docs/method.md#equal-response).
+"""How good 16 bands are on scenes that training has not seen, and that no switch of the first layer of the shipped recipe is
+better off (docs/method.md#equal-response).
 
 python -m pytest -m slow -s tests/studies/test_bands_study.py      needs L3_DATA; a quarter of an hour on two cores
 
@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.partial_sums import open_partial_sums
-from l3cli.artifacts.store import load, save
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.evaluation.quality import band_figures, band_quality
@@ -33,7 +33,7 @@ from tests.helpers.bands import BORDER, unseen_scenes
 from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 
-LEAST_PSNR, LARGEST_ANGLE = 39.8, 2.0  # dB, degrees; noise-free faces alone had 2.2 before spectra were smoothed
+LEAST_PSNR, LARGEST_ANGLE = 40.3, 1.97  # dB, degrees; noise-free faces alone had 2.2 before spectra were smoothed
 NOISE_DIFFERENCE = 0.1  # dB: smaller differences are chance
 ANGLE_DIFFERENCE = 0.02  # degrees: likewise
 WITHOUT: dict[str, dict[str, Any]] = {
@@ -96,8 +96,8 @@ def learned(sums: Path, switches: dict[str, Any]) -> TransformTable:
 
 
 def test_unseen_scenes_and_switches(tmp_path: Path, l3_data: Path, l3: L3, capsys: pytest.CaptureFixture[str]) -> None:
-    names = ("leaves", "unseen", "first_sums", "first", "sums", "table")
-    leaves, unseen, first_sums, first, sums, table = (tmp_path / f"{name}.h5" for name in names)
+    names = ("leaves", "unseen", "sums", "first", "first_layer", "layer_sums", "table")
+    leaves, unseen, sums, first, first_layer, layer_sums, table = (tmp_path / f"{name}.h5" for name in names)
 
     def tell(name: str, of: Figures) -> None:
         with capsys.disabled():
@@ -107,10 +107,10 @@ def test_unseen_scenes_and_switches(tmp_path: Path, l3_data: Path, l3: L3, capsy
     for scenes, output in ((tmp_path / "unseen.toml", unseen), (CONFIGS / "scenes/bands.toml", leaves)):
         assert l3("simulate", scenes, "--camera", "snapshot16", "-o", output, "--quiet")[0] == 0
     shard = "train", leaves, "--classes", "bands", "--shard", "1/1", "--jobs", 2, "--quiet"
-    assert l3(*shard, "-o", first_sums)[0] == 0
-    assert l3("train", "--merge", first_sums, "-o", first, "--jobs", 2, "--quiet")[0] == 0
-    assert l3(*shard, "--first", first, "-o", sums)[0] == 0
-    save(learned(sums, {}), table)
+    made = [shard, (*shard, "--first", first), (*shard, "--first", first_layer)]
+    for each, parts, merged in zip(made, (layer_sums, sums, layer_sums), (first, first_layer, table), strict=True):
+        assert l3(*each, "--force", "-o", parts)[0] == 0
+        assert l3("train", "--merge", parts, "-o", merged, "--jobs", 2, "--quiet")[0] == 0
     code, out, _ = l3("evaluate", table, unseen, "--border", BORDER, "--json", "--quiet")
     assert code == 0
     document = json.loads(out)
@@ -118,11 +118,12 @@ def test_unseen_scenes_and_switches(tmp_path: Path, l3_data: Path, l3: L3, capsy
         tell(pipeline, printed(document, pipeline))
     shipped = measured(load(TransformTable, table), unseen)
     assert printed(document, "ours") == pytest.approx(shipped)
-    without = {}
+    without, alone = {}, measured(load(TransformTable, first_layer), unseen)
+    tell("first layer alone", alone)
     for name, switches in WITHOUT.items():
         without[name] = measured(learned(sums, switches), unseen)
         tell(f"without {name}", without[name])
     assert shipped.psnr >= LEAST_PSNR
     assert shipped.angle <= LARGEST_ANGLE
-    assert max(each.psnr for each in without.values()) <= shipped.psnr + NOISE_DIFFERENCE
-    assert min(each.angle for each in without.values()) >= shipped.angle - ANGLE_DIFFERENCE
+    assert max(each.psnr for each in without.values()) <= alone.psnr + NOISE_DIFFERENCE
+    assert min(each.angle for each in without.values()) >= alone.angle - ANGLE_DIFFERENCE

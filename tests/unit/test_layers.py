@@ -13,13 +13,13 @@ from l3cli.artifacts.container import seal
 from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import PlaneLayer, TransformTable
+from l3cli.artifacts.table import LeadingComponents, PlaneLayer, TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from l3cli.training.summary import insight
 from tests.helpers.calls import L3
 from tests.helpers.cameras import BAYER
-from tests.helpers.tables import random_table, with_refinement, with_tree
+from tests.helpers.tables import random_table, with_components, with_refinement, with_tree
 
 TABLE = with_refinement(random_table(BAYER, bits=12, black_level=64.0), 3, 5)
 
@@ -131,3 +131,18 @@ def test_info_describes_every_layer(l3: L3, path: Path) -> None:
 def test_renderers_refuse_more_layers_than_four(backend: str) -> None:
     with pytest.raises(RecipeError, match="5 layers"):
         make_renderer(backend, with_refinement(random_table(BAYER, patch=3), 3, 3, 3, 3))
+
+
+def test_bands_have_one_layer_of_three_components(tmp_path: Path) -> None:
+    table = with_components(random_table(BAYER, outputs=tuple("abcd"), patch=3), 3)
+    save(table, tmp_path / "table.h5")
+    assert equal(load(TransformTable, tmp_path / "table.h5"), table)
+    (layer,) = table.later
+    plain = dataclasses.replace(layer, weights=layer.weights[..., : layer.window_taps])
+    for fields in ({"later": (plain, plain)}, {"components": None}):
+        with pytest.raises(ValueError, match="outputs that are not three have one refinement layer at most"):
+            dataclasses.replace(table, **fields)
+    with pytest.raises(ValueError, match="basis makes 4 planes, not 3"):
+        LeadingComponents(np.eye(4))
+    with pytest.raises(ValueError, match=r"components/basis \(output, plane\) has 5 along output"):
+        dataclasses.replace(table, components=LeadingComponents(np.eye(5)[:, :3]))

@@ -15,9 +15,9 @@ static inline void keep(const Ring *ring, size_t at, int32_t value) { ring->valu
 static inline void keep_nothing(const Ring *ring, size_t at) { ring->value[at] = 0; }
 
 /* Sum of products, in sixteen parts that do not wait for one another. */
-static inline float dot(const float *restrict a, const float *restrict b) {
+static inline float dot(const float *restrict a, const float *restrict b, int taps) {
     float part[16] = {0}, eight[8], four[4];
-    for (int t = 0; t < L3_LAST_TAPS; t += 16)
+    for (int t = 0; t < taps; t += 16)
         for (int i = 0; i < 16; i++) part[i] += a[t + i] * b[t + i];
     for (int i = 0; i < 8; i++) eight[i] = part[i] + part[i + 8];
     for (int i = 0; i < 4; i++) four[i] = eight[i] + eight[i + 4];
@@ -29,7 +29,7 @@ typedef float Behind;
 
 /* The output numbered class * L3_OUTPUTS + output, of the patch that begins at ring[at] and what is behind it. */
 static inline L3Output output_of(const Ring *ring, ptrdiff_t at, size_t output, Behind behind) {
-    return dot(ring->value + at, l3_last_weights + output * L3_LAST_TAPS) + l3_last_intercept[output] + behind;
+    return dot(ring->value + at, l3_last_weights + output * L3_LAST_TAPS, L3_LAST_TAPS) + l3_last_intercept[output] + behind;
 }
 
 #if L3_RATIO_TAPS

@@ -42,6 +42,7 @@ static void render_layers(const Workspace *w, int rows, int columns, int phase_r
         else label_by_structure(&w->gradients, layer, planes, labels, rows, columns, own);
         if (i == L3_LAYERS - 2) {
             planes_to_outputs(layer, planes, &w->ring, w->ring_values, w->sums, rows, columns, own, outputs);
+            add_first_outputs(&w->ring, w->ring_values, w->statistics.padded, rows, columns, labels, outputs);
             add_coarse_chroma(&w->coarse, planes, rows, columns, outputs);
             replace_clipped(&w->clipping, w->statistics.padded, rows, columns, phase_row, phase_column, outputs);
         } else planes_to_planes(layer, planes, w->fixed_ring, w->ring_values, rows, columns, own, w->planes[(i + 1) % 2]);

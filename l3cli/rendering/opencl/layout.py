@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, TransformTable
+from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, PLANES, MosaicLayer, PlaneLayer, TransformTable
 from l3cli.classes import clipping, plane_kernel
 from l3cli.classes.coarse_chroma import SPACINGS
-from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, opponent_basis, raw_middle, refined_fixed_point
+from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, planes_basis, raw_middle, refined_fixed_point
 from l3cli.classes.refinement import RATIO_DARKEST, first_label_words
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.display import TONE_LIMIT
@@ -22,7 +22,6 @@ from l3cli.physics.spaces import Curve
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display
 
-PLANES = 3  # that a layer after the first reads
 PERIODS = 31  # columns by which a row of the CFA is repeated, so that two vectors of 16 can be read from any phase on
 SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # of floats that are arranged so; at most so many taps (folding.cl)
 FOLDERS = {"processor": "cpu", "graphics": "gpu"}  # of opencl/, by variant
@@ -175,7 +174,14 @@ def clipping_macros(table: TransformTable) -> Macros:
 
 
 # What a layer writes for the next to read.
-TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "COARSE": COARSE, "COARSE_TOP": COARSE_TOP, "CODE": "int"}
+TO_PLANES: Macros = {
+    "OUTPUTS": PLANES,
+    "FIXED_POINT": 1,
+    "PLANE_TOP": PLANE_TOP,
+    "COARSE": COARSE,
+    "COARSE_TOP": COARSE_TOP,
+    "CODE": "int",
+}
 
 
 def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
@@ -191,6 +197,7 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
         **({"RATIO_TAPS": layer.ratio_taps, "DARKEST": RATIO_DARKEST} if layer.ratio_taps else {}),
         **({"COARSE_CHROMA": 1, "PLANE_STEP": _literal(PLANE_STEP), **COARSE_MACROS} if layer.coarse_chroma else {}),
         **({"CLIPPING": 1} if layer.clipping else {}),
+        **({"CORRECTS": 1} if table.components else {}),
         **plane_kernel.rule_macros(layer.rule),
     }
 
@@ -252,7 +259,7 @@ class WholeWeights:
 
 
 def first_weights(table: TransformTable, first: MosaicLayer) -> Weights:
-    """Return the weights of the only layer, `first`, per DN above black of a table."""
+    """Return the weights of the first layer, `first`, of a table to its outputs, per DN above black."""
     taps = by_column(first.weights, 1) / (table.white_level - table.black_level)
     return Weights(taps.astype(np.float32), first.intercept)
 
@@ -292,7 +299,7 @@ def table_buffers(
     table, later, steps = sets.tables[0], sets.later, []
     for number in range(len(later)):
         if number:
-            whole = refinement_plane_weights(refined_fixed_point(later[number - 1], opponent_basis(table.white_point)))
+            whole = refinement_plane_weights(refined_fixed_point(later[number - 1], planes_basis(table)))
         else:
             whole = first_plane_weights(sets.first_fixed_point, table.bits)
         rule, *others = sets.refinement_rules(number)

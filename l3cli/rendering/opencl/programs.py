@@ -100,6 +100,10 @@ class Programs:
         """Return the kernel of the last layer's transforms, which if it is the only one may find its classes, too."""
         return self._transforms(self._last, ending, joined)
 
+    def first_outputs(self) -> Any:
+        """Return the kernel that makes outputs of the first layer, which the last one corrects."""
+        return self._transforms(0, layout.OUTPUTS_AS_THEY_ARE, joined=False)
+
     def planes(self, layer: int, joined: bool = False) -> Any:
         """Return the kernel that makes what layer `layer` + 1 reads, which for the first may find its classes, too."""
         return self._transforms(layer, layout.TO_PLANES, joined)

@@ -165,6 +165,7 @@ class OpenCLRenderer:
         require_known_layers(table)
         self.table, self.stages, self._sets = table, stages_of(table), NoiseSets(table, by_noise)
         self.device, self.variant = chosen(device, variant)
+        self._corrects = bool(table.later and table.components)  # whether the last layer adds to what the first one makes
         with refusals(self.device):
             self._compiler = compiler_of(self.device)
             self._context = self._compiler.context
@@ -174,6 +175,9 @@ class OpenCLRenderer:
             self._class_buffers, self._weights, self._layers = layout.table_buffers(
                 self._sets, self.variant, self._cut.lanes, self._constant
             )
+            if self._corrects:
+                first = layout.VARIANTS[self.variant].pack(layout.first_weights(table, self._sets.first), self._cut.lanes)
+                self._first_weights = self._constant(first)
             self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
             self._unread: Unread | None = None
@@ -397,11 +401,23 @@ class OpenCLRenderer:
                 further, maps = self._clipping.maps(track, band, frame)
                 events, made = [*events, *further], (*made, maps)
             work.events[COARSE_CHROMA] += events
+        if self._corrects:
+            made += self._first_outputs(track, band, frame, work)
         reads, ends = self._reads(number, track, band, frame)
         arguments = (*reads, self._weights, encoding, *made, np.float32(frame.black_level), *ends)
         work.add("transforms", self._run(kernel, track, band.shape(number), *arguments))
         if self._spectra:
             work.add(SPECTRA, self._spectra.smooth(track, band, result, len(frame.values)))
+
+    def _first_outputs(self, track: Track, band: Band, frame: RawFrame, work: Work) -> tuple[Any, ...]:
+        """Return the buffer of what the first layer makes of a band, which its last transforms correct, and enqueue that."""
+        (rows, columns), step = band.shape(0), self._layers[0]
+        size = 4 * len(self.table.outputs) * rows * columns
+        track.first = self._scratch(track.first, size + 4 * BEYOND)
+        reads, ends = (track.raw, *band.mosaic_source, track.labels), (np.float32(frame.black_level), np.int32(0))
+        buffers = *reads, self._first_weights, step.nothing, track.first
+        work.add("transforms", self._run(self._programs.first_outputs(), track, (rows, columns), *buffers, *ends))
+        return (track.first,)
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
         """Return the buffer whose content becomes arrays one after the other: the array itself, if there is one and the

@@ -66,6 +66,7 @@ class Track:
         self.means: Any = None  # of blocks of the mosaic, where a table replaces plain clipped areas
         self.maps: Any = None  # of blocks, made of these
         self.quads: Any = None  # maps of quads, read of those
+        self.first: Any = None  # outputs of the first layer, where the last one corrects them
         self.made: Any = None  # outputs whose spectra are still to be smoothed
         self.result: Any = None
         self._typed: set[Any] = set()  # kernels

@@ -31,6 +31,8 @@ def learn_refinement_layers(
         if like is None:
             warn_of_left_out_layers(run, execution.console)
         return table
+    if like is not None:
+        table = replace(table, components=like.components)
     while len(table.later) < len(run.recipe.layer):
         layer = layer_pass(table, run.given, layer_mosaics(run, len(table.later)), run.seed)
         rule = layer_rule(run, layer, execution, like.later[len(table.later)].rule if like else None)
@@ -44,7 +46,8 @@ def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
     if run.recipe.layer and not run.has_refinement_layers:
         outputs = ", ".join(run.head.outputs)
         console.report(
-            f"one layer is learned for the outputs {outputs}; later ones read three, the second of them luminance"
+            f"one layer is learned for the outputs {outputs}; later ones read three, the second of them luminance, or one, "
+            "without coarse chroma or leaves, components of a spectrum"
         )
 
 

@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.artifacts.schema import Stage, equal
+from l3cli.artifacts.table import PLANES
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.options.commands import TrainOptions
 from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.toml import load_recipe, read_text
 from l3cli.system.files import require_same, sha256, stamp
+from l3cli.training.goal import has_components
 from l3cli.training.recipe import TrainingRecipe, draft_of, for_camera
 from l3cli.training.training_pass import FIRST, SUM_BYTES, spread_patches
 
@@ -91,8 +93,11 @@ class TrainingRun:
 
     @property
     def has_refinement_layers(self) -> bool:
-        """Return whether layers follow the first one: they read luminance and chroma, so for XYZ only."""
-        return bool(self.recipe.layer) and len(self.head.outputs) == 3
+        """Return whether layers follow the first one: any read luminance and chroma of three outputs, and a single one of
+        structures alone leading components of a spectrum."""
+        layers = self.recipe.layer
+        corrects = len(layers) == 1 and not (layers[0].leaves or layers[0].coarse_chroma) and has_components(self.head)
+        return bool(layers) and (len(self.head.outputs) == PLANES or corrects)
 
     def history_of_pass(self, number: int) -> tuple[Stage, ...]:
         """Return the history of what a pass of the first layer makes."""

@@ -12,9 +12,9 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import StructureRule
-from l3cli.artifacts.table import RATIO_TAPS, PlaneLayer, PlaneRule, rule_fields
+from l3cli.artifacts.table import PLANES, RATIO_TAPS, MosaicLayer, PlaneLayer, PlaneRule, rule_fields
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.classes.planes import FixedPoint
+from l3cli.classes.planes import LUMINANCE, FixedPoint
 from l3cli.classes.refinement import label_planes
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import L3Error
@@ -43,6 +43,7 @@ class LayerGoal:
     windows: int  # taps of the windows; those behind them are zero on flat areas
     keeps: bool = False  # whether unsaturated classes that would fade the chroma of uniform windows keep it
     strength_pool: float = 0.0  # weight of the classes of the same direction one strength away
+    corrects: bool = False  # whether outputs are what others lack: of a white nothing
 
 
 def solve_layer(
@@ -51,8 +52,8 @@ def solve_layer(
     """Return rows (class, tap + 1, output) of the canonical sites, each of which stands for `copies`, constrained so that
     all answer flat areas alike, and white with white: what the layer before makes of greys, also of those that clip, stays
     as grey as it is. L3Error if no class can be solved."""
-    taps = int((np.sqrt(8 * sums[0].noise.shape[1] + 1) - 1) / 2)
     outputs, planes = len(goal.noise), len(goal.white)
+    taps, noisy = width_of(sums[0].moments) - 1 - outputs, width_of(sums[0].noise)
     member = np.zeros((taps, planes))  # (tap, plane)
     member[: goal.windows] = np.kron(np.eye(planes), np.ones((goal.windows // planes, 1)))
     rows = [np.zeros((rule.classes_per_site, taps + 1, outputs)) for _ in sums]
@@ -60,20 +61,18 @@ def solve_layer(
     parents = [_Parents(one, rule) for one in sums]
     for index in range(rule.classes_per_site):
         shrunk = [_shrunk(one, parent, index, rule, goal) for one, parent in zip(sums, parents, strict=True)]
-        whole = [(moment_matrix(one[0], taps + 1 + outputs), moment_matrix(one[1], taps)) for one in shrunk if one]
+        whole = [(moment_matrix(one[0], taps + 1 + outputs), moment_matrix(one[1], noisy)) for one in shrunk if one]
         if len(whole) < len(sums):
             continue
         solved[index] = True
-        for output, factor in enumerate(goal.noise):
-            estimates = [_solution(moments, noise, factor, goal.ridge, output, member) for moments, noise in whole]
-            keeps = goal.keeps and not goal.white[output] and not rule.case(rule.split(index).kind)
-            constrained = (
-                _constrained(estimates, member, copies, goal.white, output, keeps)
-                if equal
-                else [one[:, 0] for one in estimates]
-            )
-            for site, row in enumerate(constrained):
-                rows[site][index, :taps, output] = row
+        keeps = goal.keeps and not rule.case(rule.split(index).kind)
+        for factor in dict.fromkeys(goal.noise):
+            of = [output for output, each in enumerate(goal.noise) if each == factor]
+            estimates = [_solution(moments, noise, factor, goal.ridge, of, member) for moments, noise in whole]
+            if equal:
+                estimates = _constrained(estimates, member, copies, goal, of, keeps)
+            for site, one in enumerate(estimates):
+                rows[site][index, :taps, of] = one[:, : len(of)].T
     if not solved.any():
         raise L3Error("no class of the second layer has training rows of every site; train on more, or larger, frames")
     fitting = solved & np.all([fits_between(one) for one in rows], axis=0)
@@ -81,30 +80,39 @@ def solve_layer(
     return [one[source] for one in rows]
 
 
-def _solution(moments: Array, noise: Array, factor: float, ridge: float, output: int, member: Array) -> Array:
-    """Return the Wiener solution (tap) of an output, and behind it how it gives way to a change of the flat response (tap, 1
-    + plane). Moments are of taps, intercept and outputs. There is no intercept: no light is answered with none."""
-    taps = len(noise)
-    system = moments[:taps, :taps] + factor * noise
+def _solution(moments: Array, noise: Array, factor: float, ridge: float, of: list[int], member: Array) -> Array:
+    """Return the Wiener solutions of some outputs, and behind them how they give way to a change of the flat response (tap,
+    output + plane). Moments are of taps, intercept and outputs, noise of taps and, if these are corrected, of outputs. There
+    is no intercept: no light is answered with none."""
+    taps, outputs = len(member), np.array(of)
+    system = moments[:taps, :taps] + factor * noise[:taps, :taps]
+    right = moments[:taps, taps + 1 + outputs]
+    if len(noise) > taps:
+        right = right - factor * noise[:taps, taps + outputs]
     system.reshape(-1)[:: taps + 1] += ridge * np.trace(system) / taps + 1e-12
-    return solve_positive(system, np.column_stack([moments[:taps, taps + 1 + output], member]))[0]
+    return solve_positive(system, np.column_stack([right, member]))[0]
 
 
 def _constrained(
-    estimates: list[Array], member: Array, copies: list[int], white: Array, output: int, keeps: bool = False
+    estimates: list[Array], member: Array, copies: list[int], goal: LayerGoal, of: list[int], keeps: bool
 ) -> list[Array]:
-    """Return the rows (tap) of the sites with one flat response, of all that answer white with white the one of least
-    squared error; `keeps`: unless it fades the output's own plane, which then stays as it is."""
-    stiff = [np.linalg.pinv(member.T @ one[:, 1:]) for one in estimates]
-    response = [member.T @ one[:, 0] for one in estimates]
+    """Return the rows (tap, output) of the sites with one flat response, of all that answer white as wanted the one of least
+    squared error; `keeps`: unless it fades a chroma plane, which then stays as it is."""
+    white, count = goal.white, len(of)
+    wanted = np.zeros(count) if goal.corrects else white[of]
+    stiff = [np.linalg.pinv(member.T @ one[:, count:]) for one in estimates]
+    response = [member.T @ one[:, :count] for one in estimates]
     total = sum((copy * k for copy, k in zip(copies, stiff, strict=True)), np.zeros((len(white), len(white))))
     total += 1e-9 * np.trace(total) / len(white) * np.eye(len(white))
-    pull = sum((copy * k @ r for copy, k, r in zip(copies, stiff, response, strict=True)), np.zeros(len(white)))
+    pull = sum((copy * k @ r for copy, k, r in zip(copies, stiff, response, strict=True)), np.zeros((len(white), count)))
     common, bend = np.linalg.solve(total, pull), np.linalg.solve(total, white)
-    common += bend * (white[output] - white @ common) / (white @ bend)
-    if keeps and common[output] < FADING:
-        common = np.eye(len(white))[output]
-    return [one[:, 0] + one[:, 1:] @ (k @ (common - r)) for one, k, r in zip(estimates, stiff, response, strict=True)]
+    common += np.outer(bend, (wanted - white @ common) / (white @ bend))
+    for column, output in enumerate(of):
+        if keeps and not white[output] and common[output, column] < FADING:
+            common[:, column] = np.eye(len(white))[output]
+    return [
+        one[:, :count] + one[:, count:] @ (k @ (common - r)) for one, k, r in zip(estimates, stiff, response, strict=True)
+    ]
 
 
 class _Parents:
@@ -182,7 +190,8 @@ class LayerPass:
     rule: ClassRule  # of the first layer
     fixed: FixedPoint  # its transforms to the opponent basis
     before: tuple[PlaneLayer, ...]  # learned already, between the first and the one to be learned
-    basis: NDArray[np.float64]  # (X Y Z, plane)
+    basis: NDArray[np.float64]  # (output, plane)
+    outputs: MosaicLayer | None  # the first layer, where the layer to be learned corrects its outputs
     white_point: NDArray[np.float64]  # (output) a perfect white under the training light, Y = 1
     grey: NDArray[np.float64]  # (channel) its signals, shares of full scale
     recipe: LayerRecipe
@@ -198,7 +207,8 @@ class LayerPass:
         inner = math.isqrt(math.ceil(self.recipe.rows / self.recipe.density) - 1) + 1
         margin = self.rule.radius + sum(margin_of(layer.side) for layer in self.before) + self.margin
         noisy = self.learning.noise != "none"
-        return Exposed(self.camera, self.learning, dark, self.recipe.achromatic, noisy, inner, margin)
+        achromatic = self.recipe.achromatic if self.outputs is None else 0.0
+        return Exposed(self.camera, self.learning, dark, achromatic, noisy, inner, margin)
 
     @property
     def margin(self) -> int:
@@ -221,7 +231,7 @@ class LayerPass:
 
     def seer(self) -> Callable[[Mosaics], Seen]:
         """Return a function that gives the planes of mosaics as the layers before make them."""
-        first = FirstLayer(self.camera, self.rule, self.fixed)
+        first = FirstLayer(self.camera, self.rule, self.fixed, self.outputs)
         stages = [PlaneStage(layer, self.rule, self.basis) for layer in self.before]
 
         def see(mosaics: Mosaics) -> Seen:
@@ -233,7 +243,14 @@ class LayerPass:
         """Return the reading of windows of `side` at every site."""
         maps, turns = self._turns()
         order = np.array([orientations(side)[turn] for turn in turns])
-        return Reading(np.array([one.canonical for one in maps]), order, self.ratio_taps)
+        return Reading(
+            np.array([one.canonical for one in maps]), order, self.ratio_taps, self.made, self.outputs is not None
+        )
+
+    @property
+    def made(self) -> int:
+        """Return the number of outputs, or of planes, that the layer is learned to make."""
+        return PLANES if self.outputs is None else len(self.basis)
 
     @property
     def ratio_taps(self) -> int:
@@ -241,7 +258,7 @@ class LayerPass:
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
         """Return grid steps of the moments (level, pair)."""
-        return grid_steps(rule, self.rule, self.camera, self.reading(self.recipe.side).taps, 3)
+        return grid_steps(rule, self.rule, self.camera, self.reading(self.recipe.side).taps, self.made)
 
     @property
     def turns(self) -> list[int]:
@@ -258,7 +275,7 @@ class LayerPass:
 def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
     """Return the sums of every canonical site over no frames."""
     reading = layer.reading(layer.recipe.side)
-    return {site: empty_sums(rule, reading.taps, 3) for site in np.unique(reading.canonical).tolist()}
+    return {site: empty_sums(rule, reading) for site in np.unique(reading.canonical).tolist()}
 
 
 def sum_layer(
@@ -299,21 +316,24 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
         require_exact(one, rule, layer.grid_steps(rule))
     recipe, reading = layer.recipe, layer.reading(layer.recipe.side)
     copies = [int((reading.canonical == site).sum()) for site in sums]
-    noise = (recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise)
-    if not layer.pictures:
-        noise = (min(recipe.luminance_noise, 1.0),) * 3  # as in the first layer
-    white, windows = np.array([0.0, 1.0, 0.0]), 3 * recipe.side**2
+    noise: tuple[float, ...] = (recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise)
+    if layer.outputs is not None:
+        noise = (recipe.luminance_noise,) * layer.made
+    elif not layer.pictures:
+        noise = (min(recipe.luminance_noise, 1.0),) * layer.made  # as in the first layer
+    white, windows = np.eye(PLANES)[LUMINANCE], PLANES * recipe.side**2
     pools = (recipe.level_pool, recipe.parent_patches)
-    goal = LayerGoal(*pools, recipe.ridge, noise, white, windows, recipe.coarse_chroma, recipe.strength_pool)
+    keeps, corrects = recipe.coarse_chroma, layer.outputs is not None
+    goal = LayerGoal(*pools, recipe.ridge, noise, white, windows, keeps, recipe.strength_pool, corrects)
     sums = {site: _symmetric(layer, rule, site, one) for site, one in sums.items()}
     solved = dict(
         zip(sums, solve_layer(list(sums.values()), copies, rule, goal, layer.learning.equal_response), strict=True)
     )
-    back = np.linalg.inv(layer.basis)
+    back = np.linalg.inv(layer.basis) if layer.outputs is None else np.eye(layer.made)
     weights, intercept, samples = [], [], []
     for site, canonical in enumerate(reading.canonical.tolist()):
         rows = np.swapaxes(solved[canonical] @ back, 1, 2)  # (class, output, tap + 1)
-        taps = rows[..., :windows].reshape(*rows.shape[:2], 3, -1)
+        taps = rows[..., :windows].reshape(*rows.shape[:2], PLANES, -1)
         turned = np.empty_like(taps)
         turned[..., reading.order[site]] = taps
         weights.append(np.concatenate([turned.reshape(*rows.shape[:2], -1), rows[..., windows:-1]], axis=-1))
@@ -338,7 +358,7 @@ def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) ->
     moments, noise, count = (np.zeros_like(each) for each in (sums.moments, sums.noise, sums.count))
     for number in alike:
         turn = orientations(layer.recipe.side)[number]
-        taps = np.concatenate([turn + plane * turn.size for plane in range(3)])
+        taps = np.concatenate([turn + plane * turn.size for plane in range(PLANES)])
         classes = turned_structures(rule, number)
         for total, each in ((moments, sums.moments), (noise, sums.noise)):
             total[classes] += each[:, turned_places(taps, width_of(each))] / len(alike)

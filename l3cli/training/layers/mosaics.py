@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.table import PLANE_TOP, PlaneLayer
+from l3cli.artifacts.table import PLANE_TOP, PLANES, MosaicLayer, PlaneLayer
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair
 from l3cli.classes.decide import labels as classes_of
 from l3cli.classes.level import unclipped_level
@@ -171,6 +171,9 @@ class Seen:
     brightness: Floats  # (row, col) mean over the channels of their means, share of full scale, were none clipped
     noisy: NDArray[np.int32]  # (plane, row, col) what the next layer reads, in steps
     clean: Floats | None  # (plane, row, col) the same without noise, by the classes of the noisy one; None: there is none
+    # (row, col, output) where layers correct the first one's outputs, what these lack without noise, and what noise adds
+    missing: Floats | None = None
+    spread: Floats | None = None  # None: there is no noise
 
     @property
     def light(self) -> Floats:
@@ -195,12 +198,16 @@ def margin_of(side: int) -> int:
 
 
 class FirstLayer:
-    """A first layer in fixed point."""
+    """A first layer in fixed point; `outputs`: in floating point, where layers correct what it makes."""
 
-    def __init__(self, camera: CameraModel, rule: ClassRule, fixed: FixedPoint) -> None:
+    def __init__(self, camera: CameraModel, rule: ClassRule, fixed: FixedPoint, outputs: MosaicLayer | None = None) -> None:
         self.camera, self.rule, self.fixed = camera, rule, fixed
         self._neighbours = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
-        self._apply = _Transforms(fixed)
+        exact = None
+        if outputs is not None:
+            weights = np.ascontiguousarray(outputs.weights, np.float64) / (camera.white_level - camera.black_level)
+            exact = weights, outputs.intercept - camera.black_level * weights.sum(axis=-1)
+        self._apply = _Transforms(fixed, exact)
 
     def see(self, mosaics: Mosaics) -> Seen:
         """Return classes and planes of mosaics."""
@@ -211,9 +218,11 @@ class FirstLayer:
         brightness = np.maximum(unclipped_level(share, camera.sensitivity), DARKEST_LEVEL).astype(np.float32)
         label = within(rule.on_site(classes_of(rule, statistics), statistics.site), count, margin)
         clean = None if mosaics.clean is None else mosaics.clean[None]
-        noisy, clean = self._apply(mosaics.values[None], clean, rule.patch, count, label)
+        noisy, clean, made = self._apply(mosaics.values[None], clean, rule.patch, count, label)
         target = np.moveaxis(within(mosaics.target, count, margin), 0, -1)
-        return Seen(count, target, label, within(brightness, count, margin), noisy, clean)
+        missing = target - made[-1] if made.size else None
+        spread = made[0] - made[-1] if made.size and len(made) > 1 else None
+        return Seen(count, target, label, within(brightness, count, margin), noisy, clean, missing, spread)
 
 
 class PlaneStage:
@@ -229,7 +238,7 @@ class PlaneStage:
         label = within(label_planes(seen.noisy, seen.label, self.layer.rule, self.first), count, margin)
         edge = margin - self.layer.radius
         clean = None if seen.clean is None else within(seen.clean / np.float32(2**COARSE), count, edge)
-        noisy, clean = self._apply(within(coarse(seen.noisy), count, edge), clean, self.layer.side, count, label)
+        noisy, clean, _ = self._apply(within(coarse(seen.noisy), count, edge), clean, self.layer.side, count, label)
         return replace(
             seen,
             target=np.moveaxis(within(np.moveaxis(seen.target, -1, 0), count, margin), 0, -1),
@@ -241,19 +250,23 @@ class PlaneStage:
 
 
 class _Transforms:
-    """Transforms in fixed point, applied to windows by class."""
+    """Transforms in fixed point, applied to windows by class; beside them some with an intercept in floating point."""
 
-    def __init__(self, fixed: FixedPoint) -> None:
-        self.fixed = fixed
+    def __init__(self, fixed: FixedPoint, exact: tuple[NDArray, NDArray] | None = None) -> None:
+        self.fixed, weights, self._intercept = fixed, fixed.weights, fixed.intercept
+        if exact is not None:
+            weights, self._intercept = (
+                np.concatenate(each, axis=1) for each in ((weights, exact[0]), (self._intercept, exact[1]))
+            )
         # Contiguous in every process: strides, which pickling does not always keep, may decide how products are rounded.
-        self._weights = list(np.ascontiguousarray(np.swapaxes(fixed.weights, 1, 2), np.float64))
+        self._weights = list(np.ascontiguousarray(np.swapaxes(weights, 1, 2), np.float64))
 
     def __call__(
         self, noisy: NDArray, clean: NDArray | None, side: int, count: int, label: Integers
-    ) -> tuple[NDArray[np.int32], Floats | None]:
+    ) -> tuple[NDArray[np.int32], Floats | None, Floats]:
         """Return planes (plane, row, col) of the windows of `side` in sources (source, row, col) of `count` mosaics, of the
-        classes `label` (row, col): of noisy ones, which are whole numbers, that float64 adds exactly; and without rounding,
-        of those without noise, if there are any."""
+        classes `label` (row, col): of noisy ones, which are whole numbers, that float64 adds exactly; without rounding, of
+        those without noise, if there are any; and what the transforms beside make of each (source, row, col, output)."""
         _, rows, cols = noisy.shape
         reach = np.arange(side) - side // 2
         offset = ((np.arange(len(noisy))[:, None, None] * rows + reach[:, None]) * cols + reach).reshape(-1)
@@ -262,7 +275,7 @@ class _Transforms:
         order = np.argsort(flat.astype(np.min_scalar_type(len(self._weights))), kind="stable")
         place = within(np.arange(rows * cols).reshape(rows, cols), count, side // 2).reshape(-1)[order]
         flat = flat[order]
-        sums = np.empty((len(sources), flat.size, 3))
+        sums = np.empty((len(sources), flat.size, self._intercept.shape[1]))
         taps, windows = np.empty((AT_ONCE, offset.size), np.intp), np.empty((AT_ONCE, offset.size))
         for first in range(0, flat.size, AT_ONCE):
             part = slice(first, first + AT_ONCE)
@@ -272,12 +285,15 @@ class _Transforms:
                 source.take(chosen, out=windows[: len(chosen)], mode="clip")  # any other mode copies
                 for weights, run in runs:
                     np.dot(windows[run], weights, out=made[run])
-        sums += self.fixed.intercept[flat]
-        planes = np.empty((3, flat.size), np.int32)
-        planes[:, order] = self.fixed.planes(sums[0].T.astype(np.int64), flat)
+        sums += self._intercept[flat]
+        planes = np.empty((PLANES, flat.size), np.int32)
+        planes[:, order] = self.fixed.planes(sums[0, :, :PLANES].T.astype(np.int64), flat)
+        made = np.empty((len(sums), flat.size, sums.shape[2] - PLANES), np.float32)
+        made[:, order] = sums[..., PLANES:]
+        planes, made = planes.reshape(PLANES, *label.shape), made.reshape(len(sums), *label.shape, -1)
         if clean is None:
-            return planes.reshape(3, *label.shape), None
-        light = np.empty((3, flat.size), np.float32)
-        scaled = sums[1].T.astype(np.float32) * (2.0**-self.fixed.fraction).astype(np.float32)[flat]
+            return planes, None, made
+        light = np.empty((PLANES, flat.size), np.float32)
+        scaled = sums[1, :, :PLANES].T.astype(np.float32) * (2.0**-self.fixed.fraction).astype(np.float32)[flat]
         light[:, order] = np.clip(scaled, -PLANE_TOP, PLANE_TOP)
-        return planes.reshape(3, *label.shape), light.reshape(3, *label.shape)
+        return planes, light.reshape(PLANES, *label.shape), made

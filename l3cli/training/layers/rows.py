@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import LayerSums
-from l3cli.artifacts.table import PLANE_STEP, PlaneRule
+from l3cli.artifacts.table import PLANE_STEP, PLANES, PlaneRule
+from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import mirrored, shaded_chroma, window_means
 from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error
@@ -32,7 +33,6 @@ from l3cli.training.sums import (
 
 MEAN_FLOOR = 1e-5  # squared error, in output units, below which mosaics count alike
 MEAN_ERROR = 2.0**-10  # squared error of weight one: weights stay below ten, and sums of seven million rows exact
-Y = 1
 
 
 @dataclass(frozen=True)
@@ -42,37 +42,43 @@ class Reading:
     canonical: Integers  # (site) that a site is learned as
     order: Integers  # (site, tap) place of each tap in the window
     ratio_taps: int = 0  # behind those of the windows, the same in every orientation
+    outputs: int = PLANES
+    corrects: bool = False  # whether these are what outputs lack, to which noise adds
 
     @property
     def side(self) -> int:
         return int(np.sqrt(self.order.shape[1]))
 
     @property
+    def noisy(self) -> int:
+        """Return the number of columns that noise adds to: taps, and outputs that are corrected."""
+        return self.taps + (self.outputs if self.corrects else 0)
+
+    @property
     def taps(self) -> int:
         """Return the number of taps of a window of all planes, and behind it."""
-        return 3 * self.order.shape[1] + self.ratio_taps
+        return PLANES * self.order.shape[1] + self.ratio_taps
 
     def offsets(self, cols: int) -> Integers:
         """Return steps (site, tap) from a pixel of planes of so many columns to the taps of its window; behind them none, up
         to the number of columns behind a window."""
         reach = np.arange(self.side) - self.side // 2
         steps = (reach[:, None] * cols + reach).ravel()[self.order]
-        return np.pad(steps, ((0, 0), (0, max(self.ratio_taps + 1 + 3 - steps.shape[1], 0))))
+        return np.pad(steps, ((0, 0), (0, max(self.ratio_taps + 1 + self.outputs - steps.shape[1], 0))))
 
     @property
     def columns(self) -> Integers:
         """Return the places of each plane's taps, and behind them of ratio taps, 1 and outputs, in rows of four numbers a
         tap."""
-        window, behind = np.arange(self.order.shape[1]), np.arange(self.ratio_taps + 1 + 3)
+        window, behind = np.arange(self.order.shape[1]), np.arange(self.ratio_taps + 1 + self.outputs)
         return np.concatenate([4 * window, 4 * window + 1, 4 * window + 2, 4 * behind + 3])
 
 
-def empty_sums(rule: PlaneRule, taps: int, outputs: int) -> LayerSums:
+def empty_sums(rule: PlaneRule, reading: Reading) -> LayerSums:
     """Return sums of no rows."""
-    classes, width = rule.classes_per_site, taps + 1 + outputs
-    return LayerSums(
-        np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps * (taps + 1) // 2)), np.zeros(classes)
-    )
+    classes, width = rule.classes_per_site, reading.taps + 1 + reading.outputs
+    moments, noise = (np.zeros((classes, each * (each + 1) // 2)) for each in (width, reading.noisy))
+    return LayerSums(moments, noise, np.zeros(classes))
 
 
 def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
@@ -96,7 +102,8 @@ def row_weights(
     """Return weight (row, col) of every pixel: relative to its level, less for large errors of the first layer, whose noise
     is averaged over 5 × 5 (docs/method.md#row-weights, docs/method.md#second-pass); of what is no picture, for those of the
     whole mosaic."""
-    relative = np.maximum(seen.target[..., Y], 0) / seen.brightness + np.float32(TARGET_FLOOR)
+    luminance = seen.target @ basis[:, LUMINANCE].astype(np.float32)
+    relative = np.maximum(luminance, 0) / seen.brightness + np.float32(TARGET_FLOOR)
     weight = relative ** np.float32(-recipe.brightness_power) / seen.brightness ** np.float32(recipe.level_power)
     if not recipe.error_power:
         return np.asarray(weight, np.float32)
@@ -116,7 +123,10 @@ def row_weights(
 def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return mean squared error (mosaic) of what the layers before make of each, relative to MEAN_ERROR and above a floor:
     errors of what is no picture are judged mosaic by mosaic, as PSNR does."""
-    error = np.moveaxis(seen.noisy, 0, -1) @ (np.linalg.inv(basis) * PLANE_STEP) - seen.target
+    if seen.missing is not None:
+        error = seen.missing if seen.spread is None else seen.missing - seen.spread
+    else:
+        error = np.moveaxis(seen.noisy, 0, -1) @ (np.linalg.inv(basis) * PLANE_STEP) - seen.target
     return np.asarray(((error**2).reshape(seen.count, -1).mean(axis=1) + MEAN_FLOOR) / MEAN_ERROR)
 
 
@@ -130,7 +140,7 @@ class _Rows(NamedTuple):
     label: Integers  # (row) class within its site
     weight: Floats  # (row)
     behind: Floats  # (row, column) ratio taps without noise, 1, outputs in planes of the basis
-    noise_behind: Floats  # (row, tap) what noise adds to ratio taps
+    noise_behind: Floats  # (row, column) what noise adds to ratio taps, and to outputs that are corrected
 
 
 class GatheredRows:
@@ -159,7 +169,12 @@ class GatheredRows:
         noise, spread = np.empty((0, 4), np.float32), np.empty((pixels.size, 0), np.float32)
         if self._noise:
             noise, spread = _in_fours(seen.noisy) - clean, self._ratios(seen.noisy, pixels) - light
-        target = seen.target.reshape(-1, seen.target.shape[-1])[pixels] @ self.basis
+            if self.reading.corrects:
+                added = np.zeros_like(seen.target) if seen.spread is None else seen.spread
+                spread = np.concatenate([spread, added.reshape(-1, added.shape[-1])[pixels]], axis=1)
+        target = seen.target if seen.missing is None else seen.missing
+        target = target.reshape(-1, target.shape[-1])[pixels]
+        target = target @ self.basis if seen.missing is None else target
         behind = np.concatenate([light, np.ones((pixels.size, 1), np.float32), target], axis=1)
         site, within_site = self.rule.within_site(label.reshape(-1)[pixels])
         about = pixels, site, within_site, weight.reshape(-1)[pixels]
@@ -198,7 +213,7 @@ class GatheredRows:
             add_products(sums.moments, values, runs, [large[levels[piece][first]] for _, first, _ in runs], columns)
             if self._noise:
                 values = _weighted(rows.noise.take(places, axis=0), rows.noise_behind[piece], weight)
-                add_products(sums.noise, values, runs, [noise_large] * len(runs), columns[: self.reading.taps])
+                add_products(sums.noise, values, runs, [noise_large] * len(runs), columns[: self.reading.noisy])
             for index, first, last in runs:
                 sums.count[index] += last - first
 
