@@ -126,7 +126,7 @@ class PartialLayerSums(Artifact):
     )
     structure: StructureRule | None = group(default=None)  # the layer's rule, if by structure
     tree: TreeRule | None = group(default=None)  # the layer's rule, if by a tree
-    ratio_taps: int = data("int64", doc="taps behind those of the windows, of colour ratios", default=0)
+    ratio_taps: int = data("int64", doc="taps behind those of the windows", default=0)
     gradients: tuple[GradientScale, ...] = group(default=(), older=_older_gradients)  # of the rule, at each other noise
 
     @property
@@ -139,8 +139,8 @@ class PartialLayerSums(Artifact):
             raise ValueError(f"there is no shard {self.shard} of {self.shards}")
         if self.table.camera is None:
             raise ValueError("table must hold its camera")
-        if self.ratio_taps not in (0, RATIO_TAPS):
-            raise ValueError(f"ratio_taps is {self.ratio_taps}, neither 0 nor {RATIO_TAPS}")
+        if self.ratio_taps not in RATIO_TAPS:
+            raise ValueError(f"ratio_taps is {self.ratio_taps}, none of {RATIO_TAPS}")
         if self.side < 1 or self.side % 2 == 0:
             raise ValueError(f"side is {self.side}, not odd")
         self.rule.check_fits(self.table.cfa.size, self.table.first.rule)

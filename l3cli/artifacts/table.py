@@ -23,7 +23,7 @@ from l3cli.artifacts.training_set import LightSpectrum
 
 PlaneRule = StructureRule | TreeRule
 PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far below the noise of any sensor
-RATIO_TAPS = 2  # behind those of the windows, of a last layer that has them: chroma as shading would make it
+RATIO_TAPS = (0, 2, 4)  # behind those of the windows of a last layer: none, colour ratios, and bilateral chroma, too
 PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 bits stay within 32 bits
 PLANES = 3  # that a refinement layer reads
 WINDOWS = (3, 5, 7, 9)  # sides that can be
@@ -113,7 +113,7 @@ class PlaneLayer:
         "plane_class",
         "output",
         "plane_tap",
-        doc="taps plane by plane, each row by row, behind them the colour ratios' two if there are any; per output unit",
+        doc="taps plane by plane, each row by row, behind them colour ratios, bilateral chroma, if any; per output unit",
     )
     intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
     samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
@@ -138,12 +138,12 @@ class PlaneLayer:
 
     @property
     def window_taps(self) -> int:
-        """Return the taps of the windows; what follows are those of the colour ratios (docs/method.md#colour-ratios)."""
+        """Return the taps of the windows; what follows are those of colour ratios and bilateral chroma."""
         return PLANES * self.side**2
 
     @property
     def ratio_taps(self) -> int:
-        """Return RATIO_TAPS or none."""
+        """Return one of RATIO_TAPS."""
         return self.weights.shape[2] - self.window_taps
 
     def with_noise(self, share: float) -> "PlaneLayer":
@@ -411,7 +411,7 @@ class TransformTable(Artifact):
         """Raise ValueError if a layer does not fit the first one, whose levels, saturation cases and outputs it takes."""
         layer.rule.check_fits(self.cfa.size, self.first.rule)
         taps = layer.window_taps
-        if layer.side % 2 == 0 or layer.weights.shape[2] not in (taps, taps + RATIO_TAPS):
+        if layer.side % 2 == 0 or layer.ratio_taps not in RATIO_TAPS:
             raise ValueError(f"weights has {layer.weights.shape[2]} taps, {PLANES} windows of odd side {taps}")
 
     @property

@@ -36,12 +36,10 @@ SNIPPET = "features/chroma.cl"
 class Options(Recipe):
     """Chroma keys of the [classes] of a recipe."""
 
-    chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = (
-        9  # colours distinguished where nothing is saturated, white one of them; 0 or 1: none (docs/method.md#chroma)
-    )
-    chroma_dither: bool = (
-        False  # between two chromas some CFA sites take one and some the other: no seams, for tables of several layers
-    )
+    # colours distinguished where nothing is saturated, white one of them; 0 or 1: none (docs/method.md#chroma)
+    chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = 9
+    # between two chromas some CFA sites take one and some the other: no seams, for tables of several layers
+    chroma_dither: bool = False
 
 
 def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site: int) -> NDArray[np.float64]:

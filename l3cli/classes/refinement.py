@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.plane_rules import StructureRule
-from l3cli.artifacts.table import PlaneRule
+from l3cli.artifacts.table import RATIO_TAPS, PlaneRule
 from l3cli.classes import tree
-from l3cli.classes.planes import LUMINANCE
+from l3cli.classes.planes import CHROMA, LUMINANCE
 from l3cli.classes.structure import REACH, structures
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import mirrored_indices
 
 RATIO_DARKEST = 2**9  # steps of a plane: the least mean luminance that a ratio is taken to
+ROWS_AT_ONCE = 64  # whose differences stay in the caches
 
 
 def label_planes(
@@ -103,3 +104,31 @@ def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
     first, luminance, second = window_means(mirrored(exact, side // 2), side)
     share = np.clip((exact[LUMINANCE] - luminance) / np.maximum(luminance, RATIO_DARKEST), -1, 1)
     return np.stack([first * share, second * share])
+
+
+def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
+    """Return the distance of the two chroma planes of a pixel to their means over the pixels q of side × side that are like
+    it in all planes p: (chroma, row, col) of planes (plane, row, col), in their steps.
+
+        Σ w_q (C_q − C) / Σ w_q        w_q = max(0, d̄ + RATIO_DARKEST² − d_q)²        d_q = Σ_p (p_q − p)²
+
+    """
+    planes = planes.astype(np.result_type(planes, np.float32))  # training's are of float32, and rounded as they are
+    padded, (_, rows, cols) = mirrored(planes, side // 2), planes.shape
+    change = np.empty((2, rows, cols), planes.dtype)
+    for first in range(0, rows, ROWS_AT_ONCE):
+        own = planes[:, first : first + ROWS_AT_ONCE]
+        down = own.shape[1]
+        away = [padded[:, first + row : first + row + down, col : col + cols] - own for row, col in np.ndindex(side, side)]
+        squares = [np.square(each).sum(axis=0) for each in away]
+        reach = np.mean(squares, axis=0) + RATIO_DARKEST**2
+        weights = [np.square(np.maximum(reach - each, 0)) for each in squares]
+        change[:, first : first + down] = sum(w * each[CHROMA] for w, each in zip(weights, away, strict=True)) / sum(weights)
+    return change
+
+
+def taps_behind(planes: NDArray, side: int, count: int) -> NDArray[np.floating]:
+    """Return the taps behind the windows of side × side of a last layer that has `count` of them: (tap, row, col) of planes
+    (plane, row, col), in their steps."""
+    kinds = (shaded_chroma, bilateral_change)[: RATIO_TAPS.index(count)]
+    return np.concatenate([np.empty((0, *planes.shape[1:])), *(kind(planes, side) for kind in kinds)])

@@ -21,9 +21,8 @@ Array = NDArray[np.floating]
 Merge = Callable[[Array, TrainingPair, CameraModel, Array], Array]
 CLIPPED = 0.985  # share of full scale from which a sample is clipped
 TOUCHED = 0.02  # share of clipped samples among those that a pixel was interpolated from, above which it is clipped, too
-RIDGE = (
-    0.05  # of the matrix, relative to the mean square of the channels' differences: noise against colour (ΔE 1.7 of a chart)
-)
+# of the matrix, relative to the mean square of the channels' differences: noise against colour (ΔE 1.7 of a chart)
+RIDGE = 0.05
 BLIND = 1e-6  # of the brightest channel's white: below it a channel sees nothing of a light
 ENDS = ((min, 360.0, 0), (max, 830.0, -1))  # nm, of the CIE's observers
 UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # lights taken for one of which only the white is known

@@ -54,10 +54,12 @@ LAYERS = {
     "F = fraction[class]; value: DN in the first layer; in others clamp(plane + 2^(coarse - 1) >> coarse, "
     "-coarse_top, coarse_top)",
     "output": "sum of the last layer's weights * plane * plane_step + intercept; taps plane by plane, each row by row, "
-    "behind them those of the colour ratios if it has two taps more; where the table has components, added to sum of the "
-    "first layer's weights * (DN - black_level) / (white_level - black_level) + intercept",
+    "behind them those of the colour ratios if it has two taps more, bilateral chroma if it has four; where the table has "
+    "components, added to sum of the first layer's weights * (DN - black_level) / (white_level - black_level) + intercept",
     "colour ratios": "mean * clamp((Y - mean Y) / max(mean Y, ratio_darkest), -1, 1) of the first and of the third plane; "
     "means over the window",
+    "bilateral chroma": "sum of w * (difference from the pixel's own) / sum of w, over the window, of the first and of the "
+    "third plane; w = max(0, mean of d + ratio_darkest^2 - d)^2, d = sum of squared differences of all planes",
     "coarse chroma": "of a layer that has it, first and third output += plane_step * d of the plane of the same number; d = "
     "bilinear mean, of the four blocks nearest to the pixel, of what the last step differs by from the blocks, beyond the "
     "frame 0; blocks: means of 4 x 4 pixels, the outermost repeated; they pass steps over 3 x 3 of them, spaced 1, 2, 4, 8, "

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, TransformTable
+from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, RATIO_TAPS, TransformTable
 from l3cli.classes.planes import raw_middle
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.errors import InputFileError
@@ -107,8 +107,9 @@ def short_words(table: TransformTable) -> ShortWords:
     intercept = layer.intercept.astype(np.float64) * 2**OUTPUT_FRACTION - black * weights.sum(axis=-1)
     values = PLANE_TOP if table.later else max(2**table.bits - 1 - offset, offset)
     size = np.abs(weights)
-    sums = size.sum(axis=-1) * values + np.abs(intercept)
     windows = weights.shape[-1] - (table.later[-1].ratio_taps if table.later else 0)
+    twice = size[..., windows + RATIO_TAPS[1] :].sum(axis=-1)  # bilateral chroma is a difference of values
+    sums = (size.sum(axis=-1) + twice) * values + np.abs(intercept)
     second = np.sort(size[..., :windows], axis=-1)[..., -2:].min(axis=-1)
     second = np.maximum(second, size[..., windows:].max(axis=-1, initial=0.0))
     most = np.minimum(MOST_WEIGHT / (second + 1e-30), MOST_SUM * 2.0**split / (sums + 1e-30))

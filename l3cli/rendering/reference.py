@@ -11,7 +11,7 @@ from l3cli.classes.clipping import Mosaic, replaced
 from l3cli.classes.coarse_chroma import coarse_change, scales_of
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.planes import CHROMA, FixedPoint, coarse, planes_basis, refined_fixed_point
-from l3cli.classes.refinement import label_planes, mirrored, shaded_chroma
+from l3cli.classes.refinement import label_planes, mirrored, taps_behind
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import RawFrame, pad_mosaic, shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
@@ -147,7 +147,7 @@ def refinement_outputs(
     planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, share: float = 1.0
 ) -> NDArray[np.float64]:
     """Return outputs (output, row, col) of a plane layer by its classes (row, col); `share`: of the noise."""
-    ratios = np.moveaxis(shaded_chroma(planes, layer.side), 0, -1)[..., : layer.ratio_taps] * PLANE_STEP
+    ratios = np.moveaxis(taps_behind(planes, layer.side, layer.ratio_taps), 0, -1) * PLANE_STEP
     made = _transformed(_windows(planes.astype(np.float64) * PLANE_STEP, layer), labels, layer, ratios)
     if layer.coarse_chroma:
         made[CHROMA] += coarse_change(planes, scales_of(layer.coarse_chroma, share)) * PLANE_STEP

@@ -41,9 +41,8 @@ class MonoRecipe(Recipe):
     bandwidth_nm: Nanometres = 10.0  # full width at half maximum
     stray_light: Annotated[float, msgspec.Meta(ge=0, lt=MOST_STRAY)] = 0.0005  # share of the peak at every wavelength
     trials: Count = 1  # frames a step
-    overexposed: CountOrNone = (
-        4  # steps between the first and the last, as far as there are, that are taken again far too long
-    )
+    # steps between the first and the last, as far as there are, that are taken again far too long
+    overexposed: CountOrNone = 4
     level: Positive = 0.5  # share of full scale that the brightest channel reaches
     radiance: Positive = 1e18  # photons/s/sr/m² of every step
     longest_exposure_s: Positive = 2.0  # a step that no channel sees well stays darker

@@ -29,9 +29,8 @@ class Lens(Recipe):
     diffraction: bool = True
     off_axis: bool = False  # darker corners; a table does not know where in the frame it is applied
     defocus_um: NotNegative = 0.0  # standard deviation of a Gaussian blur on the sensor
-    transmittance: Annotated[float, msgspec.Meta(gt=0, le=1)] | str | None = (
-        None  # number or CSV, on top of what the camera's responsivity holds
-    )
+    # number or CSV, on top of what the camera's responsivity holds
+    transmittance: Annotated[float, msgspec.Meta(gt=0, le=1)] | str | None = None
     focal_length_mm: Positive | None = None
     f_number: Positive | None = None
     magnification: NotNegative | None = None  # |image size / object size|; 0: infinity
@@ -57,9 +56,8 @@ class Pair(Recipe):
     picture: str  # encoded sRGB, or EXR with channels named like the target's outputs
     offset: tuple[CountOrNone, CountOrNone] = (0, 0)  # row and column of the raw that the picture's first pixel shows
     phase: tuple[int, int] | None = None  # CFA row and column of the raw's first pixel; default: as the file says
-    scale: Positive | None = (
-        None  # picture value × scale = share of full scale that a white as bright gives; default: fitted
-    )
+    # picture value × scale = share of full scale that a white as bright gives; default: fitted
+    scale: Positive | None = None
 
 
 class SceneRecipe(Recipe):

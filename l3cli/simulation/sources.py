@@ -29,15 +29,13 @@ SMALLEST = 16  # pixels of a scene's shorter side
 class Framing(Recipe, kw_only=True):
     """Part of a scene that is used, its orientation and scale, in this order."""
 
-    crop: tuple[CountOrNone, CountOrNone, CountOrNone, CountOrNone] | None = (
-        None  # first row, first column, rows, columns, in the scene's own samples
-    )
+    # first row, first column, rows, columns, in the scene's own samples
+    crop: tuple[CountOrNone, CountOrNone, CountOrNone, CountOrNone] | None = None
     flip: Literal["rows", "cols"] | None = None
     rotate: Literal[0, 90, 180, 270] = 0  # degrees counter-clockwise
     scale: Positive | None = None  # pixels a sample; what then exceeds the sensor is cut off all round
-    field_of_view_deg: Annotated[float, msgspec.Meta(gt=0, lt=179)] | None = (
-        None  # the scene's width as the lens sees it, instead of scale
-    )
+    # the scene's width as the lens sees it, instead of scale
+    field_of_view_deg: Annotated[float, msgspec.Meta(gt=0, lt=179)] | None = None
     motion: Motion | None = None  # a clip, whose frames are parts of the scene
 
 
@@ -111,9 +109,8 @@ class IsetScenes(FileSource, tag_field="source", tag="iset", kw_only=True):
 
 
 class RgbPictures(FileSource, tag_field="source", tag="rgb", kw_only=True):
-    holds: Literal["sRGB", "codes"] = (
-        "sRGB"  # a picture of colours; or codes that are the camera's channels r, g, b, linearly
-    )
+    # a picture of colours; or codes that are the camera's channels r, g, b, linearly
+    holds: Literal["sRGB", "codes"] = "sRGB"
     shrink: Count = 1  # each shrink × shrink pixels are averaged to one, which also removes JPEG's and demosaicking's traces
 
 

@@ -12,7 +12,7 @@ from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.class_rule import MAX_PATCH
 from l3cli.artifacts.plane_rules import MOST_LEAVES
 from l3cli.artifacts.recipe_source import RecipeSource
-from l3cli.artifacts.table import WINDOWS
+from l3cli.artifacts.table import RATIO_TAPS, WINDOWS
 from l3cli.classes import contrast, level
 from l3cli.classes.rule import ClassRecipe
 from l3cli.errors import RecipeError
@@ -66,12 +66,10 @@ class LearningRecipe(Recipe):
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y (docs/method.md#noise-weights)
     chroma_noise: NotNegative = 2.0  # the same for the two chroma rows
     level_pool: tuple[float, ...] = (0.5, 0.25)  # weight of classes one, two… levels away (docs/method.md#thin-classes)
-    parent_patches: CountOrNone = (
-        200  # pseudo-patches of the parent, all chromas of its level, contrast and case, added to every class
-    )
-    plain_surfaces: NotNegative = (
-        0.3  # uniform areas of measured surfaces, a patch of a plain class (docs/method.md#plain-surfaces)
-    )
+    # pseudo-patches of the parent, all chromas of its level, contrast and case, added to every class
+    parent_patches: CountOrNone = 200
+    # uniform areas of measured surfaces, a patch of a plain class (docs/method.md#plain-surfaces)
+    plain_surfaces: NotNegative = 0.3
     # where the outputs are a spectrum, the side in pixels, odd, of the neighbourhood whose mean spectrum a pixel
     # takes, keeping its brightness (docs/method.md#smoothed-spectra); 0: its spectrum is its own
     spectral_window: Annotated[int, msgspec.Meta(ge=0, le=WINDOWS[-1])] = 0
@@ -90,12 +88,10 @@ class LayerRecipe(Recipe):
     """Recipe of a layer that reads the planes of the layer before (docs/method.md#layers)."""
 
     side: Annotated[int, msgspec.Meta(ge=1, le=9)] = 5  # pixels, odd, of the windows of each plane
-    leaves: Annotated[int, msgspec.Meta(ge=0, le=MOST_LEAVES)] = (
-        0  # classes, of a tree grown for them; 0: by structure, as next
-    )
-    tree_rows: Annotated[int, msgspec.Meta(ge=1000, le=1_000_000)] = (
-        40000  # pixels of a canonical CFA position it is grown on
-    )
+    # classes, of a tree grown for them; 0: by structure, as next
+    leaves: Annotated[int, msgspec.Meta(ge=0, le=MOST_LEAVES)] = 0
+    # pixels of a canonical CFA position it is grown on
+    tree_rows: Annotated[int, msgspec.Meta(ge=1000, le=1_000_000)] = 40000
     level_step: Count = 1  # levels of the first layer that make one
     strengths: tuple[Positive, ...] = (1.7, 8.0)  # edges of the structure tensor's trace, relative to that of noise
     coherence: Share = 0.48  # share of the trace along one direction from which an edge has one
@@ -111,15 +107,20 @@ class LayerRecipe(Recipe):
     # rows weigh (Y / level)^-power and (e² + ¼)^-power, e the error of the layers before; as in [learning] if not given
     brightness_power: Share | None = None
     error_power: ErrorPower | None = None
-    colour_ratios: bool = (
-        False  # further taps of the last layer: chroma as shading would make it (docs/method.md#colour-ratios)
-    )
+    # further taps of the last layer: chroma as shading would make it (docs/method.md#colour-ratios)
+    colour_ratios: bool = False
+    bilateral_chroma: bool = False  # and that of pixels alike (docs/method.md#bilateral-chroma)
     # chroma of the last layer comes from far around, where pixels are alike, and no class fades that of plain
     # windows (docs/method.md#coarse-chroma)
     coarse_chroma: bool = False
     level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weight of classes one, two… levels away
     strength_pool: NotNegative = 0.0  # the same of classes of the same direction one strength away, beyond the lowest
     parent_patches: CountOrNone = 200  # pseudo-rows of the parent, added to every class
+
+    @property
+    def ratio_taps(self) -> int:
+        """Return the number of taps behind the windows."""
+        return RATIO_TAPS[self.colour_ratios + self.bilateral_chroma]
 
 
 class TrainingRecipe(Recipe):
@@ -212,6 +213,8 @@ def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
         name, key = f"layer[{number + 1}]", f"layer.{number}"
         if recipe.colour_ratios and number + 1 < len(layers):
             yield fault(f"{name}.colour_ratios is for the last layer alone", f"{key}.colour_ratios")
+        if recipe.bilateral_chroma and not recipe.colour_ratios:
+            yield fault(f"{name}.bilateral_chroma is for a layer with colour_ratios", f"{key}.bilateral_chroma")
         if recipe.coarse_chroma and number + 1 < len(layers):
             yield fault(f"{name}.coarse_chroma is for the last layer alone", f"{key}.coarse_chroma")
         if recipe.side % 2 == 0:

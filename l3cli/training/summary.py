@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.artifacts.recipe_source import Meaning, RecipeSource
-from l3cli.artifacts.table import PLANES, RATIO_TAPS, PlaneLayer, PlaneRule, SceneLight, TransformTable
+from l3cli.artifacts.table import PLANES, PlaneLayer, PlaneRule, SceneLight, TransformTable
 from l3cli.classes import level
 from l3cli.classes.features import further_features
 from l3cli.classes.names import class_name, kind_name
@@ -227,7 +227,7 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     first = levels * contrasts * int(np.prod(list(further.values()), initial=1)) * (chromas + cases - 1)
     layers = [{"classes_per_site": first, "taps": classes.patch**2}]
     for each in recipe.layer:
-        taps = PLANES * each.side**2 + RATIO_TAPS * each.colour_ratios
+        taps = PLANES * each.side**2 + each.ratio_taps
         layers.append({"classes_per_site": _refinement_classes(each, levels, cases), "taps": taps})
     document = {
         "levels": levels, "contrasts": contrasts, "further": further, "chromas": chromas, "saturation_cases": cases,

@@ -1,12 +1,15 @@
-// Processor variant: chroma as shading would make it (l3cli/classes/refinement.py), of a row of a tile: taps behind the window of a
-// last layer with RATIO_TAPS.
+// Processor variant: chroma as shading would make it, and that of pixels alike (l3cli/classes/refinement.py), of a row of a tile: taps
+// behind the window of a last layer with RATIO_TAPS.
+
+#if SOURCES > 1
+typedef struct {
+    tap of[SOURCES][SPAN];  // of each plane
+} Row;
+#endif
 
 #ifdef RATIO_TAPS
-typedef struct {
-    int sum[SOURCES][SPAN];  // of each plane down a column
-    float luminance[SPAN];   // of the row itself
-    float chroma[RATIO_TAPS][SPAN];  // the taps, those of the tile's first column first
-} WindowSums;
+#define ROWS_KEPT PATCH
+#define BEHIND behind[0]
 
 INLINE floats ratio_of(floats luminance, floats total) {
     const float count = PATCH * PATCH;
@@ -15,50 +18,56 @@ INLINE floats ratio_of(floats luminance, floats total) {
     return below > -1.0f ? below : (floats)-1.0f;
 }
 
-// Of the row whose window begins in padded row `rows[0]`; the tile's first column is x0.
-INLINE void sum_windows(WindowSums *to, __global const int *planes, __global const int *rows, __global const int *column_source, int x0,
-                        int width, int columns, size_t stride) {
-    const int first = max(0, RADIUS - x0), end = width + 2 * RADIUS, last = min(end, columns - x0 + RADIUS);
-    for (int s = 0; s < SOURCES; s++) {
-        __global const int *plane = planes + s * stride + x0 - RADIUS;
-        int p = first;
-        for (; p + LANES <= last; p += LANES) {
-            ints sum = 0;
+// Of the row whose window is the PATCH rows kept, the first of which is row[first % PATCH]: tap t of the tile's column x → to[t][x].
+INLINE void taps_behind(float (*to)[SPAN], const Row *row, int first, int width) {
+    const Row *r[PATCH];
+    float sum[SOURCES][SPAN];  // down a column
+    for (int j = 0; j < PATCH; j++) r[j] = row + (first + j) % PATCH;
+    for (int s = 0; s < SOURCES; s++)
+        for (int p = 0; p < WHOLE(width, LANES) + 2 * RADIUS; p += LANES) {
+            floats column = 0;
             #pragma unroll
-            for (int j = 0; j < PATCH; j++) sum += LOAD_GLOBAL(ints, plane + (size_t)rows[j] * columns + p);
-            STORE_PRIVATE(ints, to->sum[s] + p) = sum;
+            for (int j = 0; j < PATCH; j++) column += LOAD_PRIVATE(floats, r[j]->of[s] + p);
+            STORE_PRIVATE(floats, sum[s] + p) = column;
         }
-        AT_EDGE
-        for (; p < last; p++) {
-            int sum = 0;
-            for (int j = 0; j < PATCH; j++) sum += plane[(size_t)rows[j] * columns + p];
-            to->sum[s][p] = sum;
-        }
-        AT_EDGE
-        for (int i = 0; i < first; i++) to->sum[s][i] = to->sum[s][column_source[x0 + i] - x0 + RADIUS];
-        AT_EDGE
-        for (; p < end; p++) to->sum[s][p] = to->sum[s][column_source[x0 + p] - x0 + RADIUS];
-    }
-    __global const int *own = planes + LUMINANCE * stride + (size_t)rows[RADIUS] * columns + x0;
-    int p = 0;
-    for (; p + LANES <= width; p += LANES) STORE_PRIVATE(floats, to->luminance + p) = CONVERT(LOAD_GLOBAL(ints, own + p), floats);
-    AT_EDGE
-    for (; p < width; p++) to->luminance[p] = own[p];
     for (int x = 0; x < width; x += LANES) {
-        floats total[SOURCES];
+        floats total[SOURCES], own[SOURCES];
         #pragma unroll
         for (int s = 0; s < SOURCES; s++) {
-            ints sum = 0;
+            own[s] = LOAD_PRIVATE(floats, r[RADIUS]->of[s] + x + RADIUS);
+            total[s] = 0;
             #pragma unroll
-            for (int i = 0; i < PATCH; i++) sum += LOAD_PRIVATE(ints, to->sum[s] + x + i);
-            total[s] = CONVERT(sum, floats);
+            for (int i = 0; i < PATCH; i++) total[s] += LOAD_PRIVATE(floats, sum[s] + x + i);
         }
-        const floats share = ratio_of(LOAD_PRIVATE(floats, to->luminance + x), total[LUMINANCE]) * (1.0f / (PATCH * PATCH));
-        STORE_PRIVATE(floats, to->chroma[0] + x) = total[0] * share;
-        STORE_PRIVATE(floats, to->chroma[1] + x) = total[SOURCES - 1] * share;
+        const floats share = ratio_of(own[LUMINANCE], total[LUMINANCE]) * (1.0f / (PATCH * PATCH));
+        STORE_PRIVATE(floats, to[0] + x) = total[0] * share;
+        STORE_PRIVATE(floats, to[1] + x) = total[SOURCES - 1] * share;
+#if RATIO_TAPS > 2
+        floats square[PATCH * PATCH], reach = 0, weights = 0, sums[2] = {0};
+        #pragma unroll
+        for (int n = 0; n < PATCH * PATCH; n++) {
+            square[n] = 0;
+            #pragma unroll
+            for (int s = 0; s < SOURCES; s++) {
+                const floats away = LOAD_PRIVATE(floats, r[n / PATCH]->of[s] + x + n % PATCH) - own[s];
+                square[n] += away * away;
+            }
+            reach += square[n];
+        }
+        reach = reach * (1.0f / (PATCH * PATCH)) + (float)DARKEST * DARKEST;
+        #pragma unroll
+        for (int n = 0; n < PATCH * PATCH; n++) {
+            const floats left = reach - square[n], within = left > 0.0f ? left : (floats)0.0f, weight = within * within;
+            weights += weight;
+            #pragma unroll
+            for (int c = 0; c < 2; c++) sums[c] += weight * LOAD_PRIVATE(floats, r[n / PATCH]->of[2 * c] + x + n % PATCH);
+        }
+        #pragma unroll
+        for (int c = 0; c < 2; c++) STORE_PRIVATE(floats, to[2 + c] + x) = sums[c] / weights - own[2 * c];
+#endif
     }
 }
-#define BEHIND(sums) (sums).chroma[0]
 #else
-#define BEHIND(sums) 0
+#define ROWS_KEPT 1
+#define BEHIND 0
 #endif

@@ -28,10 +28,14 @@ INLINE void row_into_ring(tap *to, const ushort *row, float black_level, int spa
     for (int p = 0; p < span; p++) to[p * COLUMN] = signal[p];
 }
 
+typedef struct {
+    ushort of[SPAN];
+} Row;
+
 INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *column_source, float black_level, int x0, int columns,
-                      size_t stride, ushort *row, int span) {
-    ingest(row, raw, column_source, x0, columns);
-    row_into_ring(to, row, black_level, span);
+                      size_t stride, Row *row, int span) {
+    ingest(row->of, raw, column_source, x0, columns);
+    row_into_ring(to, row->of, black_level, span);
 }
 #else
 #define SOURCE int
@@ -46,26 +50,26 @@ VECTOR(tap, signals, LANES);
 
 // The newest row of every plane into the ring.
 INLINE void into_ring(tap *to, __global const int *planes, __global const int *column_source, float black_level, int x0,
-                      int columns, size_t stride, ushort *row, int span) {
+                      int columns, size_t stride, Row *row, int span) {
     const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
     const int end = min(TILE + 2 * RADIUS, columns - x0 + 2 * RADIUS);
-    tap signal[SOURCES][SPAN];
     for (int s = 0; s < SOURCES; s++, planes += stride) {
+        tap *signal = row->of[s];
         int p = first;
         for (; p + LANES <= last; p += LANES)
-            STORE_PRIVATE(signals, signal[s] + p) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p));
+            STORE_PRIVATE(signals, signal + p) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p));
         if (last - first >= LANES) {  // the last vector repeats some of the one before it
             p = last;
-            STORE_PRIVATE(signals, signal[s] + p - LANES) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p - LANES));
+            STORE_PRIVATE(signals, signal + p - LANES) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p - LANES));
         }
         AT_EDGE
-        for (int i = 0; i < first; i++) signal[s][i] = signal_of((ints)planes[column_source[x0 + i]])[0];
+        for (int i = 0; i < first; i++) signal[i] = signal_of((ints)planes[column_source[x0 + i]])[0];
         AT_EDGE
-        for (; p < end; p++) signal[s][p] = signal_of((ints)planes[column_source[x0 + p]])[0];
+        for (; p < end; p++) signal[p] = signal_of((ints)planes[column_source[x0 + p]])[0];
     }
     #pragma clang loop vectorize(disable) unroll_count(4)
     for (int p = 0; p < end; p++)
-        for (int s = 0; s < SOURCES; s++) to[p * COLUMN + s] = signal[s][p];
+        for (int s = 0; s < SOURCES; s++) to[p * COLUMN + s] = row->of[s][p];
 }
 #endif
 
@@ -145,26 +149,23 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int span = WHOLE(WHOLE(width, LANES) + 2 * RADIUS, 16);
     const size_t stride = (size_t)source_rows * columns;
-    ushort row[SPAN];
+    Row row[ROWS_KEPT] = {0};
     uint label[TILE];
     tap ring[RING];
 #ifdef RATIO_TAPS
-    WindowSums sums;
-    for (int s = 0; s < SOURCES; s++)
-        for (int i = 0; i < SPAN; i++) sums.sum[s][i] = sums.luminance[i] = 0;
+    float behind[RATIO_TAPS][SPAN];
 #endif
-    for (int i = 0; i < SPAN; i++) row[i] = 0;
     for (int i = 0; i < TILE; i++) label[i] = 0;
     for (int i = 0; i < RING; i++) ring[i] = 0;
     for (int k = 0; k < y1 - y0 + 2 * RADIUS; k++) {
         into_ring(ring + k * SOURCES, source + (size_t)row_source[y0 + k] * columns, column_source, black_level, x0, columns,
-                  stride, row, span);
+                  stride, row + k % ROWS_KEPT, span);
         if (k < 2 * RADIUS) continue;
         const int y = y0 + k - 2 * RADIUS;
         const size_t at = (size_t)y * columns + x0;
         for (int x = 0; x < width; x++) label[x] = labels[at + x];
 #ifdef RATIO_TAPS
-        sum_windows(&sums, source, row_source + y, column_source, x0, width, columns, stride);
+        taps_behind(behind, row, k + 1, width);
 #endif
 #ifdef COARSE_CHROMA
         float change[2][SPAN];
@@ -175,7 +176,7 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
             for (int s = 0; s < SOURCES; s++) FETCH(next + s * stride + x);
             FETCH(labels + at + columns + x);
             totals made[PLANES_MADE];
-            apply(made, ring + (k - 2 * RADIUS) * SOURCES, BEHIND(sums), label, weights, x);
+            apply(made, ring + (k - 2 * RADIUS) * SOURCES, BEHIND, label, weights, x);
 #ifdef COARSE_CHROMA
             for (int c = 0; c < 2; c++) made[2 * c] += LOAD_PRIVATE(floats, change[c] + x);
 #endif

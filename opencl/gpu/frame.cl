@@ -99,6 +99,12 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
 #define FOURS ((OUTPUTS + 3) / 4)  // vectors of four that hold the outputs
 #ifdef RATIO_TAPS
 #define TAPS_OF_RATIOS RATIO_TAPS
+
+INLINE float square_between(__local const tap *one, __local const tap *other) {
+    float sum = 0.0f;
+    for (int s = 0; s < SOURCES; s++) sum += (one[s] - other[s]) * (one[s] - other[s]);
+    return sum;
+}
 #else
 #define TAPS_OF_RATIOS 0
 #endif
@@ -195,6 +201,22 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     const float share = clamp((count * luminance - sum[LUMINANCE]) / max(sum[LUMINANCE], count * DARKEST), -1.0f, 1.0f) / count;
     for (int f = 0; f < FOURS; f++) total[f] += sum[0] * share * *weight++;
     for (int f = 0; f < FOURS; f++) total[f] += sum[SOURCES - 1] * share * *weight++;
+#if RATIO_TAPS > 2
+    // And that of pixels alike.
+    __local const tap *own = signal[line + RADIUS][column + RADIUS];
+    float reach = 0.0f, weighed = 0.0f, first = 0.0f, third = 0.0f;
+    for (int n = 0; n < PATCH * PATCH; n++) reach += square_between(signal[line + n % PATCH][column + n / PATCH], own);
+    reach = reach / count + (float)DARKEST * DARKEST;
+    for (int n = 0; n < PATCH * PATCH; n++) {
+        __local const tap *there = signal[line + n % PATCH][column + n / PATCH];
+        const float left = max(reach - square_between(there, own), 0.0f);
+        weighed += left * left;
+        first += left * left * (there[0] - own[0]);
+        third += left * left * (there[SOURCES - 1] - own[SOURCES - 1]);
+    }
+    for (int f = 0; f < FOURS; f++) total[f] += first / weighed * *weight++;
+    for (int f = 0; f < FOURS; f++) total[f] += third / weighed * *weight++;
+#endif
 #endif
 #ifdef COARSE_CHROMA
     // What coarse chroma adds (l3cli/classes/coarse_chroma.py).

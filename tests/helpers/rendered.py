@@ -46,17 +46,17 @@ TABLES = {
         FIVE_BAND, black_level=100.0, direction=direction.Options(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
     ),
     "two layers": lambda: with_refinement(
-        random_table(FIVE_BAND, black_level=100.0, patch=9, chroma_dither=True), 5, ratios=True
+        random_table(FIVE_BAND, black_level=100.0, patch=9, chroma_dither=True), 5, ratios=1
     ),
     "two layers of 16 bits": lambda: with_refinement(
         random_table(X_TRANS, bits=16, black_level=2048.0, patch=7, chroma_dither=True), 3
     ),
     "three layers": lambda: with_refinement(random_table(FIVE_BAND, black_level=100.0, patch=7), 5, 3, seed=2),
-    "four layers": lambda: with_refinement(random_table(X_TRANS, bits=14, patch=5), 3, 7, 5, seed=4, ratios=True),
-    "a layer of single pixels": lambda: with_refinement(random_table(BAYER, patch=5), 1, seed=6, ratios=True),
-    "two wide layers": lambda: with_refinement(random_table(BAYER, bits=8, patch=5), 7, seed=3, ratios=True),
+    "four layers": lambda: with_refinement(random_table(X_TRANS, bits=14, patch=5), 3, 7, 5, seed=4, ratios=2),
+    "a layer of single pixels": lambda: with_refinement(random_table(BAYER, patch=5), 1, seed=6, ratios=2),
+    "two wide layers": lambda: with_refinement(random_table(BAYER, bits=8, patch=5), 7, seed=3, ratios=1),
     "coarse chroma": lambda: with_clipping(
-        with_coarse_chroma(with_refinement(random_table(BAYER, black_level=64.0), 5, ratios=True))
+        with_coarse_chroma(with_refinement(random_table(BAYER, black_level=64.0), 5, ratios=1))
     ),
     "coarse chroma of three layers": lambda: with_clipping(
         with_coarse_chroma(with_refinement(random_table(FIVE_BAND, patch=5), 5, 3), 0.4)
@@ -65,9 +65,7 @@ TABLES = {
         with_tree(random_table(STRIPES, bits=14, black_level=512.5, patch=5, seed=11), 7, seed=4), 0.01
     ),
     "tree of 8 bits": lambda: with_tree(random_table(BAYER, bits=8, patch=5, seed=11), 5, leaves=100),
-    "tree of five bands": lambda: with_tree(
-        random_table(FIVE_BAND, black_level=108.93, patch=9, seed=11), seed=2, ratios=True
-    ),
+    "tree of five bands": lambda: with_tree(random_table(FIVE_BAND, black_level=108.93, patch=9, seed=11), seed=2, ratios=2),
     "tree of 16 bits": lambda: with_tree(
         random_table(X_TRANS, bits=16, black_level=2048.0, patch=7, seed=14), leaves=400, seed=3
     ),
@@ -81,7 +79,7 @@ TABLES = {
         random_table(FIVE_BAND, contrasts=(1.1, 2.0), direction=direction.Options(orientations=8, strengths=(1.5, 6.0)))
     ),
     "two sets of three layers": lambda: with_low_noise(
-        with_refinement(random_table(BAYER, black_level=64.0, patch=9, direction=direction.Options()), 5, 3, ratios=True)
+        with_refinement(random_table(BAYER, black_level=64.0, patch=9, direction=direction.Options()), 5, 3, ratios=1)
     ),
     "three sets of a tree": lambda: with_low_noise(
         with_tree(random_table(X_TRANS, bits=14, patch=5, seed=11), seed=2), 0.25, 0.03

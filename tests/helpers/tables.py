@@ -47,8 +47,9 @@ def with_first(table: TransformTable, **fields: Any) -> TransformTable:
     return dataclasses.replace(table, first=dataclasses.replace(table.first, **fields))
 
 
-def with_refinement(table: TransformTable, *sides: int, seed: int = 1, ratios: bool = False) -> TransformTable:
-    """The table with refinement layers of random weights, of these sides; the last one may have colour ratios."""
+def with_refinement(table: TransformTable, *sides: int, seed: int = 1, ratios: int = 0) -> TransformTable:
+    """The table with refinement layers of random weights, of these sides; the last one may have one or two `ratios`: kinds
+    of taps behind its windows."""
     rng = np.random.default_rng(seed)
     sites, outputs, below = table.cfa.size, len(table.outputs), table.first.rule
     layers = []
@@ -67,7 +68,7 @@ def with_refinement(table: TransformTable, *sides: int, seed: int = 1, ratios: b
         samples = np.where(np.arange(classes) % 2, 10.0, 0.0)
         layers.append(PlaneLayer(side, weights, np.zeros((classes, outputs), np.float32), samples, rule))
     if ratios:
-        layers[-1] = with_ratios(layers[-1], rng)
+        layers[-1] = with_ratios(layers[-1], rng, ratios)
     return dataclasses.replace(table, later=tuple(layers))
 
 
@@ -143,13 +144,13 @@ def with_clipping(table: TransformTable, seed: int = 9) -> TransformTable:
     return dataclasses.replace(table, later=(*table.later[:-1], dataclasses.replace(table.later[-1], clipping=clipping)))
 
 
-def with_ratios(layer: PlaneLayer, rng: np.random.Generator) -> PlaneLayer:
-    """The layer with random weights for the taps of colour ratios."""
-    after = (rng.normal(size=(*layer.weights.shape[:2], RATIO_TAPS)) / layer.side).astype(np.float32)
+def with_ratios(layer: PlaneLayer, rng: np.random.Generator, kinds: int = 1) -> PlaneLayer:
+    """The layer with random weights for the taps of colour ratios, and of bilateral chroma if there are two kinds."""
+    after = (rng.normal(size=(*layer.weights.shape[:2], RATIO_TAPS[kinds])) / layer.side).astype(np.float32)
     return dataclasses.replace(layer, weights=np.concatenate([layer.weights, after], axis=2))
 
 
-def with_tree(table: TransformTable, side: int = 3, leaves: int = 40, seed: int = 1, ratios: bool = False) -> TransformTable:
+def with_tree(table: TransformTable, side: int = 3, leaves: int = 40, seed: int = 1, ratios: int = 0) -> TransformTable:
     """The table with a second layer of random weights, whose classes are the leaves of a random tree that a random frame
     falls into; sites are learned in random orientations."""
     rng = np.random.default_rng(seed)
@@ -167,7 +168,7 @@ def with_tree(table: TransformTable, side: int = 3, leaves: int = 40, seed: int 
     weights = (rng.normal(size=(classes, outputs, PLANES * side**2)) / side).astype(np.float32)
     samples = np.where(np.arange(classes) % 2, 10.0, 0.0)
     layer = PlaneLayer(side, weights, np.zeros((classes, outputs), np.float32), samples, tree=rule)
-    return dataclasses.replace(table, later=(with_ratios(layer, rng) if ratios else layer,))
+    return dataclasses.replace(table, later=(with_ratios(layer, rng, ratios) if ratios else layer,))
 
 
 def frame_of_all_levels(

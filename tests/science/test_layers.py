@@ -15,7 +15,7 @@ from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import PLANE_STEP, PLANES, RATIO_TAPS, PlaneLayer, TransformTable
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.classes.refinement import label_planes, shaded_chroma
+from l3cli.classes.refinement import label_planes, taps_behind
 from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import lab
@@ -67,7 +67,7 @@ def filtered(planes: NDArray, truth: NDArray = TRUTH) -> NDArray[np.float32]:
     return made
 
 
-AFTER = np.random.default_rng(4).normal(0, 0.3, (3, RATIO_TAPS))  # of colour ratios (plane of the output, tap)
+AFTER = np.random.default_rng(4).normal(0, 0.3, (3, RATIO_TAPS[-1]))  # behind windows (plane of the output, tap)
 
 
 def known_sums(layer: LayerPass, rule: StructureRule, noise: float) -> dict[int, LayerSums]:
@@ -77,8 +77,8 @@ def known_sums(layer: LayerPass, rule: StructureRule, noise: float) -> dict[int,
     clean = rng.normal(0, 2000, (3, *shape)).round().astype(np.float32)
     noisy = (clean + noise * rng.standard_normal(clean.shape)).round().astype(np.int32)
     planes = filtered(clean)
-    if layer.recipe.colour_ratios:
-        planes += (np.moveaxis(shaded_chroma(clean, SIDE), 0, -1) * PLANE_STEP @ AFTER.T).astype(np.float32)
+    behind = np.moveaxis(taps_behind(clean, SIDE, layer.recipe.ratio_taps), 0, -1) * PLANE_STEP
+    planes += (behind @ AFTER[:, : layer.recipe.ratio_taps].T).astype(np.float32)
     target = planes @ np.linalg.inv(layer.basis).astype(np.float32)
     site = np.arange(shape[0])[:, None] % 2 * 2 + np.arange(shape[1]) % 2
     label = rule.join(rng.integers(0, rule.levels, shape), rng.integers(0, rule.kinds, shape), site)
@@ -130,15 +130,17 @@ def test_what_outputs_lack_is_learned_beside_noise(bayer: CameraModel) -> None:
     assert learned == pytest.approx(np.broadcast_to(truth.reshape(5, -1), learned.shape), abs=1e-3)
 
 
-def test_so_is_what_light_and_shade_make_of_chroma(bayer: CameraModel) -> None:
+@pytest.mark.parametrize("bilateral", [False, True])
+def test_so_is_what_light_and_shade_and_pixels_alike_make_of_chroma(bayer: CameraModel, bilateral: bool) -> None:
     """Beside the filters; flat areas are answered alike by all sites, whatever it weighs."""
-    layer = a_pass(bayer, luminance_noise=0, chroma_noise=0, colour_ratios=True, **UNSPREAD)
+    kinds = {"colour_ratios": True, "bilateral_chroma": bilateral}
+    layer = a_pass(bayer, luminance_noise=0, chroma_noise=0, **kinds, **UNSPREAD)
     rule = a_rule(layer)
     learned = learn_layer(layer, rule, known_sums(layer, rule, 300.0))
-    assert learned.ratio_taps == RATIO_TAPS
+    assert learned.ratio_taps == RATIO_TAPS[1 + bilateral]
     assert in_planes(layer, learned) == pytest.approx(np.broadcast_to(TRUTH, (len(learned.weights), 3, 3, 9)), abs=2e-3)
     after = np.einsum("cot,op->cpt", learned.weights[..., learned.window_taps :].astype(np.float64), layer.basis)
-    assert after == pytest.approx(np.broadcast_to(AFTER, after.shape), abs=2e-3)
+    assert after == pytest.approx(np.broadcast_to(AFTER[:, : learned.ratio_taps], after.shape), abs=2e-3)
 
 
 def test_mosaics_are_seen_together_as_each_by_itself(bayer: CameraModel) -> None:
@@ -421,6 +423,7 @@ def test_bands_get_a_layer_that_corrects_them(tmp_path: Path, l3: L3) -> None:
         ("strengths = [3, 2]", "layer[1].strengths must be one or more numbers, each 0.001 above the last"),
         ("strengths = [-1, 2]", "layer[1].strengths[1] is -1; give more than 0"),
         ("colour_ratios = true\n[[layer]]", "layer[1].colour_ratios is for the last layer alone"),
+        ("bilateral_chroma = true\n", "layer[1].bilateral_chroma is for a layer with colour_ratios"),
         ("brightness_power = 1.5", "layer[1].brightness_power is 1.5; the most is 1"),
         ("sides = 3", "unknown key `sides` in [layer[1]]"),
     ],

@@ -81,7 +81,7 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
     "coarse chroma": lambda: with_clipping(
         with_coarse_chroma(with_refinement(a_table([[0, 1], [2, 3]], 12, 64.0, contrasts=(), chroma_dither=True), 5), 0.1)
     ),
-    "a tree, 6 × 6": lambda: with_tree(a_table(SIX, 12, 64.0, contrasts=()), ratios=True),
+    "a tree, 6 × 6": lambda: with_tree(a_table(SIX, 12, 64.0, contrasts=()), ratios=2),
 }  # fmt: skip
 needs_compiler = pytest.mark.skipif(CC is None, reason="there is no C compiler (cc, gcc or CC)")
 

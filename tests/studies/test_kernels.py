@@ -60,7 +60,7 @@ def test_every_table(name: str, kind: str) -> None:
 def test_tiles_bands_shading_and_pictures(variant: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames of more than a tile, in one band and in several, shaded, encoded with the transforms and afterwards."""
     shape = (13, 261)
-    table = with_refinement(random_table(BAYER, black_level=64.0, patch=3), 3, ratios=True)
+    table = with_refinement(random_table(BAYER, black_level=64.0, patch=3), 3, ratios=1)
     field = FlatField(np.array([0.0, 6, 12]), np.array([0.0, 130, 260]), np.linspace(1, 1.6, 27).reshape(3, 3, 3))
     shading = shading_of(field, shape, table.cfa)
     reference, device = ReferenceRenderer(table), OpenCLRenderer(table, variant=variant)

@@ -17,7 +17,7 @@ from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table, with_refinement
 
 ONE_LAYER = random_table(BAYER, bits=12, black_level=64.0, patch=3)
-TWO_LAYERS = with_refinement(ONE_LAYER, 3, ratios=True)
+TWO_LAYERS = with_refinement(ONE_LAYER, 3, ratios=1)
 
 
 def noise(rows: int = 61, cols: int = 301, seed: int = 1) -> RawFrame:

@@ -84,7 +84,8 @@ def test_layers_agree_in_what_they_share() -> None:
 
 
 def test_only_the_last_layer_has_colour_ratios(tmp_path: Path) -> None:
-    one, two = with_refinement(TABLE, 3, 5, ratios=True).later
+    assert with_refinement(TABLE, 5, ratios=2).later[0].ratio_taps == 4  # those of bilateral chroma, too
+    one, two = with_refinement(TABLE, 3, 5, ratios=1).later
     table = dataclasses.replace(TABLE, later=(one, two))
     assert (one.ratio_taps, two.ratio_taps, two.window_taps) == (0, 2, 75)
     save(table, tmp_path / "table.h5")

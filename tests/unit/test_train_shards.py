@@ -48,6 +48,7 @@ SMALL = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 21
 TWO_LAYERS = SMALL.replace("2100", "900") + "[[layer]]\nside = 3\nmosaics = 12\nrows = 500\n"
 THREE_LAYERS = (
     TWO_LAYERS + "[[layer]]\nside = 3\nleaves = 3\ntree_rows = 1000\nmosaics = 7\nrows = 500\ncolour_ratios = true\n"
+    "bilateral_chroma = true\n"
 )
 
 

@@ -34,23 +34,16 @@ static inline L3Output output_of(const Ring *ring, ptrdiff_t at, size_t output, 
 
 #if L3_RATIO_TAPS
 
-/* Chroma as light and shade would make it of the sums of the planes X - aY, Y, Z - bY over `count` pixels and of Y itself. */
-typedef struct {
-    float chroma[L3_RATIO_TAPS];
-} Ratios;
+/* What is behind the patch. */
+typedef float Chroma;
 
-static inline Ratios ratios_of(const int32_t sum[3], int32_t luminance, int count) {
-    const float total = (float)sum[L3_LUMINANCE], least = (float)(count * L3_RATIO_DARKEST);
-    float share = ((float)count * (float)luminance - total) / (total > least ? total : least);
-    share = (share < -1 ? -1 : share > 1 ? 1 : share) / (float)count;
-    const Ratios made = {{(float)sum[0] * share, (float)sum[2] * share}};
-    return made;
-}
+static inline Chroma quotient(int64_t part, int64_t whole) { return (float)part / (float)whole; }
 
-static inline Behind behind_of(const Ratios *ratios, size_t output) {
+static inline Behind behind_of(const Chroma chroma[L3_RATIO_TAPS], size_t output) {
     const float *weights = l3_ratio_weights + output * L3_RATIO_TAPS;
-    return weights[0] * ratios->chroma[0] + weights[1] * ratios->chroma[1];
+    float sum = 0;
+    for (int i = 0; i < L3_RATIO_TAPS; i++) sum += weights[i] * chroma[i];
+    return sum;
 }
 
 #endif
-

@@ -46,33 +46,19 @@ static inline L3Output output_of(const Ring *ring, ptrdiff_t at, size_t output, 
 
 #if L3_RATIO_TAPS
 
-/* Chroma as light and shade would make it of the sums of the planes X - aY, Y, Z - bY over `count` pixels and of Y itself, as
- * high * 2^L3_SPLIT + low. */
-typedef struct {
-    int16_t high[L3_RATIO_TAPS], low[L3_RATIO_TAPS];
-} Ratios;
+/* What is behind the patch. */
+typedef int32_t Chroma;
 
-static inline Ratios ratios_of(const int32_t sum[3], int32_t luminance, int count) {
-    const int32_t total = sum[L3_LUMINANCE], least = total > count * L3_RATIO_DARKEST ? total : count * L3_RATIO_DARKEST;
-    const int32_t share = clamped(count * luminance - total, -least, least);
-    Ratios made;
-    for (int i = 0; i < L3_RATIO_TAPS; i++) {
-        const int32_t chroma = (int32_t)((int64_t)sum[2 * i] * share / ((int64_t)least * count));
-        made.high[i] = (int16_t)(chroma >> L3_SPLIT);
-        made.low[i] = (int16_t)(chroma & ((1 << L3_SPLIT) - 1));
-    }
-    return made;
-}
+static inline Chroma quotient(int64_t part, int64_t whole) { return (int32_t)(part / whole); }
 
-static inline Behind behind_of(const Ratios *ratios, size_t output) {
+static inline Behind behind_of(const Chroma chroma[L3_RATIO_TAPS], size_t output) {
     const int16_t *weights = l3_ratio_weights + output * L3_RATIO_TAPS;
     int32_t high = 0, low = 0;
     for (int i = 0; i < L3_RATIO_TAPS; i++) {
-        high += weights[i] * ratios->high[i];
-        low += weights[i] * ratios->low[i];
+        high += weights[i] * (chroma[i] >> L3_SPLIT);
+        low += weights[i] * (chroma[i] & ((1 << L3_SPLIT) - 1));
     }
     return high + (low >> L3_SPLIT);
 }
 
 #endif
-

@@ -105,14 +105,50 @@ static void sum_columns(const int32_t *restrict from, int radius, int row, int r
     }
 }
 
-/* Those of the pixel in column x, whose Y is `luminance`, over its window. */
-static inline Ratios ratios_at(const int32_t *restrict sums, int side, int x, int columns, int32_t luminance) {
-    const int span = columns + side - 1;
+/* Chroma of the pixel in column x, whose Y is `luminance`, as light and shade would make it of the sums over its window. */
+static inline void shaded_chroma(const int32_t *restrict sums, int side, int x, int columns, int32_t luminance,
+                                 Chroma chroma[L3_RATIO_TAPS]) {
+    const int span = columns + side - 1, count = side * side;
     int32_t sum[3] = {0, 0, 0};
     for (int s = 0; s < 3; s++)
         for (int p = x; p < x + side; p++) sum[s] += sums[s * span + p];
-    return ratios_of(sum, luminance, side * side);
+    const int32_t total = sum[L3_LUMINANCE], least = total > count * L3_RATIO_DARKEST ? total : count * L3_RATIO_DARKEST;
+    const int64_t share = clamped(count * luminance - total, -least, least), whole = (int64_t)least * count;
+    for (int i = 0; i < 2; i++) chroma[i] = quotient(sum[2 * i] * share, whole);
 }
+
+#if L3_RATIO_TAPS > 2
+
+/* Differences from the pixel itself of the chroma of those of its window that are like it, on average. Likeness has 17 bits, so that
+ * sums of its squares times differences, which are the smaller, the larger it is, stay within 64. */
+static void bilateral_change(const int32_t *restrict from, int side, int row, int x, int rows, int columns,
+                             Chroma chroma[2]) {
+    const ptrdiff_t pixels = (ptrdiff_t)rows * columns;
+    int64_t square[L3_MOST_SIDE * L3_MOST_SIDE], reach = 0, weights = 0, change[2] = {0, 0};
+    int32_t away[L3_MOST_SIDE * L3_MOST_SIDE][3];
+    const int count = side * side;
+    for (int n = 0; n < count; n++) {
+        const ptrdiff_t line = mirrored(row + n / side - side / 2, rows, 1), column = mirrored_column(x + n % side - side / 2, columns);
+        square[n] = 0;
+        for (int s = 0; s < 3; s++) {
+            away[n][s] = from[s * pixels + line * columns + column] - from[s * pixels + (ptrdiff_t)row * columns + x];
+            square[n] += (int64_t)away[n][s] * away[n][s];
+        }
+        reach += square[n];
+    }
+    reach = reach / count + (int64_t)L3_RATIO_DARKEST * L3_RATIO_DARKEST;
+    int shift = 0;
+    while (reach >> shift >> 17) shift++;
+    for (int n = 0; n < count; n++) {
+        if (square[n] >= reach) continue;
+        const int64_t likeness = (reach - square[n] + (1LL << shift >> 1)) >> shift, weight = likeness * likeness;
+        weights += weight;
+        for (int i = 0; i < 2; i++) change[i] += weight * away[n][2 * i];
+    }
+    for (int i = 0; i < 2; i++) chroma[i] = quotient(change[i], weights);
+}
+
+#endif
 
 #endif
 
@@ -139,8 +175,12 @@ static void planes_to_outputs(const L3PlaneLayer *layer, const int32_t *restrict
         for (int x = 0; x < columns; x++) {
             const size_t first = (size_t)labels[at + x] * L3_OUTPUTS;
 #if L3_RATIO_TAPS
-            const Ratios ratios = ratios_at(sums, layer->side, x, columns, from[L3_LUMINANCE * pixels + at + x]);
-#define BEHIND(output) behind_of(&ratios, output)
+            Chroma chroma[L3_RATIO_TAPS];
+            shaded_chroma(sums, layer->side, x, columns, from[L3_LUMINANCE * pixels + at + x], chroma);
+#if L3_RATIO_TAPS > 2
+            bilateral_change(from, layer->side, k - 2 * radius, x, rows, columns, chroma + 2);
+#endif
+#define BEHIND(output) behind_of(chroma, output)
 #else
 #define BEHIND(output) 0
 #endif

@@ -265,7 +265,7 @@ def write_layer_shard(
         shards=count,
         mosaics=np.array(layer.mosaics),
         side=layer.recipe.side,
-        ratio_taps=layer.ratio_taps,
+        ratio_taps=layer.recipe.ratio_taps,
         **rule_fields(rule),
         gradients=tuple(each.scale for each in rules[1:]),
         table=table,
@@ -296,7 +296,7 @@ def _with_layer(
     head: PartialLayerSums = readers[0].head
     layer = layer_pass(table, recipe, tuple(head.mosaics.tolist()), seed)
     sums = no_sums(layer, rule)
-    if (layer.recipe.side, layer.ratio_taps, list(sums)) != (head.side, head.ratio_taps, head.sites.tolist()):
+    if (layer.recipe.side, layer.recipe.ratio_taps, list(sums)) != (head.side, head.ratio_taps, head.sites.tolist()):
         raise InputFileError(f"{path} holds sums of other windows or sites than its recipe and camera have; make it again")
     for index, site in enumerate(sums):
         for reader in readers:

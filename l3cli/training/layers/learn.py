@@ -12,7 +12,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import StructureRule
-from l3cli.artifacts.table import PLANES, RATIO_TAPS, MosaicLayer, PlaneLayer, PlaneRule, rule_fields
+from l3cli.artifacts.table import PLANES, MosaicLayer, PlaneLayer, PlaneRule, rule_fields
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.planes import LUMINANCE, FixedPoint
 from l3cli.classes.refinement import label_planes
@@ -243,18 +243,13 @@ class LayerPass:
         """Return the reading of windows of `side` at every site."""
         maps, turns = self._turns()
         order = np.array([orientations(side)[turn] for turn in turns])
-        return Reading(
-            np.array([one.canonical for one in maps]), order, self.ratio_taps, self.made, self.outputs is not None
-        )
+        ratios = self.recipe.ratio_taps
+        return Reading(np.array([one.canonical for one in maps]), order, ratios, self.made, self.outputs is not None)
 
     @property
     def made(self) -> int:
         """Return the number of outputs, or of planes, that the layer is learned to make."""
         return PLANES if self.outputs is None else len(self.basis)
-
-    @property
-    def ratio_taps(self) -> int:
-        return RATIO_TAPS if self.recipe.colour_ratios else 0
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
         """Return grid steps of the moments (level, pair)."""

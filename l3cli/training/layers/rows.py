@@ -12,7 +12,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.table import PLANE_STEP, PLANES, PlaneRule
 from l3cli.classes.planes import LUMINANCE
-from l3cli.classes.refinement import mirrored, shaded_chroma, window_means
+from l3cli.classes.refinement import mirrored, taps_behind, window_means
 from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error
 from l3cli.training.layers.mosaics import Floats, Seen
@@ -182,10 +182,8 @@ class GatheredRows:
 
     def _ratios(self, planes: NDArray, pixels: Integers) -> Floats:
         """Return ratio taps (pixel, tap) of planes (plane, row, col)."""
-        if not self.reading.ratio_taps:
-            return np.empty((pixels.size, 0), np.float32)
-        taps = shaded_chroma(planes, self.reading.side).reshape(self.reading.ratio_taps, -1)[:, pixels]
-        return (taps.T * PLANE_STEP).astype(np.float32)
+        taps = taps_behind(planes, self.reading.side, self.reading.ratio_taps)
+        return (taps.reshape(len(taps), planes[0].size)[:, pixels].T * PLANE_STEP).astype(np.float32)
 
     def add_up(self) -> None:
         """Add what has been gathered to the sums."""

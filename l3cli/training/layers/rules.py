@@ -204,10 +204,7 @@ def _error(sums: Array) -> Array:
     return np.asarray((left * left).sum(axis=(-2, -1)))
 
 
-PILOT_MOSAICS, PILOT_SIDE = (
-    48,
-    72,
-)  # over all frames, and pixels of a side, that tell how noisy the first layer's luminance is
+PILOT_MOSAICS, PILOT_SIDE = 48, 72  # over all frames, and pixels of a side: how noisy the first layer's luminance is
 BRIGHTEST = 0.8  # share of full scale up to which they tell
 FEWEST = 1000  # pixels of a level that tell
 LAB_SLOPES = (500.0, 116.0, 200.0)  # of a*, L* and b* with the planes of a white of 1
