@@ -15,7 +15,7 @@ from l3cli.recipes.builtin import find_recipe, known_benchmarks
 from l3cli.stages.starting import start
 
 PICTURES = {"Kodak": "kodak", "McMaster": "mcmaster"}  # folders in demosaicking/ of the data
-RECIPES = ("default",)  # of classes, where there is noise
+RECIPES = ("default", "best")  # of classes, where there is noise
 LEVELS = (0.2, 0.02, 0.01)  # mean signal as a share of full scale
 DAYS, FACES = ("01", "06", "13"), (1, 2, 4, 5, 6)
 PHOTOS = {"BanteaySrei_03.jpg": 4, "FruitMCC_6500.tif": 3, "woodDuck.png": 3, "elephant.png": 2}  # with their shrinking
