@@ -109,7 +109,7 @@ class LayerRecipe(Recipe):
     error_power: ErrorPower | None = None
     # further taps of the last layer: chroma as shading would make it (docs/method.md#colour-ratios)
     colour_ratios: bool = False
-    bilateral_chroma: bool = False  # and that of pixels alike (docs/method.md#bilateral-chroma)
+    bilateral_chroma: bool = False  # and that of pixels alike (docs/method.md#colour-ratios)
     # chroma of the last layer comes from far around, where pixels are alike, and no class fades that of plain
     # windows (docs/method.md#coarse-chroma)
     coarse_chroma: bool = False
