@@ -26,7 +26,7 @@ TEXTS = {
     "bayer": f"""## Bayer, as published
 
 The codes of RGB pictures are sampled as they are and compared with themselves (CPSNR, all three channels). Ours is the table
-of `l3 init benchmark-bayer`, learned from a hundred other pictures. **The last two columns were not measured here**: they are
+of `l3 init benchmark-bayer`, learned from a hundred others. **The last two columns were not measured here**: they are
 published figures, on more pictures than the twelve of odd number that ours are of
 ({published.SOURCE}).
 McMaster's eighteen pictures are sampled, too, where they lie in `demosaicking/mcmaster` of the data. LibRaw and RawTherapee

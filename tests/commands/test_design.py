@@ -109,8 +109,7 @@ def test_a_run_that_goes_on_in_two_processes_makes_the_same_bytes(
     assert code == 0, err
     assert (tmp_path / "d.h5").read_bytes() == (folder / "design.h5").read_bytes()
     assert json.loads(out)["arrays"][0]["array"] == load(Design, tmp_path / "d.h5").patterns[0]
-    for finished in (call, ranking):  # again: nothing is left to do
-        file = finished[finished.index("-o") + 1]
+    for finished, file in ((call, tmp_path / "m.h5"), (ranking, tmp_path / "d.h5")):  # again: nothing is left to do
         made = file.stat().st_mtime_ns
         code, _, err = l3(*finished, "--resume")
         assert (code, f"{file} is finished already" in err) == (0, True)
