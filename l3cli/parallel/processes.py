@@ -37,8 +37,11 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
                 if child not in before:
                     child.terminate()
             # One that ends while it sends a result leaves half of it. The pool's thread waits for the rest as long as
-            # anybody could send it, and so do we, who hold that end of the pipe, too.
+            # anybody could send it, and so do we, who hold that end of the pipe, too. So does the thread that hands out an
+            # item as long as anybody could take it; later Pythons know (python/cpython#94777).
             pool._result_queue._writer.close()  # type: ignore[attr-defined]
+            if sys.version_info < (3, 11, 5):
+                pool._call_queue._reader.close()  # type: ignore[attr-defined]
             raise
         finally:
             pool.shutdown(cancel_futures=True)
@@ -72,13 +75,6 @@ def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
         vars(script).update(names)
 
 
-def _result(future: "Future[R]") -> R:
-    try:
-        return future.result()
-    except BrokenProcessPool as error:
-        raise L3Error("a worker process was ended from outside, perhaps for lack of memory; use fewer ‹jobs›") from error
-
-
 def _begin() -> None:
     """Prepare a worker, before its first item."""
     without_plots()
@@ -98,9 +94,12 @@ def _end_with_parent() -> None:
 
 def _pooled(pool: ProcessPoolExecutor, most: int, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     waiting: collections.deque[Future[R]] = collections.deque()
-    for item in items:
-        waiting.append(_submit(pool, function, item))
-        if len(waiting) >= most:
-            yield _result(waiting.popleft())
-    while waiting:
-        yield _result(waiting.popleft())
+    try:
+        for item in items:
+            waiting.append(_submit(pool, function, item))
+            if len(waiting) >= most:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    except BrokenProcessPool as error:
+        raise L3Error("a worker process was ended from outside, perhaps for lack of memory; use fewer ‹jobs›") from error

@@ -13,7 +13,6 @@ import pytest
 from l3cli.artifacts.store import save
 from l3cli.io.pictures.registry import write_picture
 from l3cli.recipes import builtin
-from l3cli.stages import starting
 from l3cli.system.files import atomic_output, protecting, refuse_protected
 from tests.helpers.calls import L3, Refused
 from tests.helpers.hostile_inputs import CURVE_CAMERA
@@ -76,8 +75,7 @@ def test_recipes_are_not_copied_over_themselves(
     desk: Path, protected: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(builtin.recipe_folder(), desk / "configs")
-    for module in (starting, builtin):
-        monkeypatch.setattr(module, "recipe_folder", lambda: desk / "configs")
+    monkeypatch.setattr(builtin, "recipe_folder", lambda: desk / "configs")
     protected("init bayer configs/pipelines --force")
 
 

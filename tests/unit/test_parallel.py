@@ -17,7 +17,8 @@ from tests.helpers.paths import CONFIGS
 from tests.helpers.tasks import PATIENCE, refusing, squared
 
 
-def dying(number: int) -> int:
+def dying(item: tuple[int, bytes]) -> int:
+    number, _ = item
     if number == 2:
         os.kill(os.getpid(), signal.SIGKILL)
     return number
@@ -83,9 +84,10 @@ def test_what_a_worker_raises_is_raised_in_place() -> None:
         list(ordered_map(refusing, range(3), 2))
 
 
-def test_a_worker_that_is_killed_is_reported_and_not_waited_for() -> None:
+@pytest.mark.parametrize("size", [0, 10**8], ids=["small", "sent while it dies"])
+def test_a_worker_that_is_killed_is_reported_and_not_waited_for(size: int) -> None:
     with pytest.raises(L3Error, match="ended from outside"):
-        list(ordered_map(dying, range(4), 2))
+        list(ordered_map(dying, [(number, bytes(size)) for number in range(6)], 2))
 
 
 @pytest.mark.parametrize(
