@@ -48,10 +48,10 @@ DOORS = {
     "gi": ("video_hosts/gstreamer.py", "video_hosts/plugins/"),
 }
 BUDGET = {  # at most; a change that lowers a number lowers it here, towards the goal behind it
-    "lines of l3cli": 53_010,  # 41 000
-    "lines of l3cli/stages": 5_400,  # 5 500
+    "lines of l3cli": 53_004,  # 41 000
+    "lines of l3cli/stages": 5_396,  # 5 500
     "lines of l3cli/cli": 1_641,  # 1 700
-    "lines of tests": 40_110,  # 32 000
+    "lines of tests": 40_108,  # 32 000
     "modules": 290,  # 290
     "modules in the root": 3,
     "lines of the longest module": 491,
