@@ -19,6 +19,7 @@ from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, gaussian_transfer, relative_illumination
 from l3cli.simulation import sensor
 from l3cli.simulation.light import (
+    CAMERA,
     OUTPUTS,
     SCENE_LIGHT,
     XYZ,
@@ -107,21 +108,33 @@ def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], It
     """Return the function that draws frames with the camera of `head` and its target, a spectrum: dead leaves, as in the
     training scenes that come with l3, under a light that is given, as bright as in a given frame and exposed as long."""
     camera = replace(head.camera, rows=DRAWN_SIZE[0], cols=DRAWN_SIZE[1], flat_field=None, defects=None)
-    kind = next((kind for kind, names in OUTPUTS.items() if names == head.outputs), "")
-
-    def lit(spectrum: LightSpectrum, luminance: float) -> Light:
-        return Light("", 1.0, spectrum.wavelength, spectrum.radiance.astype(np.float64)).at(luminance)
+    target = target_of(head)
 
     def drawn(like: TrainingPair, spectrum: LightSpectrum) -> Iterator[TrainingFrame]:
         from l3cli.simulation import procedural  # a start that draws nothing is faster without
 
-        light = lit(spectrum, like.luminance)
-        target = Target(head.outputs, "", kind, light=lit(head.target_light, 1.0) if head.target_light else None)
+        light = _lit(spectrum, like.luminance)
         for number in range(DRAWN):
             scene = procedural.draw(WantedScene(DeadLeaves(size=DRAWN_SIZE), number=number), DRAWN_SEED, camera.wavelength)
             yield simulate(camera, scene, light, like.exposure, Lens(), (DRAWN_SEED, number), target)
 
     return drawn
+
+
+def target_of(head: TrainingSet) -> Target:
+    """Return the target that further frames of a training set are simulated with.
+
+    Matching functions from a file are not stored in a training set. Frames for such outputs get XYZ.
+    """
+    kinds = {names: kind for kind, names in OUTPUTS.items()} | {head.camera.channels: CAMERA}
+    light = _lit(head.target_light, 1.0) if head.target_light else None
+    if head.outputs not in kinds:
+        return replace(XYZ, light=light)
+    return Target(head.outputs, head.target_description, kinds[head.outputs], light=light)
+
+
+def _lit(spectrum: LightSpectrum, luminance: float) -> Light:
+    return Light("", 1.0, spectrum.wavelength, spectrum.radiance.astype(np.float64)).at(luminance)
 
 
 def _collected(

@@ -40,8 +40,8 @@ from l3cli.rendering.conditions import Mix, at_gain, described, gain_of_frames, 
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
-from l3cli.simulation.frame import AtGain, frames_like, simulate
-from l3cli.simulation.light import Light, automatic_exposure, make_light
+from l3cli.simulation.frame import AtGain, frames_like, simulate, target_of
+from l3cli.simulation.light import Light, Target, automatic_exposure, make_light
 from l3cli.simulation.procedural import slanted_edge, surface_patches
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sensor import expose
@@ -56,36 +56,50 @@ LUX = 1e-9, 1e9  # within which a camera may need light
 BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm: diffraction differs between them
 
 
-def standard_figures(camera: CameraModel, outputs: tuple[str, ...], planes: PlanesOf) -> dict[str, Any]:
-    """Return the part "standards" of the document of `l3 evaluate` (docs/measurement.md), computed from frames of `camera`,
-    of which the pipelines of an evaluation make `planes` (output, row, col)."""
+def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
+    """Compute sharpness, signal over noise and colour uncertainty of pipelines on simulated charts (docs/measurement.md).
+
+    Parameters
+    ----------
+    head : TrainingSet
+        Camera and outputs that the pipelines are for. The charts are simulated with this camera.
+    planes : callable
+        Takes a frame and returns the outputs (output, row, col) of every pipeline, by name.
+
+    Returns
+    -------
+    dict
+        The part "standards" of the document of `l3 evaluate`.
+    """
+    camera, outputs = head.camera, head.outputs
     camera = dataclasses.replace(camera, rows=standards.SIDE, cols=standards.SIDE, flat_field=None, defects=None)
+    target = target_of(head)
     light = make_light(standards.LIGHT, {}, camera.wavelength).at(BRIGHT)
     document: dict[str, Any] = {"edge": {}, "grey": None, "chart": None}
     eye = spectra.xyz_weights(light.wavelength)[1] * light.radiance
     for across in ("rows", "columns"):
-        made = {
-            name: standards.brightness(each, outputs) for name, each in planes(edge_frame(camera, light, across)).items()
-        }
+        frame = edge_frame(camera, light, across, target)
+        made = {name: standards.brightness(each, outputs) for name, each in planes(frame).items()}
         document["edge"][across] = standards.edge_document(made, (camera, light.wavelength, eye), across)
     if camera.absolute:
-        document["grey"] = _greys(camera, light, outputs, planes)
+        document["grey"] = _greys(camera, light, target, outputs, planes)
     if outputs == XYZ and camera.responsivity_band.any():
-        document["chart"] = _chart(camera, light, planes)
+        document["chart"] = _chart(camera, light, target, planes)
     document["figures"] = standards.figures_of(document)
     return document
 
 
-def edge_frame(camera: CameraModel, light: Light, across: str) -> TrainingFrame:
+def edge_frame(camera: CameraModel, light: Light, across: str, target: Target) -> TrainingFrame:
     """Return the frame, without noise, of an edge that is nearly vertical, to be read across "rows", or else nearly
     horizontal."""
     size = standards.SIDE, standards.SIDE
     cube = slanted_edge(size, BANDS, standards.ANGLE, standards.DARK_SIDE, standards.BRIGHT_SIDE)
     scene = Scene("edge", BANDS, cube if across == "rows" else cube.swapaxes(0, 1), NO_ILLUMINANT)
-    return simulate(camera, scene, light, automatic_exposure(camera, light, standards.EXPOSED), Lens(), (0,), noises="none")
+    seconds = automatic_exposure(camera, light, standards.EXPOSED)
+    return simulate(camera, scene, light, seconds, Lens(), (0,), target, noises="none")
 
 
-def _chart(camera: CameraModel, light: Light, planes: PlanesOf) -> dict[str, Any]:
+def _chart(camera: CameraModel, light: Light, target: Target, planes: PlanesOf) -> dict[str, Any]:
     """Return the mean ΔE00 between pictures of a chart, without noise, by cameras that the band of the curves allows and by
     `camera`, all through the pipelines of `camera`."""
     size = standards.SIDE, standards.SIDE
@@ -93,7 +107,7 @@ def _chart(camera: CameraModel, light: Light, planes: PlanesOf) -> dict[str, Any
     scene, seconds = Scene("chart", BANDS, cube, NO_ILLUMINANT), automatic_exposure(camera, light, standards.EXPOSED)
     seen: dict[str, list[NDArray[np.floating]]] = {}
     for each in (camera, *standards.drawn_cameras(camera, np.random.default_rng(0))):
-        frame = simulate(each, scene, light, seconds, Lens(), (0,), noises="none")
+        frame = simulate(each, scene, light, seconds, Lens(), (0,), target, noises="none")
         for name, made in planes(frame).items():
             seen.setdefault(name, []).append(standards.patch_means(made))
     different = {
@@ -103,14 +117,17 @@ def _chart(camera: CameraModel, light: Light, planes: PlanesOf) -> dict[str, Any
     return {"cameras": standards.DRAWN, "delta_e": {name: float(np.mean(each)) for name, each in different.items()}}
 
 
-def _greys(camera: CameraModel, light: Light, outputs: tuple[str, ...], planes: PlanesOf) -> dict[str, Any] | None:
+def _greys(
+    camera: CameraModel, light: Light, target: Target, outputs: tuple[str, ...], planes: PlanesOf
+) -> dict[str, Any] | None:
     """Return signal over noise of greys; None if no channel ever reaches the ratio that is asked for,
     or dark current alone fills its pixels."""
     side, part = (standards.RAW_SIDE,) * 2, np.s_[: standards.GREY_SIDE, : standards.GREY_SIDE]
     camera, channel = dataclasses.replace(camera, rows=side[0], cols=side[1]), camera.channel_map(side)
     cube = np.full((standards.GREY_SIDE, standards.GREY_SIDE, 2), standards.GREY, np.float32)
     scene = Scene("grey", np.array(SHOWN), cube, NO_ILLUMINANT)
-    frame = simulate(camera, scene, light.at(1 / np.pi), standards.EXPOSURE, Lens(diffraction=False), (0,), noises="none")
+    seconds, lens = standards.EXPOSURE, Lens(diffraction=False)
+    frame = simulate(camera, scene, light.at(1 / np.pi), seconds, lens, (0,), target, noises="none")
     if camera.dark_signal(frame.exposure) >= camera.white_level - camera.black_level:
         return None
     noise = standards.GreyNoise.of(camera, frame)
@@ -194,7 +211,7 @@ def document_of(
     def planes(frame: TrainingPair) -> dict[str, NDArray]:
         return evaluation.developed(frame, renderers.of(frame).outputs(raw_of(frame, 0, head.camera)))
 
-    return evaluation.document(by_gain) | {"standards": standard_figures(head.camera, head.outputs, planes)}
+    return evaluation.document(by_gain) | {"standards": standard_figures(head, planes)}
 
 
 GAINS = (1.0, 4.0, 16.0, 64.0)  # analog gains that a table is judged at
