@@ -269,10 +269,15 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     wrong = re.fullmatch(r"(unknown key|Invalid(?: enum)? value) ([`'])(.*)\2", what, re.DOTALL)
     if wrong is None:
         return f"{what} {where}"
-    name = shortened(wrong[3])
-    known = _keys(recipe, table) if wrong[1] == "unknown key" else _values(recipe, table)
-    line = f"{wrong[1]} {wrong[2]}{name}{wrong[2]} {where}"
-    former = {key: now for each in _tables(recipe, table) for key, now in each.former.items()}
+    name, path = shortened(wrong[3]), place(message)
+    # An entry of a list of words has the number of the entry at the end of its path.
+    *outer, key = path if isinstance(path[-1], str) else path[:-1]
+    tables = _tables(recipe, content, tuple(outer))
+    known = _keys(tables) if wrong[1] == "unknown key" else _values(tables, key)
+    tag = tables[0].__struct_config__ if len(tables) == 1 else None
+    kind = f' with {tag.tag_field} = "{tag.tag}"' if tag and tag.tag_field else ""
+    line = f"{wrong[1]} {wrong[2]}{name}{wrong[2]} {where}{kind}"
+    former = {key: now for each in tables for key, now in each.former.items()}
     if wrong[1] == "unknown key" and name in former:
         return f"{line}; write {former[name]}"
     return f"{line}; {suggestion(name, known)}" if known else line
@@ -281,7 +286,7 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
 def place(message: str) -> KeyPath:
     """Return the place that msgspec's message names: of an unknown key there, of a missing one the table without it."""
     what, _, where = message.partition(" - at ")
-    unknown = re.findall("unknown field `(.*)`", what)
+    unknown = re.findall("unknown field `(.*)`", what, re.DOTALL)
     return (*(int(number) if number else key for key, number in re.findall(PART, where)), *unknown)
 
 
@@ -318,17 +323,14 @@ def _with_free_keys(message: str, recipe: type[Recipe], content: Any) -> str:
     return message
 
 
-def _keys(recipe: type[Recipe], table: str) -> tuple[str, ...]:
-    """Return the keys that a table of a recipe, such as "scene[2].lens", may have."""
-    tables = _tables(recipe, table)
+def _keys(tables: Sequence[type[Recipe]]) -> tuple[str, ...]:
+    """Return the keys that a table may have which is one of some structures."""
     tags = [each.__struct_config__.tag_field for each in tables if each.__struct_config__.tag_field]
     return tuple(dict.fromkeys(tags + [field.encode_name for each in tables for field in msgspec.structs.fields(each)]))
 
 
-def _values(recipe: type[Recipe], key: str) -> tuple[str, ...]:
-    """Return the words that a key of a recipe, such as "scene[2].source", may have."""
-    table, _, name = key.rpartition(".")
-    tables = _tables(recipe, table)
+def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
+    """Return the words that the key `name` may have in a table which is one of some structures."""
     words = [str(each.__struct_config__.tag) for each in tables if each.__struct_config__.tag_field == name]
     for each in tables:
         for field in msgspec.structs.fields(each):
@@ -339,12 +341,24 @@ def _values(recipe: type[Recipe], key: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(words))
 
 
-def _tables(recipe: type[Recipe], where: str) -> list[type[Recipe]]:
-    """Return the structures that a table of a recipe may be: several where a tag chooses among them."""
+def _tables(recipe: type[Recipe], content: Any, path: KeyPath) -> list[type[Recipe]]:
+    """Return the structures that the table at `path` of a recipe may be.
+
+    Where a tag such as `source` chooses among several structures, it is the one that the table names. If the table names
+    none of them, all are returned.
+    """
     tables = [recipe]
-    for name in filter(None, re.sub(r"\[[^]]*\]", "", where).split(".")):
-        fields = [field for each in tables for field in msgspec.structs.fields(each) if field.encode_name == name]
-        tables = [table for field in fields for table in tables_in(field.type)]
+    for part in path:
+        if isinstance(part, str):
+            fields = [field for each in tables for field in msgspec.structs.fields(each) if field.encode_name == part]
+            tables = [table for field in fields for table in tables_in(field.type)]
+            content = content.get(part) if isinstance(content, dict) else None
+        else:
+            content = content[part] if isinstance(content, list) else None
+        if isinstance(content, dict):
+            configs = [(each, each.__struct_config__) for each in tables]
+            named = [each for each, config in configs if config.tag_field and content.get(config.tag_field) == config.tag]
+            tables = named or tables
     return tables
 
 

@@ -77,6 +77,8 @@ MISTAKES = """
         camera.h5 is an input; name another output
     1 simulate scenes.toml --camera camera.h5 -o new.h5 --pictures raw.tif
         raw.tif is a file; name a folder
+    2 simulate sized.toml --camera camera.h5 -o new.h5
+        unknown key `size` in [scene[2]] with source = "iset"; there are source, crop, flip
     2 train training.h5 --classes scenes.toml -o new.h5
         scenes.toml is a scene recipe; give a class recipe
     3 train training.h5 --classes camera.h5 -o new.h5
@@ -189,6 +191,8 @@ def desk(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("empty.toml", "empty.h5", "empty.tif"):
         (folder / name).touch()
     (folder / "empty.json").write_text("{}")
+    grey = '[[scene]]\nsource = "grey ramp"\nsize = [32, 48]\n'
+    (folder / "sized.toml").write_text(f'{grey}[[scene]]\nsource = "iset"\nfile = "face.mat"\nsize = [32, 48]\n')
     (folder / "cut.raw").write_bytes(bytes(1001))
     (folder / "folder").mkdir()
     return folder

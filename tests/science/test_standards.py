@@ -69,9 +69,7 @@ def test_least_light_is_that_of_the_closed_form(fiveband: CameraModel) -> None:
 
 @pytest.mark.parametrize("relit", [False, True])
 @pytest.mark.parametrize("name", ["bayer", "fiveband"])
-def test_charts_have_the_outputs_that_are_evaluated(
-    name: str, relit: bool, request: pytest.FixtureRequest
-) -> None:
+def test_charts_have_the_outputs_that_are_evaluated(name: str, relit: bool, request: pytest.FixtureRequest) -> None:
     """Where outputs are the camera's bands, under the light of the frame or another, a baseline develops the edge to its
     target in every band: within 3 % on the mean of the frame."""
     camera: CameraModel = request.getfixturevalue(name)
