@@ -1,6 +1,7 @@
 """Responsivities of a camera recipe: sums of Gaussians, or a CSV file of curves, relative or quantum efficiencies."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -13,7 +14,7 @@ from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Positive, Recipe
 from l3cli.spectra.file import read_table
-from l3cli.spectra.table import CurveTable
+from l3cli.spectra.table import CurveTable, gaps, without_noise
 
 WIDEST_GAP = 20.0  # nm between samples of measured curves
 CUT_OFF = 0.05  # of a channel's peak: a curve that ends higher within the visible was cut off
@@ -109,7 +110,8 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
 def curve_table(declared: ResponsivityRecipe, channels: Sequence[str], folder: Path) -> CurveTable:
     """Return the curves of the channels as the file of a recipe holds them; InputFileError if it does not."""
     assert declared.file is not None
-    return read_table(folder / declared.file).channel_columns(channels, declared.columns)
+    table = read_table(folder / declared.file).channel_columns(channels, declared.columns)
+    return replace(table, values=without_noise(table.values))
 
 
 def _grid(declared: ResponsivityRecipe) -> Array | None:
@@ -123,10 +125,9 @@ def _grid(declared: ResponsivityRecipe) -> Array | None:
 def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[str]) -> None:
     """Raise InputFileError unless the curves of a file are those of a camera over the wavelengths it sees."""
     grid, curves = table.wavelength, table.values
-    gaps = np.diff(grid)
-    at = int(gaps.argmax()) if gaps.size else 0
-    if not gaps.size or gaps[at] > WIDEST_GAP:
-        where = f" between {grid[at]:g} and {grid[at + 1]:g} nm" if gaps.size else ""
+    missing = gaps(grid, curves, WIDEST_GAP)
+    if grid.size < 2 or missing:
+        where = " between {:g} and {:g} nm".format(*missing[0]) if missing else ""
         raise InputFileError(f"{table.path} has a gap{where}; give curves at least every {WIDEST_GAP:g} nm")
     if wavelength is not None and (wavelength[0] >= grid[-1] or wavelength[-1] <= grid[0]):
         raise InputFileError(

@@ -16,7 +16,7 @@ from l3cli.frames.measurement import DIODE, CurveStatistics, FinishedCurves, Swe
 from l3cli.recipes.builtin import recipe_folder
 from l3cli.recipes.toml import LARGEST, Recipe, load_recipe
 from l3cli.spectra.file import other_unit, read_table
-from l3cli.spectra.table import CurveTable
+from l3cli.spectra.table import CurveTable, without_noise
 from l3cli.system.files import write_whole
 from l3cli.system.limits import read_bounded
 
@@ -70,8 +70,8 @@ def read_finished(
 ) -> FinishedCurves:
     """Return finished responsivities from CSV (wavelength in nm, one column a channel, by the name that `columns` gives
     it) or from rawtoaces' JSON."""
-    table = (_read_json(path) if path.suffix == ".json" else read_table(path)).channel_columns(channels, columns)
-    grid, curves = table.wavelength, table.responses(per_energy, "per_energy")
+    table = (_read_json(path) if path.suffix.lower() == ".json" else read_table(path)).channel_columns(channels, columns)
+    grid, curves = table.wavelength, without_noise(table.responses(per_energy, "per_energy"))
     if grid.size < 3 or grid[0] <= 0 or curves.min() < 0 or (curves.max(axis=1) <= 0).any():
         raise InputFileError(f"{path}: curves need three wavelengths or more, no negative value, and light in every channel")
     return FinishedCurves(grid, curves / grid if per_energy else curves, table.note)

@@ -16,14 +16,13 @@ from l3cli.io.measurement_recipe import (
     MonoRecipe,
     PhotoRecipe,
     captures_of,
-    is_table,
     key_faults,
 )
 from l3cli.io.measurements import chart_radiance, curve_of, load_measurements, step_radiance
 from l3cli.physics import charts, spectra
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import KeyPath
-from l3cli.spectra.file import read_table
+from l3cli.spectra.file import names_file, read_table
 from l3cli.system.text import array_lines, counted, seconds_text
 
 
@@ -50,7 +49,7 @@ def _photo_faults(photo: PhotoRecipe, key: KeyPath, source: RecipeSource) -> Ite
     named_chart = functools.partial(charts.chart, wavelength=spectra.SAMPLED)
     for field, name, named in (("light", photo.light, spectra.require_illuminant), ("chart", photo.chart, named_chart)):
         if name is not None:
-            work = (read_table, source.file(name)) if is_table(name) else (named, name)
+            work = (read_table, source.file(name)) if names_file(name) else (named, name)
             yield from source.attempt((*key, field), *work)
 
 

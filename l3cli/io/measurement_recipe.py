@@ -29,7 +29,7 @@ from l3cli.artifacts.camera_recipe import (
 from l3cli.frames.frame import array_rows
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, KeyPath, Positive, Recipe, toml_key, toml_value
-from l3cli.spectra.file import SUFFIXES
+from l3cli.spectra.file import names_file
 from l3cli.system.files import write_whole
 from l3cli.system.limits import MEGAPIXELS, most_pixels
 
@@ -314,13 +314,8 @@ def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
     names += [recipe.sweep.table, recipe.sweep.response.file] if recipe.sweep else []
     names += [recipe.curves.file] if recipe.curves else []
-    names += [name for photo in recipe.photos for name in (photo.light, photo.chart) if name and is_table(name)]
+    names += [name for photo in recipe.photos for name in (photo.light, photo.chart) if name and names_file(name)]
     return list(dict.fromkeys(names))
-
-
-def is_table(name: str) -> bool:
-    """Return whether a light or a chart is named as a file of spectra."""
-    return name.lower().endswith(SUFFIXES)
 
 
 def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: Any) -> MeasurementRecipe:

@@ -59,7 +59,6 @@ from l3cli.io.measurement_recipe import (
     PhotoRecipe,
     SensorCaptureRecipe,
     frame_names,
-    is_table,
     key_faults,
     spectrum_names,
 )
@@ -67,8 +66,8 @@ from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, neutral_of_channels
 from l3cli.physics import charts, spectra
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import parse_recipe, parse_toml, read_text
-from l3cli.spectra.file import read_table
-from l3cli.spectra.table import RELATIVE, CurveTable
+from l3cli.spectra.file import names_file, read_table
+from l3cli.spectra.table import RELATIVE, CurveTable, without_noise
 from l3cli.system.files import sha256, stamp, write_whole
 
 SEEN = (400.0, 700.0)  # nm: what a measured light must cover
@@ -129,13 +128,15 @@ def _light(photo: PhotoRecipe, path: Path) -> tuple[Array, Array]:
     """Return wavelength (nm) and relative photon radiance of the light; of one that is to be guessed an equal one."""
     if photo.light is None:
         return GRID, np.ones_like(GRID)
-    if not is_table(photo.light):
+    if not names_file(photo.light):
         with raised_as(RecipeError, path, RecipeError):
             return GRID, np.asarray(spectra.illuminant(photo.light, GRID), np.float64)
     file = path.parent / photo.light
     table = read_table(file).column(photo.column)
     unit = None if any(table.units) else photo.unit
-    radiance = table.photons(unit, absolute=False)[0]
+    radiance = without_noise(table.photons(unit, absolute=False))[0]
+    if radiance.min() < 0:
+        raise InputFileError(f"{file}: the light is negative by more than noise; subtract the dark spectrum again")
     if table.wavelength[0] > SEEN[0] or table.wavelength[-1] < SEEN[1]:
         raise InputFileError(
             f"{file}: its {table.wavelength[0]:g}…{table.wavelength[-1]:g} nm do not cover {SEEN[0]:g}…{SEEN[1]:g} nm; "
@@ -148,7 +149,7 @@ def _light(photo: PhotoRecipe, path: Path) -> tuple[Array, Array]:
 
 def _chart_of_photo(photo: PhotoRecipe, path: Path) -> Chart:
     rows, cols = photo.layout
-    if is_table(photo.chart):
+    if names_file(photo.chart):
         table = read_table(path.parent / photo.chart)
         shares = table.shares()
         wavelength, name = table.wavelength, Path(photo.chart).stem

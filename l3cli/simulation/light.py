@@ -17,12 +17,12 @@ from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import fit_through
 from l3cli.spectra.file import read_table
+from l3cli.spectra.table import NOISE, gaps
 
 Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # wavelength (sample) nm, values (curve, sample)
 
 SCENE_LIGHT = "scene"  # the name of the light that a scene was measured under
-MEASURED = ".csv"
 WIDEST_GAP = 20.0  # nm between samples of a measured light
 DARK = 0.01  # of a measured light's peak: a light that ends brighter was cut off
 
@@ -104,23 +104,49 @@ def recorded_under(text: str, measured: Mapping[str, Curve], seen: Array) -> Lig
 
 
 def check_measured(curve: Curve, name: str) -> None:
-    """Raise InputFileError if a measured light has gaps, is negative, or ends while it still shines in the visible."""
+    """Raise InputFileError if a measured light has gaps, is negative by more than noise, or ends while it still shines in
+    the visible."""
     wavelength, power = curve[0], curve[1][0]
     if len(curve[1]) != 1:
         raise InputFileError(f"{name} holds {len(curve[1])} curves; give wavelength and power of one light")
-    gap = np.diff(wavelength, append=wavelength[-1]).argmax()
-    if wavelength.size < 2 or wavelength[gap + 1] - wavelength[gap] > WIDEST_GAP:
-        where = f" between {wavelength[gap]:g} and {wavelength[gap + 1]:g} nm" if wavelength.size > 1 else ""
-        raise InputFileError(f"{name} has a gap{where}; measure the light at least every {WIDEST_GAP:g} nm")
-    if power.min() < 0 or power.max() <= 0:
-        raise InputFileError(f"{name} has negative values or no light at all; give its power at each wavelength")
+    if power.max() <= 0:
+        raise InputFileError(f"{name} holds no light at all; give its power at each wavelength")
+    missing = gaps(wavelength, curve[1], WIDEST_GAP)
+    if wavelength.size < 2 or missing:
+        where = " between {:g} and {:g} nm".format(*missing[0]) if missing else ""
+        raise InputFileError(f"{name} has a gap{where}; measure the light at least every {WIDEST_GAP:g} nm where it shines")
+    if power.min() < 0:
+        raise InputFileError(
+            f"{name} is negative at {wavelength[power.argmin()]:g} nm by more than {NOISE:.0%} of its peak; subtract the "
+            "dark spectrum again, and give the power at each wavelength"
+        )
     for end, visible in ((0, wavelength[0] > 420), (-1, wavelength[-1] < 680)):
         if visible and power[end] > DARK * power.max():
             raise InputFileError(f"{name} ends at {wavelength[end]:g} nm where the light still shines; measure 400–700 nm")
 
 
 def read_curve(path: Path, role: str) -> Curve:
-    """Return a CSV file of a scene recipe in its role: light, transmittance or functions; InputFileError if it is none."""
+    """Read a file of spectra that a scene recipe names.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    role : {"light", "transmittance", "functions"}
+        What the recipe names it for.
+
+    Returns
+    -------
+    wavelength : ndarray, (sample)
+        In nm.
+    values : ndarray, (curve, sample)
+        Power of one light; transmittance, 0 to 1, of one filter; or matching functions.
+
+    Raises
+    ------
+    InputFileError
+        If the file does not hold this.
+    """
     table = read_table(path)
     if role == "transmittance":
         return table.wavelength, table.counted(1).shares()
@@ -270,7 +296,7 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
 
 
 def column_names(path: Path) -> tuple[str, ...]:
-    """Return the heading of a CSV file of matching functions, or numbers where it has none."""
+    """Return the names of the columns of a file of matching functions, or numbers where it has none."""
     table = read_table(path)
     unnamed = tuple(f"output {number}" for number in range(1, len(table.values) + 1))
     names = table.names or ()

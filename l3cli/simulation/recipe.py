@@ -16,8 +16,9 @@ from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault, inside
 from l3cli.recipes.toml import CountOrNone, KeyPath, NotNegative, Positive, Recipe
 from l3cli.simulation import sources
-from l3cli.simulation.light import CAMERA, MEASURED, OUTPUTS, SCENE_LIGHT, UNLIT, Curve, mixture, read_curve
+from l3cli.simulation.light import CAMERA, OUTPUTS, SCENE_LIGHT, UNLIT, Curve, mixture, read_curve
 from l3cli.simulation.sensor import noise_plugin, with_analog_gain
+from l3cli.spectra.file import SUFFIXES, names_file
 
 Several = Annotated[list[Positive], msgspec.Meta(min_length=1)]
 EXPOSURES = {"exposure_share": "share", "exposure_saturated": "saturated", "exposure_mean": "mean", "exposure_s": "seconds"}
@@ -65,7 +66,7 @@ class SceneRecipe(Recipe):
 
     scene: list[sources.Source] = msgspec.field(default_factory=list)
     pair: list[Pair] = msgspec.field(default_factory=list)
-    # CIE names, "3200K", "D6000K", CSV files, mixtures "0.7 D65 + 0.3 lamp.csv", or "scene": its own
+    # CIE names, "3200K", "D6000K", files of spectra, mixtures "0.7 D65 + 0.3 lamp.csv", or "scene": its own
     illuminants: Annotated[list[str], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["D65"])
     luminances_cd_m2: Several = msgspec.field(default_factory=lambda: [100.0])  # of a perfect white
     exposure_share: Several | None = None  # automatic: share of full scale that white reaches in its brightest channel
@@ -94,13 +95,13 @@ def recorded_lights(recipe: SceneRecipe) -> list[str]:
 
 
 def curve_files(recipe: SceneRecipe) -> dict[str, str]:
-    """Return every CSV file that the recipe names, relative to it, and its part: light, transmittance or functions."""
+    """Return every file of spectra that the recipe names, and its role: light, transmittance or functions."""
     lights = [*recipe.illuminants, *filter(None, [recipe.target.illuminant])]
     lights += recorded_lights(recipe)
-    curves = {name: "light" for text in lights for _, name in mixture(text) if name.endswith(MEASURED)}
+    curves = {name: "light" for text in lights for _, name in mixture(text) if names_file(name)}
     if isinstance(recipe.lens.transmittance, str):
         curves[recipe.lens.transmittance] = "transmittance"
-    if recipe.target.outputs.endswith(MEASURED):
+    if names_file(recipe.target.outputs):
         curves[recipe.target.outputs] = "functions"
     return curves
 
@@ -150,9 +151,9 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
     if any(map(sources.holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
         message = f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant'
         yield fault(message, "target.outputs", "target.illuminant")
-    if outputs not in (*OUTPUTS, CAMERA) and not outputs.endswith(MEASURED):
+    if outputs not in (*OUTPUTS, CAMERA) and not names_file(outputs):
         known = suggestion(outputs, (*OUTPUTS, CAMERA))
-        yield fault(f'target.outputs "{outputs}" is unknown; {known} (or a CSV file)', "target.outputs")
+        yield fault(f'target.outputs "{outputs}" is unknown; {known} (or a file of spectra)', "target.outputs")
     if outputs == UNLIT and recipe.target.illuminant is not None:
         message = f'target.outputs "{UNLIT}" is the same under every light; leave target.illuminant out'
         yield fault(message, "target.illuminant")
@@ -214,7 +215,7 @@ def curve_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
         yield from _light_faults(text, key, source)
     if isinstance(lens.transmittance, str):
         yield from source.attempt(("lens", "transmittance"), read_curve, source.file(lens.transmittance), "transmittance")
-    if target.outputs.endswith(MEASURED):
+    if names_file(target.outputs):
         yield from source.attempt(("target", "outputs"), read_curve, source.file(target.outputs), "functions")
 
 
@@ -234,7 +235,14 @@ def _light_faults(text: str, key: KeyPath, source: RecipeSource) -> Iterator[Fau
     wrong = list(source.attempt(key, mixture, text))
     yield from wrong
     for _, name in [] if wrong else mixture(text):
-        if name.endswith(MEASURED):
+        if names_file(name):
             yield from source.attempt(key, read_curve, source.file(name), "light")
         else:
-            yield from source.attempt(key, spectra.require_illuminant, name)
+            yield from source.attempt(key, _require_named, name, source.file(name))
+
+
+def _require_named(name: str, path: Path) -> None:
+    """Raise RecipeError if no light has that name; of a file that is there, because of its suffix."""
+    if path.is_file():
+        raise RecipeError(f"{path} is no file of a light by its name; end it in one of {' '.join(SUFFIXES)}")
+    spectra.require_illuminant(name)

@@ -1,11 +1,14 @@
-"""Files of spectra: CSV, as spectrometers, spreadsheets and l3 itself write them, and IES TM-27-14.
+"""Files of spectra: the formats that `read_table` reads (FORMATS), and the reader of text tables among them.
 
-A row of CSV is a wavelength and equally many values. Commas, semicolons, tabs or blanks separate them; between semicolons or
-tabs a comma is a decimal point. A heading, the first line or the last comment (#) before the numbers, names the columns: the
-wavelengths are where it says, other columns are known by their names whatever their order, and units in brackets are
-converted. Without a heading the wavelengths, in nm, come first and the columns are in the order that is asked for. Curves
-digitised from a plot, pairs of X in nm and Y each, are laid on one grid of 1 nm. IES TM-27-14 (Illuminating Engineering
-Society, Standard Format for the Electronic Transfer of Spectral Data) is read through colour-science.
+A text table is CSV, as spectrometers, spreadsheets and l3 itself write it. A row is a wavelength and equally many values.
+Commas, semicolons, tabs or blanks separate them; between semicolons or tabs a comma is a decimal point. A heading, the first
+line or the last comment (#) before the numbers, names the columns: the wavelengths are where it says, other columns are
+known by their names whatever their order, and units in brackets are converted. Without a heading the wavelengths, in nm,
+come first and the columns are in the order that is asked for. Curves digitised from a plot, pairs of X and Y each, are laid
+on one grid of 1 nm.
+
+CGATS and JCAMP-DX files are known by their first line. IES TM-27-14 (Illuminating Engineering Society, Standard Format for
+the Electronic Transfer of Spectral Data) is read through colour-science.
 
 Instruments export text in UTF-8, UTF-16 or that of Western Windows. Before the numbers may stand lines of any text (`Key:
 value`, a marker such as >>>>>Begin Spectral Data<<<<<), of which one is the heading and one may hold the units; behind them
@@ -19,8 +22,8 @@ import csv
 import itertools
 import re
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import ParseError
 
@@ -32,11 +35,13 @@ from l3cli.errors import InputFileError
 from l3cli.physics.spectra import colour_science
 from l3cli.recipes.toml import LARGEST
 from l3cli.spectra import units
-from l3cli.spectra.table import CurveTable
+from l3cli.spectra.cgats import is_cgats, read_cgats
+from l3cli.spectra.jcamp import is_jcamp, read_jcamp
+from l3cli.spectra.table import CurveTable, gaps
 from l3cli.system.limits import read_bounded
 
 CURE = "give a CSV file of spectra"
-MARKER = re.compile(r"^(?:>{3,}|<{3,}|\*{3,}|={3,}|-{3,})")
+MARKER = re.compile(r"^(?:>{3,}|<{3,}|\*{3,}|={3,}|-{3,}|\+{3,})")
 CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that no text of Windows has
 UNIT_KEY = re.compile(
     r"^(?:y[- ]?(?:axis|unit)|(?:spectral |radiometric |measurement )?units?)\b[^:;=,\t]*[:;=,\t]\s*(.+)$", re.I
@@ -44,8 +49,10 @@ UNIT_KEY = re.compile(
 QUALITY = re.compile(r"\d{5}")  # the code before a measurement of Photo Research's instruments
 SIDEWAYS, LIGHT = 10, (150.0, 5000.0)  # wavelengths in a row, and their range in nm, from which on a table lies on its side
 WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl", "wellenlänge")
+JAZ = {"d", "r", "s", "p"}  # columns of Ocean Optics' Jaz beside W: dark, reference, sample, processed result
 SEPARATORS = r"[\s_()\[\]/,]+"
 Cells = list[str]
+DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name, and X in nm and Y of each point
 
 
 @dataclass(frozen=True)
@@ -54,26 +61,35 @@ class TextTable:
 
     heading: Cells | None  # a name for each column
     rows: list[list[float]]  # all of one length
-    pairs: tuple[tuple[str, list[tuple[float, float]]], ...] = ()  # instead of these: of each curve its name, and X and Y
+    pairs: tuple[DigitisedCurve, ...] = ()  # instead of these rows
+    faults: tuple[str, ...] = ()  # of the pairs
 
 
 def read_text_table(path: Path) -> TextTable:
-    """Return the table in a text; InputFileError if there is none, or one with a broken row."""
-    lines = [line.strip(" \r") for line in _text(path).splitlines() if line.strip()]
+    """Return the table in the text of a file; InputFileError if there is none, or one with a broken row."""
+    return _text_table(_text(path), path)
+
+
+def _text_table(text: str, path: Path) -> TextTable:
+    """Return the table in a text, as `read_text_table` does."""
+    lines = [line.strip(" \r") for line in text.splitlines() if line.strip()]
     comments = list(itertools.takewhile(lambda line: line.startswith("#"), lines))
     lines = [line for line in lines if not line.startswith("#")]
     while lines and MARKER.match(lines[-1]):
         lines.pop()
     separator, decimal_comma = _separator(lines)
     cells = _without_last([_split(line, separator) for line in lines], decimal_comma)
-    if pairs := _pairs(cells, decimal_comma, path):
-        return TextTable(None, [], pairs)
+    pairs, faults = _pairs(cells, decimal_comma)
+    if pairs:
+        return TextTable(None, [], pairs, faults)
     cells = _upright(cells, decimal_comma)
     rows, before = _numbers(cells, separator, decimal_comma, path)
     heading = _heading(before, len(rows[0]), decimal_comma, path)
     if heading is None and comments:  # as numpy writes a heading
         names = _split(comments[-1].lstrip("# "), separator)
         heading = names if len(names) == len(rows[0]) and any(map(is_wavelength, names)) else None
+    if heading is not None and heading[0] == "W" and "P" in heading and {*map(str.lower, heading[1:])} <= JAZ:
+        heading = ["nm", *heading[1:]]
     if heading is not None and not any(unit for _, unit in map(units.split, heading)):
         stated = next(filter(None, (_stated_unit(line) for line in lines[: len(before)])), None)
         heading = heading if stated is None else [_with_unit(name, stated) for name in heading]
@@ -176,25 +192,62 @@ def _numbers(
     return [[_number(cell, decimal_comma) for cell in row] for row in rows], before
 
 
-def _pairs(cells: list[Cells], decimal_comma: bool, path: Path) -> tuple[tuple[str, list[tuple[float, float]]], ...]:
-    """Return the curves of a text whose columns are called X, Y, X, Y…; none of others. InputFileError if one is broken."""
-    heads = [[cell.casefold() for cell in row if cell] for row in cells]
-    head = next((number for number, row in enumerate(heads) if row and row == ["x", "y"] * (len(row) // 2)), None)
-    if head is None:
-        return ()
-    count = len(heads[head]) // 2
-    names = cells[head - 1] if head else []
-    curves = []
-    for number in range(count):
-        points = [row[2 * number : 2 * number + 2] for row in cells[head + 1 :]]
-        points = [point for point in points if any(point)]
-        wrong = next((point for point in points if len(point) < 2 or not _all_numbers(point, decimal_comma)), None)
-        if wrong is not None or not points:
-            what = f'"{", ".join(wrong)[:40]}" is' if wrong is not None else "there is"
-            raise InputFileError(f"{path}: {what} no pair of X and Y of curve {number + 1}; digitise it again")
-        name = names[2 * number] if len(names) > 2 * number else ""
-        curves.append((name, [(_number(x, decimal_comma), _number(y, decimal_comma)) for x, y in points]))
-    return tuple(curves)
+def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurve, ...], tuple[str, ...]]:
+    """Return the curves of a text that holds pairs of X and Y, and all that is wrong with them; none of other texts.
+
+    Digitisers write the pairs beside one another, below X, Y, X, Y… and a line of names, or below a wavelength and a name
+    for each curve; or one curve below the other, each with its own heading.
+    """
+    numeric = [_is_number(row[0], decimal_comma) for row in cells]
+    above = [_is_lettered(row) or follows for row, follows in zip(cells, [*numeric[1:], False], strict=True)]
+    heads = [(number, pairs) for number, row in enumerate(cells) if above[number] and (pairs := _pair_heads(row))]
+    lettered = [_is_lettered(cells[number]) for number, _ in heads]
+    if not heads or (len(heads) == 1 and not lettered[0] and len(heads[0][1]) < 2):
+        return (), ()
+    curves: list[DigitisedCurve] = []
+    faults: list[str] = []
+    for which, (number, pairs) in enumerate(heads):
+        end = heads[which + 1][0] if which + 1 < len(heads) else len(cells)
+        rows = cells[number + 1 : end]
+        if which + 1 < len(heads) and lettered[which + 1] and rows and not numeric[end - 1]:
+            rows.pop()  # the names of the next curves
+        names = cells[number - 1] if number and lettered[which] and not numeric[number - 1] else []
+        for place, (x_head, y_head) in enumerate(pairs):
+            name = (names[2 * place] if len(names) > 2 * place else "") if lettered[which] else y_head
+            _, unit = units.split(y_head)
+            if unit and lettered[which]:
+                name = f"{name} ({unit})"
+            label = f"curve {len(curves) + 1}" + (f" ({name})" if name else "")
+            points = [point for row in rows if any(point := row[2 * place : 2 * place + 2])]
+            wrong = [point for point in points if len(point) < 2 or not _all_numbers(point, decimal_comma)]
+            if wrong:
+                more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+                faults.append(f'"{", ".join(wrong[0])[:40]}"{more} of {label} is no pair of X and Y')
+            elif not points:
+                faults.append(f"{label} has no points")
+            scale = units.length_nm(units.split(x_head)[1] or "nm") or 1.0
+            kept = [point for point in points if point not in wrong]
+            curve = [(_number(x, decimal_comma) * scale, _number(y, decimal_comma)) for x, y in kept]
+            curves.append((name, curve))
+    return tuple(curves), tuple(faults)
+
+
+def _pair_heads(row: Cells) -> list[tuple[str, str]]:
+    """Return the headings of X and Y of each curve in a heading of pairs; none of other rows."""
+    cells = [cell for cell in row if cell]
+    pairs = list(zip(cells[::2], cells[1::2], strict=False))
+    if not pairs or len(cells) % 2 or any(not (_is_x(x) and not _is_x(y)) for x, y in pairs):
+        return []
+    return pairs
+
+
+def _is_x(cell: str) -> bool:
+    return units.split(cell)[0].casefold() == "x" or is_wavelength(cell)
+
+
+def _is_lettered(row: Cells) -> bool:
+    """Whether a heading of pairs calls them X and Y, so that names stand above it."""
+    return [units.split(cell)[0].casefold() for cell in row if cell][:2] == ["x", "y"]
 
 
 def _all_numbers(row: Cells, decimal_comma: bool) -> bool:
@@ -283,7 +336,8 @@ def is_wavelength(heading: str) -> bool:
 def _bare(cell: str) -> str | None:
     """Return the unit that a cell holds and nothing else, in brackets or not."""
     inside = cell.strip("[]() ")
-    return inside if inside and (units.parse(inside) is not None or inside.lower() in ("counts", "a.u.")) else None
+    known = units.parse(inside) is not None or units.RAW.fullmatch(inside) or inside.lower() == "a.u."
+    return inside if inside and (known or re.fullmatch(r"% ?\w+", inside)) else None
 
 
 def _with_unit(name: str, unit: str) -> str:
@@ -297,10 +351,10 @@ def _stated_unit(line: str) -> str | None:
     """Return the unit of all values that a line of the preamble states: "Units: µW/cm²/nm"."""
     found = UNIT_KEY.match(line)
     unit = found[1].strip(' ;,\t[]"') if found else ""
-    return unit if unit and units.parse(unit) is not None and units.length_nm(unit) is None else None
+    known = units.RAW.fullmatch(unit) or (units.parse(unit) is not None and units.length_nm(unit) is None)
+    return unit if unit and known else None
 
 
-SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".spdx", ".xml")  # of files that may hold spectra
 MOST_ROWS = 100_000
 WIDEST_GAP = 20.0  # nm between points of a digitised curve
 EDGE = 5.0  # nm from where the first curve begins or the last one ends: others end there with the plot
@@ -317,17 +371,94 @@ SPDX_UNITS = {  # of each quantity that the standard has
     "relative": "relative power",
     "other": None,
 }
+READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # columns in counts beside an instrument's result
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class SpectrumFormat:
+    """A format of files of spectra; docs/own-lab.md shows the table of all."""
+
+    name: str
+    suffixes: tuple[str, ...]  # small letters; case does not count in the names of files
+    holds: str  # what l3 takes from such a file, for the documentation
+    is_of: Callable[[str], bool] | None  # whether a text is of the format; None: known by the suffix alone
+    read: Callable[[str, Path], CurveTable]  # the text of a file, and its name
+
+
 def read_table(path: Path) -> CurveTable:
-    """Return the curves of a file of spectra; InputFileError if it is none, or if its wavelengths are not light's, in nm or
-    as it says."""
+    """Read the curves of a file of spectra, of any of the FORMATS.
+
+    Parameters
+    ----------
+    path : Path
+        The file. Its content tells the format, unless it is XML.
+
+    Returns
+    -------
+    CurveTable
+        Its columns over wavelengths in nm, rising.
+
+    Raises
+    ------
+    InputFileError
+        If the file is of no known format, or its wavelengths are not those of light, in nm or the unit that it states.
+    """
     if path.suffix.lower() in SPDX:
-        return _spdx(path)
-    text = read_text_table(path)
+        return _spdx("", path)
+    text = _text(path)
+    return next(each for each in FORMATS if each.is_of is not None and each.is_of(text)).read(text, path)
+
+
+def names_file(name: str) -> bool:
+    """Whether a light, chart or transmittance is named as a file of spectra: by a suffix of the FORMATS, in any case."""
+    return name.lower().endswith(SUFFIXES)
+
+
+def _cgats(content: str, path: Path) -> CurveTable:
+    """Return the samples of a CGATS file as columns."""
+    spectra = read_cgats(content, path)
+    return _over_wavelengths(path, spectra.wavelength, spectra.values, spectra.names, spectra.unit)
+
+
+def _jcamp(content: str, path: Path) -> CurveTable:
+    """Return the spectrum of a JCAMP-DX file."""
+    return _over_wavelengths(path, *read_jcamp(content, path))
+
+
+def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple[str, ...], unit: str | None) -> CurveTable:
+    """Return curves (column, wavelength) of one unit in rising order of their wavelengths."""
+    _require_light(path, wavelength, values)
+    if other := other_unit(float(wavelength.min()), float(wavelength.max())):
+        raise InputFileError(f"{path}: {other[0]}; export it over nm")
+    order = np.argsort(wavelength)
+    return CurveTable(path, wavelength[order], values[:, order], names, (unit,) * len(values))
+
+
+def _result(table: CurveTable) -> CurveTable:
+    """Return the result of a measurement alone where a file has it beside the readings that it was computed from, such as
+    Avantes' Sample, Dark, Reference in counts and Transmittance in percent."""
+    if table.names is None or len(table.values) < 2:
+        return table
+    plain = [name.strip().lower() for name in table.names]
+    if {"s", "p"} <= set(plain) <= JAZ:
+        results = [plain.index("p")]
+    else:
+        results = [number for number, unit in enumerate(table.units) if unit is None or not units.RAW.fullmatch(unit)]
+        if not all(name in READINGS or number in results for number, name in enumerate(plain)):
+            return table
+    if len(results) != 1:
+        return table
+    at = slice(results[0], results[0] + 1)
+    left_out = tuple(name for number, name in enumerate(table.names) if number != results[0])
+    return replace(table, values=table.values[at], names=table.names[at], units=table.units[at], left_out=left_out)
+
+
+def _text_curves(content: str, path: Path) -> CurveTable:
+    """Return the curves of a text table."""
+    text = _text_table(content, path)
     if text.pairs:
-        return _digitised(text.pairs, path)
+        return _digitised(text.pairs, text.faults, path)
     heading, rows = text.heading, text.rows
     if len(rows) > MOST_ROWS:
         raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm")
@@ -344,36 +475,49 @@ def read_table(path: Path) -> CurveTable:
     if heading is None:
         return CurveTable(path, wavelength, values, None, (None,) * len(values))
     names, column_units = zip(*(units.split(name) for number, name in enumerate(heading) if number != at), strict=True)
-    return CurveTable(path, wavelength, values, names, column_units)
+    return _result(CurveTable(path, wavelength, values, names, column_units))
 
 
-def _digitised(curves: Sequence[tuple[str, Sequence[tuple[float, float]]]], path: Path) -> CurveTable:
-    """Return the curves of points in any order, interpolated every nm; zero beyond their ends, but at the plot's edges."""
-    lines = [np.array(sorted(points)).T for _, points in curves]
+def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Path) -> CurveTable:
+    """Return the curves of points in any order, interpolated every nm; zero beyond their ends, but at the plot's edges.
+    InputFileError names all faults of all curves at once."""
+    wrong = list(faults)
+    lines = [np.array(sorted(points), np.float64).reshape(-1, 2).T for _, points in curves]
     every = np.concatenate([x for x, _ in lines])
-    if other := other_unit(float(every.min()), float(every.max())):
-        raise InputFileError(f"{path}: {other[0]}; give X in nm")
-    if not (all((np.abs(line) <= LARGEST).all() for line in lines) and every.max() <= LONGEST):
-        raise InputFileError(f"{path}: X must lie within 0…{LONGEST} nm and every Y be a number within ±{LARGEST:g}")
-    grid = np.arange(np.ceil(every.min()), np.floor(every.max()) + 1.0)
+    if every.size and (other := other_unit(float(every.min()), float(every.max()))):
+        wrong.append(f"{other[0]}; give X in nm")
+    elif not all((np.abs(line) <= LARGEST).all() for line in lines) or every.max(initial=0.0) > LONGEST:
+        wrong.append(f"X must lie within 0…{LONGEST} nm and every Y be a number within ±{LARGEST:g}")
+    elif every.size:
+        grid = np.arange(np.ceil(every.min()), np.floor(every.max()) + 1.0)
+        wrong += [fault for (name, _), line in zip(curves, lines, strict=True) for fault in _curve_faults(name, line, grid)]
+    if wrong or not every.size:
+        raise InputFileError(f"{path}: {'; '.join(wrong)}; digitise {'it' if len(curves) == 1 else 'them'} again")
     values = []
-    for (name, _), (x, y) in zip(curves, lines, strict=True):
-        gaps, peak = np.diff(x), y.max()
-        if not gaps.size or gaps.max() > WIDEST_GAP:
-            where = f" between {x[gaps.argmax()]:g} and {x[gaps.argmax() + 1]:g} nm" if gaps.size else ""
-            raise InputFileError(f'{path}: "{name}" has a gap{where}; digitise it at least every {WIDEST_GAP:g} nm')
-        for end, inside in ((0, x[0] > grid[0] + EDGE), (-1, x[-1] < grid[-1] - EDGE)):
-            if inside and y[end] > FOOT * peak:
-                share = f"{y[end] / peak:.0%} of its peak"
-                raise InputFileError(f'{path}: "{name}" ends at {x[end]:g} nm, at {share}; digitise it down to its foot')
-        y = np.where((y < 0) & (y >= -JITTER * peak), 0.0, y)
+    for x, y in lines:
+        y = np.where((y < 0) & (y >= -JITTER * y.max()), 0.0, y)
         left, right = (y[0] if x[0] <= grid[0] + EDGE else 0.0), (y[-1] if x[-1] >= grid[-1] - EDGE else 0.0)
         values.append(np.interp(grid, x, y, left, right))
     names, column_units = zip(*(units.split(name) for name, _ in curves), strict=True)
     return CurveTable(path, grid, np.array(values), names if any(names) else None, column_units)
 
 
-def _spdx(path: Path) -> CurveTable:
+def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
+    """Yield what is wrong with a digitised curve, X and Y, of a plot that shows a `grid` of wavelengths."""
+    x, y = line
+    if x.size < 2:
+        if x.size:
+            yield f'"{name}" has one point'
+        return
+    peak = float(y.max())
+    for first, last in gaps(x, y[None], WIDEST_GAP):
+        yield f'"{name}" has a gap between {first:g} and {last:g} nm, where {WIDEST_GAP:g} nm are the most'
+    for end, inside in ((0, x[0] > grid[0] + EDGE), (-1, x[-1] < grid[-1] - EDGE)):
+        if inside and y[end] > FOOT * peak:
+            yield f'"{name}" ends at {x[end]:g} nm, at {y[end] / peak:.0%} of its peak, before its foot'
+
+
+def _spdx(_: str, path: Path) -> CurveTable:
     """Return the spectrum of an IES TM-27-14 file, in the unit of its quantity; InputFileError if it holds none."""
     read_bounded(path, CURE)
     colour = colour_science()
@@ -420,3 +564,37 @@ def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float |
     if not scales and re.search(r"[(\[/]", heading[named[0]]):
         raise InputFileError(f'{path}: "{heading[named[0]][:40]}" has no unit of wavelength; give nm, um or A')
     return named[0], scales[0] if scales else None
+
+
+FORMATS = (
+    SpectrumFormat("IES TM-27", SPDX, "one spectrum, in the unit of its quantity", None, _spdx),
+    SpectrumFormat(
+        "CGATS.17, ArgyllCMS",
+        (".sp", ".ti3", ".cie", ".ccss", ".cgats"),
+        "lights, reflectances and charts: fields SPEC_380, SPECTRAL_NM380, nm380; a column a sample",
+        is_cgats,
+        _cgats,
+    ),
+    SpectrumFormat(
+        "JCAMP-DX",
+        (".jdx", ".dx", ".jcamp"),
+        "one spectrum over nm, µm or Å, packed (ASDF) or not; of SpectraSuite's blocks the processed spectrum",
+        is_jcamp,
+        _jcamp,
+    ),
+    SpectrumFormat(
+        "text table",
+        (".csv", ".tsv", ".txt", ".dat", ".asc", ".spd", ".irr", ".trm", ".trt", ".ttt", ".jaz", ".jazirrad"),
+        "a row a wavelength, or a row a spectrum: spreadsheets, CIE data, WebPlotDigitizer, Ocean Optics (SpectraSuite, "
+        "OceanView, Jaz), Avantes, StellarNet, Konica Minolta, Photo Research",
+        lambda _: True,
+        _text_curves,
+    ),
+)
+SUFFIXES = tuple(suffix for each in FORMATS for suffix in each.suffixes)
+
+
+def formats_table() -> str:
+    """Return the FORMATS as a Markdown table, as docs/own-lab.md shows it."""
+    rows = [f"| {each.name} | {' '.join(f'`{suffix}`' for suffix in each.suffixes)} | {each.holds} |" for each in FORMATS]
+    return "\n".join(["| format | file names | holds |", "|---|---|---|", *rows])

@@ -16,6 +16,9 @@ from l3cli.spectra import units
 DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm: no pixel sees less, no lamp gives more
 RELATIVE = ("relative", "relative photons", "relative power")  # units of radiances whose scale is not known
 AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}
+VISIBLE = 400.0, 700.0  # nm
+DARK, DARK_OUTSIDE = 0.01, 0.05  # of its peak: a curve below it is dark, within the visible and outside
+NOISE = 0.01  # of a curve's peak: so far below zero lies the dark noise of spectrometers at most
 ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # eV nm: energy of a photon × wavelength
 Array = NDArray[np.float64]
 
@@ -155,15 +158,25 @@ class CurveTable:
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
-            if heading is not None and unit is None and heading not in units.PLAIN:
-                raise InputFileError(f'{self.path}: "{heading}" is not a unit of power per nm; give "W/nm", or photons')
+            if heading is not None and heading not in units.PLAIN and not _is_power(unit):
+                raw = units.RAW.fullmatch(heading) is not None
+                why = ", it holds the response of the instrument" if raw else ""
+                raise InputFileError(f'{self.path}: "{heading}" is not a unit of power per nm{why}; give "W/nm", or photons')
             photons = unit is not None and "photon" in unit.powers
             rows.append(values / self.wavelength if photons else values)
-        return np.array(rows)
+        return without_noise(np.array(rows))
 
     def shares(self) -> Array:
-        """Return the columns as shares, 0…1; InputFileError if they are none, which a heading "(%)" converts."""
+        """Return the columns as shares, 0…1; InputFileError if they are none, which a heading "(%)" converts. Values that
+        noise brings beyond 0 or 1 are cut off."""
+        for heading in filter(None, self.units):
+            unit = units.parse(heading)
+            if heading not in (*units.PLAIN, *units.SHARES) and (unit is None or unit.powers):
+                raise InputFileError(
+                    f'{self.path}: "{heading}" is not a fraction of light; give fractions, or percent as "(%)"'
+                )
         shares = self.values * np.array([[_share(heading)] for heading in self.units])
+        shares = np.where((shares >= -NOISE) & (shares <= 1 + NOISE), shares.clip(0, 1), shares)
         if shares.min() < 0 or shares.max() > 1:
             percent = '; if they are percent, write "(%)" after the column\'s name' if 1 < shares.max() <= 100 else ""
             raise InputFileError(
@@ -214,6 +227,55 @@ class CurveTable:
             unit = units.parse(heading) if heading is not None else None
             rows.append(values * self.wavelength if unit is not None and _energy_response(unit) is False else values)
         return np.array(rows)
+
+
+def without_noise(curves: Array) -> Array:
+    """Set values below zero to zero where they are within the NOISE of a spectrometer.
+
+    Parameters
+    ----------
+    curves : ndarray, (curve, wavelength)
+        Spectra or responses that cannot be negative.
+
+    Returns
+    -------
+    ndarray, (curve, wavelength)
+        The same; values that are further below zero stay, for the caller to refuse.
+    """
+    least = -NOISE * curves.max(axis=1, keepdims=True)
+    return np.where((curves < 0) & (curves >= least), 0.0, curves)
+
+
+def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest: float) -> list[tuple[float, float]]:
+    """Return the steps in which a curve is not known: wider than `widest` (nm), unless all curves are dark at both ends.
+
+    Dark is below 1 % of the peak, and below 5 % where the step lies outside of 400 to 700 nm.
+
+    Parameters
+    ----------
+    wavelength : ndarray, (wavelength)
+        In nm, rising.
+    curves : ndarray, (curve, wavelength)
+        Spectra or responses over them.
+    widest : float
+        Widest step in nm over which a curve may be interpolated.
+
+    Returns
+    -------
+    list of (float, float)
+        First and last wavelength of each gap, in nm.
+    """
+    peaks = curves.max(axis=1, keepdims=True)
+    relative = (curves / np.where(peaks > 0, peaks, 1.0)).max(axis=0)
+    visible = (wavelength[1:] > VISIBLE[0]) & (wavelength[:-1] < VISIBLE[1])
+    lit = np.maximum(relative[1:], relative[:-1]) > np.where(visible, DARK, DARK_OUTSIDE)
+    at = np.flatnonzero((np.diff(wavelength) > widest) & lit)
+    return [(float(wavelength[place]), float(wavelength[place + 1])) for place in at]
+
+
+def _is_power(unit: units.Unit | None) -> bool:
+    """Whether values in a unit are proportional to power or to photons, or a relative power in percent."""
+    return unit is not None and (not unit.powers or unit.powers.get("J") == 1 or unit.powers.get("photon") == 1)
 
 
 def _share(heading: str | None) -> float:

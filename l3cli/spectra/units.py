@@ -33,6 +33,10 @@ SPELLINGS = {
     "−": "-",
 }
 TOKEN = re.compile(r"\s*(?:(?P<name>e-(?!\d)|[A-Za-z]+|%|(?<![\w^])1(?!\d))|(?P<power>\^?-?\d)|(?P<sign>[()/]))\s*")
+# Readings of an instrument, in which its own response is.
+RAW = re.compile(r"(?:counts?|cts|adu|dn|dbm?|[mu]?v)(?:/(?:s|ms|us|nm))?", re.I)
+RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # such a unit behind a name, without brackets
+SHARES = ("reflectance", "transmittance")  # units of fractions of light, 0…1, that are no light themselves
 PLAIN = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # said of numbers without a unit
 LONGEST = 80  # characters of a unit's name
 PHOTON_RADIANCE, POWER_RADIANCE = "photons/s/sr/m²/nm", "W/(sr m² nm)"
@@ -115,7 +119,8 @@ def split(heading: str) -> tuple[str, str | None]:
     if heading.endswith(" %"):
         return heading[:-2].strip(), "%"
     if heading[-1:] not in (")", "]"):
-        return heading, None
+        raw = RAW_LAST.search(heading)
+        return heading, raw[1] if raw else None
     opening, closing = ("(", ")") if heading[-1] == ")" else ("[", "]")
     depth, at = 0, len(heading)
     while at > 0:
@@ -124,6 +129,6 @@ def split(heading: str) -> tuple[str, str | None]:
         if depth == 0:
             break
     inside = heading[at + 1 : -1].strip()
-    if inside and (inside in PLAIN or parse(inside) or re.search(r"/|\bper\b|\^|⁻", inside)):
+    if inside and (inside in PLAIN or parse(inside) or RAW.fullmatch(inside) or re.search(r"/|\bper\b|\^|⁻", inside)):
         return heading[:at].strip(), inside
     return heading, None

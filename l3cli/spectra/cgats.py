@@ -1,0 +1,167 @@
+"""CGATS.17 text files with spectra: ArgyllCMS .sp, .ti3, .cie and .ccss, and exports of chart-reading programs.
+
+A file holds one or more tables. A table has keywords (`KEYWORD "value"`), the names of its fields between BEGIN_DATA_FORMAT
+and END_DATA_FORMAT, and a row for each sample between BEGIN_DATA and END_DATA. A spectrum is a run of fields that are called
+by their wavelength: SPEC_380 (ArgyllCMS), SPECTRAL_NM380, nm380, R_380. ArgyllCMS rounds these names to whole nanometres and
+states the exact grid in SPECTRAL_BANDS, SPECTRAL_START_NM and SPECTRAL_END_NM. The value that stands for 1 is SPECTRAL_NORM.
+
+References: ANSI CGATS.17; ArgyllCMS documentation, "File formats".
+"""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError
+
+FIRST_LINE = re.compile(r"\s*(?:CGATS|SPECT\s|CTI[1-4]|CCSS|CIE\b|CMF\b|ISO28178|IT8|NUMBER_OF_FIELDS|BEGIN_DATA)", re.I)
+TOKEN = re.compile(r'"((?:[^"]|"")*)"|([^\s"]+)')
+COMMENT = re.compile(r'^((?:[^"#]|"[^"]*")*)#.*$')
+BAND = re.compile(r"^(?:(?:SPEC|SPECTRAL|R|NM)_?)?(?:NM_?)?(\d{3,4}(?:\.\d+)?)(?:_?NM)?$", re.I)
+NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # of samples, the first that is there counts
+PERCENT_ABOVE = 2.0  # no surface reflects twice the light that falls on it: larger values are percent
+KINDS = {"REFLECTIVE": "reflectance", "TRANSMISSIVE": "transmittance"}  # MEAS_TYPE → unit; others are lights
+
+
+@dataclass
+class CgatsTable:
+    """One table of a CGATS file."""
+
+    keywords: dict[str, str] = field(default_factory=dict)
+    fields: list[str] = field(default_factory=list)
+    rows: list[list[str]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Spectra of the samples of a file."""
+
+    wavelength: NDArray[np.float64]  # (wavelength) nm
+    values: NDArray[np.float64]  # (sample, wavelength)
+    names: tuple[str, ...]
+    unit: str | None  # of all samples, if the file says it
+
+
+def is_cgats(text: str) -> bool:
+    """Whether a text is a CGATS file by its first line and its markers."""
+    return FIRST_LINE.match(text) is not None and re.search(r"^\s*BEGIN_DATA\b", text, re.M | re.I) is not None
+
+
+def read_cgats(text: str, path: Path) -> Spectra:
+    """Read the spectra of a CGATS file.
+
+    Parameters
+    ----------
+    text : str
+        Content of the file.
+    path : Path
+        Its name, for messages.
+
+    Returns
+    -------
+    Spectra
+        One spectrum per sample of the first table that has spectra.
+
+    Raises
+    ------
+    InputFileError
+        If no table has spectra, a row is broken, or the stated grid contradicts the fields.
+    """
+    tables = _tables(text, path)
+    for table in tables:
+        if _bands(table) or "SPECTRAL_BANDS" in table.keywords or "SPECTRAL_NM" in map(str.upper, table.fields):
+            return _spectra(table, text.split(None, 1)[0].upper(), path)
+    fields = " ".join(dict.fromkeys(name for table in tables for name in table.fields))
+    raise InputFileError(
+        f"{path}: holds {fields[:60] or 'no data'} and no spectra; export spectral data, in fields such as SPEC_380"
+    )
+
+
+def _tables(text: str, path: Path) -> list[CgatsTable]:
+    """Split a file into its tables."""
+    tables, inside = [CgatsTable()], ""
+    for line in text.splitlines():
+        plain = COMMENT.sub(r"\1", line)
+        tokens = _tokens(plain)
+        if not tokens:
+            continue
+        word, table = tokens[0].upper(), tables[-1]
+        if word in ("BEGIN_DATA_FORMAT", "BEGIN_DATA"):
+            if word == "BEGIN_DATA_FORMAT" and table.rows:
+                tables.append(CgatsTable(dict(table.keywords)))
+            inside = word
+        elif word in ("END_DATA_FORMAT", "END_DATA"):
+            inside = ""
+        elif inside == "BEGIN_DATA_FORMAT":
+            table.fields += tokens
+        elif inside == "BEGIN_DATA":
+            by_tab = [cell.strip().strip('"') for cell in plain.strip("\r\n").split("\t")]
+            table.rows.append(by_tab if len(by_tab) == len(table.fields) else tokens)
+        elif len(tokens) > 1 and word != "KEYWORD":
+            table.keywords[word] = tokens[1]
+    for table in tables:
+        width = len(table.fields)
+        if width and any(len(row) != width for row in table.rows):  # rows may be broken into lines
+            cells = [cell for row in table.rows for cell in row]
+            if len(cells) % width:
+                number = next(number for number, row in enumerate(table.rows, 1) if len(row) != width)
+                raise InputFileError(f"{path}: row {number} has {len(table.rows[number - 1])} values for {width} fields")
+            table.rows = [cells[at : at + width] for at in range(0, len(cells), width)]
+    return tables
+
+
+def _tokens(line: str) -> list[str]:
+    return [quoted.replace('""', '"') if quoted or not plain else plain for quoted, plain in TOKEN.findall(line)]
+
+
+def _bands(table: CgatsTable) -> list[tuple[int, float]]:
+    """Return the place and wavelength of each spectral field."""
+    found = [(place, BAND.match(name)) for place, name in enumerate(table.fields)]
+    return [(place, float(match[1])) for place, match in found if match]
+
+
+def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
+    upper = [name.upper() for name in table.fields]
+    kind = KINDS.get(table.keywords.get("MEAS_TYPE", "").upper())
+    if kind is None and identifier.startswith("CTI") and table.keywords.get("DEVICE_CLASS", "OUTPUT").upper() != "DISPLAY":
+        kind = "reflectance"
+    norm = 100.0 if identifier.startswith("CTI") else None
+    try:
+        if "SPECTRAL_NM" in upper:  # pairs of wavelength and value
+            at = [place for place, name in enumerate(upper) if name == "SPECTRAL_NM"]
+            wavelength = np.array([float(table.rows[0][place]) for place in at])
+            places = [place + 1 for place in at]
+            norm = 100.0 if upper[places[0]] == "SPECTRAL_PCT" else None
+        else:
+            bands = _bands(table)
+            places = [place for place, _ in bands] or list(range(len(table.rows[0])))
+            wavelength = _grid(table, [nm for _, nm in bands], len(places), path)
+        values = np.array([[float(row[place]) for place in places] for row in table.rows])
+        norm = float(table.keywords.get("SPECTRAL_NORM", norm or 1.0)) if norm or "SPECTRAL_NORM" in table.keywords else None
+    except (ValueError, IndexError) as error:
+        raise InputFileError(f"{path}: its data are no rows of numbers ({error})") from error
+    if norm is None and kind is None and values.max() > PERCENT_ABOVE:
+        unit: str | None = "%"
+    else:
+        values, unit = values / (norm or 1.0), kind
+    label = next((name for name in NAMES if name in upper), None)
+    names = [row[upper.index(label)] if label else path.stem for row in table.rows]
+    return Spectra(wavelength, values, tuple(names), unit)
+
+
+def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDArray[np.float64]:
+    """Return the wavelengths in nm: the grid that the keywords state, or that of the names of the fields."""
+    keys = ("SPECTRAL_BANDS", "SPECTRAL_START_NM", "SPECTRAL_END_NM")
+    if not all(key in table.keywords for key in keys):
+        return np.array(named)
+    bands, first, last = (float(table.keywords[key]) for key in keys)
+    grid = np.linspace(first, last, count)
+    if bands != count or (named and np.abs(grid - named).max() > 1.0):
+        raise InputFileError(
+            f"{path}: states {bands:g} bands of {first:g}…{last:g} nm, and its fields are {count} bands of "
+            f"{named[0] if named else first:g}…{named[-1] if named else last:g} nm; export it again"
+        )
+    return grid
