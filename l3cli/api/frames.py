@@ -38,16 +38,20 @@ def read_raw(
     path: Name, sensor: TransformTable | CameraModel, *, black_level: float | None = None, white_level: float | None = None,
     phase: tuple[int, int] | None = None, size: tuple[int, int] | None = None, packing: str | None = None,
     stride: int | None = None, exposure: float | None = None, gain: float | None = None, camera: CameraModel | None = None,
+    skip: int = 0, byte_order: str | None = None,
 ) -> RawFrame:  # fmt: skip
     """Return the raw frame in a file of any format that `l3 render` reads, `values` (row, col) in DN.
 
     `black_level`, `white_level` (DN), `phase` (CFA row and column of the first pixel), `exposure` (s), `gain` (analog, over
-    the camera's): in place of what the file states; `size` (rows, columns), `packing`, `stride` (bytes): of headerless
-    files. `camera`: model whose defects and flat field are corrected. InputFileError if it cannot be read, or has another
-    CFA than the `sensor`.
+    the camera's): in place of what the file states; `size` (rows, columns), `packing`, `stride` (bytes), `skip` (bytes
+    before the frame), `byte_order` ("little", "big"): of headerless files. `camera`: model whose defects and flat field are
+    corrected. InputFileError if it cannot be read, or has another CFA than the `sensor`.
     """
     correction = None if camera is None else correction_of(camera)
-    known = RawOverrides(black_level, white_level, phase, size, packing, stride, exposure, gain, correction=correction)
+    known = RawOverrides(
+        black_level, white_level, phase, size, packing, stride, exposure, gain, correction=correction, skip=skip,
+        byte_order=byte_order,
+    )  # fmt: skip
     return read_raw_file(Path(path), sensor, known)
 
 

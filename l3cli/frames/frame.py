@@ -61,6 +61,7 @@ class RawFrame:
     noise_left: NoiseLeft | None = None  # the same cell by cell; None: nowhere
     notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does
     exchangeable: bool = False  # whether its file does not say how many rows and columns it has, and both fit exchanged, too
+    misread: str = ""  # option by which the bytes of its file become a picture, where these values look like noise
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:

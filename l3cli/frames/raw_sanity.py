@@ -6,7 +6,7 @@ array, only the signals of a grey, which many files state, tell them apart: the 
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,8 @@ BETTER = 0.4  # of the stated phase's figure, if another leaves no more, the arr
 ALIKE = 1.5  # times the least figure: phases that leave about as little
 DARKEST = 0.1  # percentile of the values of a channel: about black in most pictures
 LEAST_BLACK, HIGHEST_BLACK = 1 / 64, 1 / 6  # of the white level: where black levels of real cameras lie
+ROUGH, SMOOTHER = 0.01, 3.0  # of full scale: least roughness of a misread frame; times as rough as a frame read rightly
+MOST_BANDS = 32  # of a frame, of two super-pixels' rows, that roughness is measured on
 Phase = tuple[int, int]
 
 
@@ -113,3 +115,62 @@ def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
         return None
     ratios = [np.ptp(each) / each.mean() for each in (darkest, usual)]
     return float(darkest.mean()) if ratios[0] <= BETTER * ratios[1] else None
+
+
+# ------------------------------------------------------------------------------------- bytes read in a wrong way
+
+
+def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cfa: NDArray[np.uint8]) -> str:
+    """Return the name of the reading of a frame's bytes that is far smoother than the first one; "" if none is.
+
+    Low bits that are taken for high ones make neighbours of one channel differ by much of full scale. A wrong reading can
+    only add such differences, to flat, dark and noisy frames, too.
+
+    Parameters
+    ----------
+    readings : iterable of (str, ndarray of uint16 (row, col), int)
+        Name, pixels and bits of each way to read the same bytes, first the one that was taken. The others are looked at
+        only if that one is rough.
+    cfa : ndarray of uint8, (row, col)
+        Channels of the colour filter array from the first pixel on.
+    """
+    each = iter(readings)
+    _, values, bits = next(each)
+    rough = roughness(values, bits, cfa)
+    if rough < ROUGH:
+        return ""
+    # Where one byte of all 16-bit words is empty, exchanged bytes always look smoother, and tell nothing.
+    found = [(roughness(other, bits, cfa), name) for name, other, bits in each if bits < 16 or other.max() >= 256]
+    least, name = min(found, default=(rough, ""))
+    return name if least * SMOOTHER < rough else ""
+
+
+def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> float:
+    """Return the mean difference between nearest pixels of one channel as a fraction of full scale; 0 of a frame that is
+    smaller than two super-pixels."""
+    rows, cols = cfa.shape
+    bands = len(values) // rows - 1
+    if bands < 1 or values.shape[1] < 2 * cols:
+        return 0.0
+    starts = np.unique(np.linspace(0, bands - 1, min(bands, MOST_BANDS)).astype(int)) * rows
+    taken = values[starts[:, None] + np.arange(2 * rows)].astype(np.int32)  # (band, row, col)
+    differences = []
+    for row, col in np.ndindex(rows, cols):
+        down, right = _nearest_of_channel(cfa, row, col)
+        start = col if col + right >= 0 else col + cols
+        first, second = taken[:, row, start::cols], taken[:, row + down, start + right :: cols]
+        length = min(first.shape[1], second.shape[1])
+        differences.append(np.abs(first[:, :length] - second[:, :length]).mean())
+    return float(np.mean(differences)) / 2**bits
+
+
+def _nearest_of_channel(cfa: NDArray[np.uint8], row: int, col: int) -> Phase:
+    """Return how far down and right of a site the nearest other one of its channel lies; never up."""
+    rows, cols = cfa.shape
+    steps = [
+        (down, right)
+        for down in range(rows + 1)
+        for right in range(-cols, cols + 1)
+        if (down or right > 0) and cfa[(row + down) % rows, (col + right) % cols] == cfa[row, col]
+    ]
+    return min(steps, key=lambda step: (step[0] ** 2 + step[1] ** 2, step))

@@ -6,7 +6,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
-from l3cli.errors import RecipeError, shortened
+from l3cli.errors import RecipeError, shortened, suggestion
+from l3cli.frames.packings import PACKINGS, packing_named
 from l3cli.options.option import (
     LEVEL,
     PAIR,
@@ -97,6 +98,16 @@ class Rate(Reader):
         return storable_rate(rate)
 
 
+class PackingName(Reader):
+    """Name of a packing, in upper or lower case."""
+
+    def read(self, given: Any) -> str:
+        packing = packing_named(str(given))
+        if packing is None:
+            raise ValueError(f'"{shortened(str(given))}" is unknown; {suggestion(str(given), PACKINGS)}')
+        return packing.name
+
+
 PIXELS = Number(1, 1_000_000, "pixels", whole=True)
 
 
@@ -181,8 +192,21 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     size: Given[PAIR | str | None, PAIR | None] = option(
         None, "Pixels of headerless inputs [default: the table's].", Pair("ROWSxCOLS", "x", PIXELS), metavar="ROWSxCOLS"
     )
-    packing: Literal["u16", "raw10", "raw12"] | None = option(
-        None, "Packing of headerless inputs: 16 bits, or MIPI [default: .raw10 and .raw12 MIPI, else u16]."
+    packing: str | None = option(
+        None,
+        "Packing of headerless inputs: u16, u8, MIPI's raw10 and raw12, or a PFNC name such as Mono10p, Mono12Packed, "
+        "BayerRG8, whose array is checked [default: .raw10 and .raw12 MIPI, else u16].",
+        PackingName(),
+        metavar="NAME",
+    )
+    byte_order: Literal["little", "big"] | None = option(
+        None, "Byte order of 16-bit values of headerless inputs [default: little]."
+    )
+    skip: int = option(
+        0,
+        "Bytes before the first frame of headerless inputs, such as a header.",
+        Number(0, 10**12, "bytes", whole=True),
+        metavar="BYTES",
     )
     stride: int | None = option(
         None, "Bytes from row to row [default: no padding].", Number(1, 100_000_000, "bytes", whole=True), metavar="BYTES"

@@ -57,8 +57,10 @@ class FrameWarnings:
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
-        of_camera = other_camera(frame, self.table), other_phase(frame, self.table), other_gain(frame, self.table)
-        for text in (*of_camera, *value_warnings(frame, self.table)):
+        of_camera = other_camera(frame, self.table), other_gain(frame, self.table)
+        misread = _misread(frame)  # then the values tell nothing else
+        of_values = (misread,) if misread else (other_phase(frame, self.table), *value_warnings(frame, self.table))
+        for text in (*of_camera, *of_values):
             self._note(text, frame.name)
         for note in frame.notes:
             self._notes.setdefault(note, frame.name)
@@ -148,6 +150,13 @@ def other_phase(frame: RawFrame, table: TransformTable) -> str:
     )
 
 
+def _misread(frame: RawFrame) -> str:
+    """Return a warning of values that look like noise and, with another packing or byte order, do not; else ""."""
+    if not frame.misread:
+        return ""
+    return f"its pixels look like noise, neighbours of one channel are unrelated; with {frame.misread} they are not"
+
+
 def other_gain(frame: RawFrame, table: TransformTable) -> str:
     """Return a warning of an analog gain at which noise is not known, or too large for the levels; else ""."""
     if frame.gain == 1:
@@ -195,7 +204,10 @@ def _too_high(frame: RawFrame, bits: int, top: int) -> str:
     every, most = int(np.bitwise_or.reduce(frame.values, axis=None)), 2**bits - 1
     step = every & -every
     if 0 < every & 0xFF <= most >> 8 and bits < 16:
-        return f"the bytes of its values are exchanged: no low byte is above {every & 0xFF}; give them lower byte first"
+        return (
+            f"the bytes of its values are exchanged: no low byte is above {every & 0xFF}; give them lower byte first, or "
+            "‹byte_order› big of a headerless file"
+        )
     if step >= 4 and top // step <= most:
         return (
             f"all its values are multiples of {step} and reach {top}, its white level is {frame.white_level:g} DN: they are "

@@ -1,5 +1,6 @@
 """Raw files of the field: packed dumps, graymaps, FITS."""
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
@@ -11,55 +12,180 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.frames.packings import PACKINGS
+from l3cli.frames.raw_sanity import smoother_reading
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image
 from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.io.raw.fits import INSTALL
-from l3cli.io.raw.headerless import PACKED, PACKINGS, make_layout, row_bytes
+from l3cli.io.raw.headerless import content_of, make_layout
 from l3cli.io.sequences import find_frames
 from tests.helpers.calls import L3, Refused
+from tests.helpers.cameras import FIVE_BAND
 from tests.helpers.raw_files import RGGB
+from tests.helpers.tables import random_table
 
 # ------------------------------------------------------------------------------------------------------ packed dumps
 
 
+def packed_bits(values: list[int], packing: str) -> str:
+    """The bits of pixels in the order in which a stream fills bytes: of "p" each byte from its lowest bit on, else from its
+    highest."""
+    bits = int("".join(filter(str.isdigit, packing)))
+    written = [f"{value:0{bits}b}" for value in values]
+    return "".join(each[::-1] if packing.endswith("p") else each for each in written)
+
+
+def pack_line(values: list[int], packing: str) -> bytes:
+    """Pixels that follow one another, by the descriptions of MIPI CSI-2, PFNC and GigE Vision."""
+    if packing.endswith(("p", "pmsb")):
+        stream = packed_bits(values, packing)
+        parts = [stream[start : start + 8].ljust(8, "0") for start in range(0, len(stream), 8)]
+        return bytes(int(part[::-1] if packing.endswith("p") else part, 2) for part in parts)
+    if packing.startswith("raw") or packing.endswith("Packed"):
+        bits, pixels = (10, 4) if packing == "raw10" else (12 if "12" in packing else 10, 2)
+        low, line = bits - 8, b""
+        for start in range(0, len(values), pixels):
+            group = [*values[start : start + pixels], *[0] * pixels][:pixels]
+            apart = low if packing.startswith("raw") else 4
+            lower = sum((value & (2**low - 1)) << apart * place for place, value in enumerate(group))
+            upper = [value >> low for value in group]
+            line += bytes([*upper, lower] if packing.startswith("raw") else [upper[0], lower, upper[1]])
+        return line if packing.startswith("raw") else line[: -(-len(values) * 12 // 8)]
+    return np.array(values, "u1" if packing.endswith("8") else "<u2").tobytes()
+
+
 def pack(values: np.ndarray, packing: str, stride: int | None = None) -> bytes:
-    """As MIPI CSI-2 describes it, pixel by pixel."""
-    if packing == "u16":
-        lines = [row.astype("<u2").tobytes() for row in values]
-    else:
-        bits, pixels = {"raw10": (10, 4), "raw12": (12, 2)}[packing]
-        lines = []
-        for row in values.tolist():
-            row += [0] * (-len(row) % pixels)
-            line = b""
-            for start in range(0, len(row), pixels):
-                group = row[start : start + pixels]
-                lower = sum((value & (2 ** (bits - 8) - 1)) << (bits - 8) * place for place, value in enumerate(group))
-                line += bytes(value >> (bits - 8) for value in group) + bytes([lower])
-            lines.append(line)
-    return b"".join(line.ljust(stride or 0, b"\xa5") for line in lines)
+    """A frame, its rows padded to `stride` bytes."""
+    return b"".join(pack_line(row, packing).ljust(stride or 0, b"\xa5") for row in values.tolist())
+
+
+def random_frame(packing: str, shape: tuple[int, ...], seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 2 ** PACKINGS[packing].bits, shape).astype(np.uint16)
 
 
 @given(
-    packing=st.sampled_from(PACKINGS), rows=st.integers(1, 5), cols=st.integers(1, 23), padding=st.integers(0, 9),
+    packing=st.sampled_from(sorted(PACKINGS)), rows=st.integers(1, 5), cols=st.integers(1, 23), padding=st.integers(0, 9),
     seed=st.integers(0, 2**32),
 )  # fmt: skip
 def test_packed_values_come_back(packing: str, rows: int, cols: int, padding: int, seed: int) -> None:
-    bits = PACKED[packing].bits if packing in PACKED else 16
-    values = np.random.default_rng(seed).integers(0, 2**bits, (rows, cols)).astype(np.uint16)
-    stride = row_bytes(cols, packing) + padding
+    values = random_frame(packing, (rows, cols), seed)
+    stride = PACKINGS[packing].bytes_of(cols) + padding
     layout = make_layout((rows, cols), packing, stride)
     content = pack(values, packing, stride)
     assert len(content) == layout.frame_bytes
     np.testing.assert_array_equal(layout.unpack(content), values)
 
 
-def test_the_bytes_of_the_standard() -> None:
-    """MIPI CSI-2, the figures of RAW10 and RAW12: P1…P4 upper bits, then all lower bits, P1 in the lowest."""
-    ten = make_layout((1, 4), "raw10", None).unpack(bytes([0x12, 0x34, 0x56, 0x78, 0b11_10_01_00]))
+@given(packing=st.sampled_from(["Mono10p", "Mono12p", "Mono12Packed", "Mono14pmsb"]), cols=st.integers(1, 9))
+def test_rows_of_a_stream_of_bits_follow_without_a_gap(packing: str, cols: int) -> None:
+    values = random_frame(packing, (3, cols), cols)
+    content = pack(values.reshape(1, -1), packing)
+    layout = make_layout((3, cols), packing)
+    assert len(content) == layout.frame_bytes
+    np.testing.assert_array_equal(layout.unpack(content), values)
+
+
+def test_the_bytes_of_the_standards() -> None:
+    """MIPI CSI-2, the figures of RAW10 and RAW12: P1…P4 upper bits, then all lower bits, P1 in the lowest. PFNC: Mono12p
+    from the lowest bit on. GigE Vision: the lower bits of both pixels in the middle byte."""
+    ten = make_layout((1, 4), "raw10").unpack(bytes([0x12, 0x34, 0x56, 0x78, 0b11_10_01_00]))
     assert ten.tolist() == [[0x12 << 2, 0x34 << 2 | 1, 0x56 << 2 | 2, 0x78 << 2 | 3]]
-    assert make_layout((1, 2), "raw12", None).unpack(bytes([0xAB, 0x12, 0x3C])).tolist() == [[0xABC, 0x123]]
+    twelve = {"raw12": [0xAB, 0x12, 0x3C], "Mono12p": [0xBC, 0x3A, 0x12], "mono12packed": [0xAB, 0x3C, 0x12]}
+    twelve |= {"BayerRG12pmsb": [0xAB, 0xC1, 0x23], "12p": twelve["Mono12p"]}
+    for name, stored in twelve.items():
+        assert make_layout((1, 2), name).unpack(bytes(stored)).tolist() == [[0xABC, 0x123]]
+    assert make_layout((1, 2), "Mono10Packed").unpack(bytes([0xAB, 0x21, 0xCD])).tolist() == [[0xAB << 2 | 1, 0xCD << 2 | 2]]
+    assert make_layout((1, 2), "Mono16", byte_order="big").unpack(bytes([1, 2, 3, 4])).tolist() == [[0x102, 0x304]]
+
+
+@pytest.mark.parametrize(("order", "phase"), [("RG", (0, 0)), ("GR", (0, 1)), ("GB", (1, 0)), ("BG", (1, 1))])
+def test_a_bayer_name_says_where_the_array_begins(tmp_path: Path, order: str, phase: tuple[int, int]) -> None:
+    values = random_frame("Mono12p", (10, 12), 3)
+    (tmp_path / "a.raw").write_bytes(b"header" + pack(values, "Mono12p"))
+    frame = read_raw(tmp_path / "a.raw", RGGB, RawOverrides(size=(10, 12), packing=f"Bayer{order}12p", skip=6))
+    np.testing.assert_array_equal(frame.values, values)
+    assert frame.phase == phase
+    five = dataclasses.replace(random_table(FIVE_BAND), rows=10, cols=12)
+    with pytest.raises(InputFileError, match="colour filter array"):
+        read_raw(tmp_path / "a.raw", five, RawOverrides(size=(10, 12), packing=f"Bayer{order}12p", skip=6))
+
+
+def test_headers_and_byte_orders_of_files_and_stacks(tmp_path: Path) -> None:
+    values = random_frame("Mono16", (3, 32, 40), 4)
+    (tmp_path / "a.bin").write_bytes(bytes(178) + values.astype(">u2").tobytes())
+    known = RawOverrides(skip=178, byte_order="big")
+    frames = [reference.read() for reference in find_frames((tmp_path / "a.bin",), RGGB, known).frames]
+    np.testing.assert_array_equal([frame.values for frame in frames if frame], values)
+    for cut in (177, 179):
+        with pytest.raises(InputFileError, match=r"bytes|within frame"):
+            [each.read() for each in find_frames((tmp_path / "a.bin",), RGGB, RawOverrides(skip=cut)).frames]
+    with pytest.raises(RecipeError, match="Mono10p has none"):
+        make_layout((4, 4), "Mono10p", byte_order="little")
+
+
+def scene(kind: str, bits: int, noise: float) -> np.ndarray:
+    """A mosaic (row, col) of a scene with noise, in DN, black at a sixteenth of full scale."""
+    row, col = np.indices((64, 80))
+    light = {
+        "flat": 0.4 + 0 * row,
+        "dark": 0.0 * row,
+        "waves": 0.4 + 0.3 * np.sin(row / 9) * np.cos(col / 7) + 0.1 * ((row + col) % 2),
+        "patches": np.kron(np.random.default_rng(1).random((8, 10)), np.ones((8, 8))) * (0.6 + 0.4 * ((row + col) % 2)),
+        "stars": 0.0 + (np.random.default_rng(2).random(row.shape) > 0.99),
+        "noise": np.random.default_rng(3).random(row.shape),
+    }[kind]
+    top = 2**bits
+    values = top / 16 + 0.9 * top * light + np.random.default_rng(5).normal(0, noise * top, row.shape)
+    return np.clip(np.rint(values), 0, top - 1).astype(np.uint16)
+
+
+FITTING = {
+    "Mono10p": ("raw10", "Mono10pmsb"), "raw10": ("Mono10p",), "Mono12p": ("raw12", "Mono12Packed", "Mono12pmsb"),
+    "Mono12Packed": ("raw12", "Mono12p"), "raw12": ("Mono12Packed", "Mono12p"), "Mono14p": ("Mono14pmsb",),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("true", sorted(FITTING))
+@pytest.mark.parametrize("kind", ["flat", "dark", "waves", "patches"])
+def test_a_wrong_packing_is_told_with_the_right_one(true: str, kind: str) -> None:
+    values = scene(kind, PACKINGS[true].bits, 0.005)
+    for wrong in FITTING[true]:
+        layout = make_layout(values.shape, wrong)
+        assert smoother_reading(content_of(pack(values, true), layout)["readings"](), RGGB.cfa) == f"‹packing› {true}"
+
+
+@pytest.mark.parametrize("name", [*sorted(FITTING), "Mono8", "u16", "Mono12", "BayerGR12", "Mono10Packed"])
+@pytest.mark.parametrize("kind", ["flat", "dark", "waves", "patches", "stars", "noise"])
+def test_a_right_packing_is_never_doubted(name: str, kind: str) -> None:
+    for noise in (0.0, 0.0005, 0.005, 0.05, 0.3):
+        values = scene(kind, PACKINGS[name].bits, noise)
+        content = content_of(pack(values, name), make_layout(values.shape, name))
+        assert smoother_reading(content["readings"](), RGGB.cfa) == ""
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14, 16])
+def test_exchanged_bytes_are_told(bits: int) -> None:
+    values = scene("waves", bits, 0.005)
+    right, wrong = (make_layout(values.shape, "u16", byte_order=order) for order in ("big", "little"))
+    stored = values.astype(">u2").tobytes()
+    assert smoother_reading(content_of(stored, wrong)["readings"](), RGGB.cfa) == "‹byte_order› big"
+    assert smoother_reading(content_of(stored, right)["readings"](), RGGB.cfa) == ""
+    shifted = (scene("flat", 8, 0.02) << 8).astype("<u2").tobytes()  # a depth of 8 bits in the upper byte
+    assert smoother_reading(content_of(shifted, make_layout(values.shape, "u16"))["readings"](), RGGB.cfa) == ""
+
+
+def test_a_misread_frame_is_warned_of_once(l3: L3, tmp_path: Path, raw_table: Path) -> None:
+    values = scene("waves", 10, 0.005)
+    (tmp_path / "a.raw").write_bytes(pack(values, "Mono10p"))
+    given = ("--size", "64x80", "--black-level", 64, "--white-level", 1023, "--exposure", 1, "--backend", "reference")
+    code, _, said = l3("render", raw_table, tmp_path / "a.raw", "-o", tmp_path / "a.png", "--packing", "raw10", *given)
+    assert code == 0
+    assert [line for line in said.splitlines() if "warning" in line and "--packing Mono10p" in line]
+    assert "--phase" not in said
+    code, _, said = l3("render", raw_table, tmp_path / "a.raw", "-o", tmp_path / "b.png", "--packing", "mono10P", *given)
+    assert code == 0
+    assert "--packing" not in said
 
 
 def test_packed_files_and_stacks_render_as_their_values(l3: L3, tmp_path: Path, raw_table: Path, mosaic: np.ndarray) -> None:
@@ -109,6 +235,10 @@ def test_dumps_of_another_size_are_refused(refused: Refused, tmp_path: Path, raw
     assert "--stride" in line
     short = refused(2, "render", raw_table, tmp_path / "a.raw12", "-o", tmp_path / "a.png", "--stride", 59)
     assert "40 raw12 values has 60 bytes" in short
+    (tmp_path / "b.raw").write_bytes(bytes(1600))
+    assert "--packing raw10, Mono10p, Mono10pmsb have 1600" in refused(
+        3, "render", raw_table, tmp_path / "b.raw", "-o", tmp_path / "a.png"
+    )
     assert "raw14" in refused(2, "render", raw_table, tmp_path / "a.raw12", "-o", tmp_path / "a.png", "--packing", "raw14")
     with pytest.raises(RecipeError, match="no pixels"):
         make_layout((0, 4), "raw10", None)

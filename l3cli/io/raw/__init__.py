@@ -1,6 +1,6 @@
 """Content of raw files as their readers return it: one frame, or the frames of one file."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import NotRequired, TypedDict
@@ -28,6 +28,8 @@ class RawContent(TypedDict):
     gain: NotRequired[NDArray[np.float32]]  # (row, col) that the file wants its values above black to be multiplied by
     notes: NotRequired[tuple[str, ...]]  # what of the file's wishes is not carried out
     exchangeable: NotRequired[bool]  # whether rows and columns, which the caller says, would fit the file exchanged, too
+    # ways to read the bytes of the frame, first as it was read: option that asks for each, its values, their bits
+    readings: NotRequired[Callable[[], Iterable[tuple[str, NDArray[np.uint16], int]]]]
 
 
 @dataclass(frozen=True)
@@ -50,21 +52,20 @@ class MultiFrameFile:
 class InOrder:
     """Reader of a stream frame by frame, each number after the one before it; frames between are passed over."""
 
-    def __init__(self, following: Callable[[], NDArray | None], exchangeable: bool = False) -> None:
-        self._following = following  # the next frame's pixels; None at the end
-        self._exchangeable = exchangeable
+    def __init__(self, following: Callable[[], RawContent | None]) -> None:
+        self._following = following  # the next frame; None at the end
         self._next = 0
 
     def read(self, number: int) -> RawContent | None:
-        pixels: NDArray | None = None
+        content: RawContent | None = None
         while self._next <= number:
             self._next += 1  # before reading: a frame that fails has been passed
             try:
-                pixels = self._following()
+                content = self._following()
             except InputFileError as error:
                 if self._next <= number:
                     continue  # nobody wants it
                 raise InputFileError(f"frame {number}: {error}") from error
-            if pixels is None:
+            if content is None:
                 return None
-        return None if pixels is None else RawContent(values=pixels, exchangeable=self._exchangeable)
+        return content

@@ -19,6 +19,7 @@ import numpy as np
 from l3cli.errors import InputFileError
 from l3cli.frames.correction import Correction, DarkFrame, HotTest, without_dark
 from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.raw_sanity import smoother_reading
 from l3cli.frames.shading import shading_of_gain
 from l3cli.io.raw import MultiFrameFile, RawContent
 from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
@@ -130,7 +131,7 @@ class RawOverrides:
     white_level: float | None = None  # DN
     phase: tuple[int, int] | None = None  # CFA row and column of pixel (0, 0)
     size: tuple[int, int] | None = None  # rows, columns of a headerless file
-    packing: str | None = None  # one of packed.PACKINGS, of a headerless file
+    packing: str | None = None  # one of frames.packings.PACKINGS, of a headerless file
     stride: int | None = None  # bytes from row to row of a headerless file
     exposure: float | None = None  # s
     gain: float | None = None  # analog gain over the camera's; None: by the ISO speed of the file
@@ -139,6 +140,8 @@ class RawOverrides:
     dark: DarkFrame | None = None  # what the camera gives without light
     correction: Correction | None = None  # of its defects and shading
     hot: HotTest | None = None  # by which its hot pixels are found; None: they are left
+    skip: int = 0  # bytes before the first frame of a headerless file
+    byte_order: str | None = None  # of 16-bit values of a headerless file, "little" or "big"; None: little
 
     def of_frame(self, place: int) -> "RawOverrides":
         """Return those of the frame at a place of a sequence, from 0; InputFileError if no gain is listed for it."""
@@ -179,12 +182,16 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
 
 def read_stdin(table: Sensor, known: RawOverrides) -> MultiFrameFile:
     """Return the headerless frames that come on stdin."""
-    return stdin(layout_of(STDIN, known.size or (table.rows, table.cols), known.packing, known.stride))
+    return stdin(_headerless_layout(STDIN, table, known))
 
 
 def _layout(kind: RawFormat, path: Path, table: Sensor, known: RawOverrides) -> Layout | None:
+    return _headerless_layout(path, table, known) if kind.wants_geometry else None
+
+
+def _headerless_layout(path: Path, table: Sensor, known: RawOverrides) -> Layout:
     size = known.size or (table.rows, table.cols)
-    return layout_of(path, size, known.packing, known.stride) if kind.wants_geometry else None
+    return layout_of(path, size, known.packing, known.stride, known.skip, known.byte_order)
 
 
 def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:
@@ -207,11 +214,25 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
         taken_by=tuple(content.get("camera", ())),
         shot=believable_shot(content.get("shot", {})),
         shading=None if gain is None else shading_of_gain(gain, table.cfa.shape),
-        notes=content.get("notes", ()),
+        notes=(*content.get("notes", ()), *_displaced(content, table, frame_phase)),
         baseline_exposure=content.get("baseline_exposure", 0.0),
         exchangeable=content.get("exchangeable", False),
+        misread=_misread(content, table, frame_phase if known.phase is None else known.phase),
     )
     return _corrected(frame, table, known)
+
+
+def _misread(content: RawContent, table: Sensor, phase: tuple[int, int]) -> str:
+    """Return the option that asks for another reading of a frame's bytes, if that is far smoother; else ""."""
+    return smoother_reading(content["readings"](), shifted_cfa(table.cfa, phase)) if "readings" in content else ""
+
+
+def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tuple[str, ...]:
+    """Return a note of a whole frame of the sensor whose packing names an array that begins elsewhere than the table's."""
+    if "readings" not in content or phase == (0, 0) or content["values"].shape != (table.rows, table.cols):
+        return ()
+    begins = f"its packing says that it begins at row {phase[0]}, column {phase[1]} of the table's array"
+    return (f"{begins}, though it has the size of the whole sensor; check ‹packing›, or give ‹phase›",)
 
 
 def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:

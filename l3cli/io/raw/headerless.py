@@ -1,32 +1,19 @@
-"""Headerless files: the values of frames and nothing else, laid out as the caller or the table says. 16-bit words, or the
-packed formats of MIPI CSI-2.
+"""Headerless files: the values of frames and nothing else, laid out as the caller or the table says (frames/packings.py)."""
 
-RAW10 stores four pixels in five bytes: their upper eight bits, then their lower two bits, first pixel lowest. RAW12 stores
-two pixels in three bytes: their upper eight bits, then their lower four. A row ends with a whole group.
-"""
-
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, RecipeError, suggestion
+from l3cli.frames.packings import PACKINGS, WORDS, Packing, packing_named
 from l3cli.io.raw import InOrder, MultiFrameFile, RawContent
+from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.system.limits import require_picture, require_values
 
-
-@dataclass(frozen=True)
-class Packing:
-    """Pixels in groups of bytes: one byte of upper bits for each pixel, one byte of all their lower bits."""
-
-    bits: int
-    pixels: int  # of a group
-
-
-WORDS = "u16"
-PACKED = {"raw10": Packing(10, 4), "raw12": Packing(12, 2)}
-PACKINGS = (WORDS, *PACKED)
+GIVE_LAYOUT = "give its layout with ‹size› ROWSxCOLS, ‹packing›, ‹stride› and ‹skip›"
 
 
 @dataclass(frozen=True)
@@ -35,105 +22,195 @@ class Layout:
 
     rows: int
     cols: int
-    packing: str  # one of PACKINGS
-    stride: int  # bytes from one row to the next
+    packing: Packing
+    stride: int | None = None  # bytes from one row to the next; None: rows follow one another without a gap
+    skip: int = 0  # bytes before the first frame
+    big_endian: bool = False  # of 16-bit words
+
+    @property
+    def bits(self) -> int:
+        """Number of bits of full scale; of words 16, whatever their packing says: exchanged bytes need them."""
+        return 16 if self.packing.is_words else self.packing.bits
 
     @property
     def frame_bytes(self) -> int:
-        return self.rows * self.stride
+        lines, pixels = self._lines
+        return lines * (self.stride or self.packing.bytes_of(pixels))
+
+    @property
+    def _lines(self) -> tuple[int, int]:
+        """Return the number of runs of pixels that begin with a new byte, and the pixels of each: rows, or, where a row
+        without padding would end within a byte of a bit stream, the whole frame."""
+        run_on = 8 * self.cols * self.packing.group_bytes % (8 * self.packing.group_pixels)
+        if self.stride is None and self.packing.family != "mipi" and run_on:
+            return 1, self.rows * self.cols
+        return self.rows, self.cols
 
     @property
     def exchangeable(self) -> bool:
         """Return whether as many columns and rows fit the same bytes."""
-        rows, cols = (row_bytes(length, self.packing) for length in (self.rows, self.cols))
-        return self.stride == cols and rows * self.cols == self.frame_bytes
+        padded = self.stride is not None and self.stride != self.packing.bytes_of(self.cols)
+        return not padded and self.frame_bytes == replace(self, rows=self.cols, cols=self.rows, stride=None).frame_bytes
+
+    @property
+    def pattern(self) -> NDArray[np.int64] | None:
+        """Return the colour codes (row, col) of the CFA that the packing names; None if it names none."""
+        return codes_of(self.packing.pattern).reshape(2, 2) if self.packing.pattern else None
 
     def __str__(self) -> str:
-        words = "16-bit values" if self.packing == WORDS else f"{self.packing} values"
-        padded = f" in rows of {self.stride} bytes" if self.stride != row_bytes(self.cols, self.packing) else ""
+        words = "16-bit values" if self.packing.name == WORDS else f"{self.packing.name} values"
+        padded = f" in rows of {self.stride} bytes" if self.stride not in (None, self.packing.bytes_of(self.cols)) else ""
         return f"{self.rows}×{self.cols} {words}{padded}"
 
     def unpack(self, content: bytes | bytearray | NDArray[np.uint8]) -> NDArray[np.uint16]:
         """Return the pixels (row, col) in DN of the `frame_bytes` bytes of one frame."""
-        used = np.frombuffer(content, np.uint8).reshape(self.rows, self.stride)[:, : row_bytes(self.cols, self.packing)]
-        if self.packing == WORDS:
-            return np.ascontiguousarray(used).view("<u2").astype(np.uint16, copy=False)
-        packing = PACKED[self.packing]
-        groups = used.reshape(self.rows, -1, packing.pixels + 1)
-        low_bits = packing.bits - 8
-        low = groups[..., -1:] >> np.arange(0, 8, low_bits, dtype=np.uint8) & np.uint8(2**low_bits - 1)
-        values = groups[..., :-1].astype(np.uint16) << np.uint16(low_bits) | low
-        return np.ascontiguousarray(values.reshape(self.rows, -1)[:, : self.cols])
+        packing, (lines, pixels) = self.packing, self._lines
+        used = np.frombuffer(content, np.uint8).reshape(lines, -1)[:, : packing.bytes_of(pixels)]
+        if packing.family == "words":
+            dtype = np.uint8 if packing.group_bytes == 1 else ">u2" if self.big_endian else "<u2"
+            return np.ascontiguousarray(used).view(dtype).astype(np.uint16, copy=False).reshape(self.rows, self.cols)
+        used = np.pad(used, ((0, 0), (0, -used.shape[1] % packing.group_bytes)))
+        groups = used.reshape(lines, -1, packing.group_bytes)
+        values = np.zeros((*groups.shape[:2], packing.group_pixels), np.uint16)
+        for pixel, pieces in enumerate(packing.pieces):
+            for piece in pieces:
+                part = groups[..., piece.byte] >> np.uint8(piece.shift) & np.uint8(2**piece.bits - 1)
+                values[..., pixel] |= part.astype(np.uint16) << np.uint16(piece.place)
+        return np.ascontiguousarray(values.reshape(lines, -1)[:, :pixels]).reshape(self.rows, self.cols)
+
+    def others(self) -> Iterator[tuple[str, "Layout"]]:
+        """Yield the other layouts of as many bytes, each with the option that asks for it."""
+        if self.packing.is_words:
+            yield f"‹byte_order› {'little' if self.big_endian else 'big'}", replace(self, big_endian=not self.big_endian)
+        for other in PACKINGS.values():
+            same_array = other.pattern == self.packing.pattern or (other.family == "mipi" and not other.pattern)
+            if not same_array or other.family == "words" or other.pieces == self.packing.pieces:
+                continue
+            layout = replace(self, packing=other)
+            if layout.frame_bytes == self.frame_bytes and other.bytes_of(self.cols) <= (self.stride or self.frame_bytes):
+                yield f"‹packing› {other.name}", layout
 
 
-def row_bytes(cols: int, packing: str) -> int:
-    """Return the bytes of a row without padding."""
-    if packing == WORDS:
-        return 2 * cols
-    return -(-cols // PACKED[packing].pixels) * (PACKED[packing].pixels + 1)
+def make_layout(
+    size: tuple[int, int], name: str, stride: int | None = None, skip: int = 0, byte_order: str | None = None
+) -> Layout:
+    """Return the layout of rows × columns in a packing.
 
-
-def make_layout(size: tuple[int, int], packing: str, stride: int | None) -> Layout:
-    """Return the layout of rows × columns; RecipeError if a row does not fit into `stride` bytes or there are no pixels."""
+    Raises
+    ------
+    RecipeError
+        If there are no pixels, no such packing, a row does not fit into `stride` bytes, or a byte order is given of pixels
+        that are no 16-bit words.
+    """
     rows, cols = size
-    needed = row_bytes(cols, packing)
     if min(size) < 1:
         raise RecipeError(f"‹size› {rows}x{cols} holds no pixels; give rows and columns above 0")
+    packing = packing_named(name)
+    if packing is None:
+        raise RecipeError(f'‹packing› "{name}" is unknown; {suggestion(name, PACKINGS)}')
+    if byte_order is not None and not packing.is_words:
+        raise RecipeError(f"‹byte_order› is that of 16-bit values; {packing.name} has none, leave it out")
+    needed = packing.bytes_of(cols)
     if stride is not None and stride < needed:
-        raise RecipeError(f"‹stride› {stride} is too short; a row of {cols} {packing} values has {needed} bytes")
-    return Layout(rows, cols, packing, stride or needed)
+        raise RecipeError(f"‹stride› {stride} is too short; a row of {cols} {packing.name} values has {needed} bytes")
+    return Layout(rows, cols, packing, stride, skip, byte_order == "big")
 
 
 # ------------------------------------------------------------------------------------------ files
 
 
-def layout_of(path: Path, size: tuple[int, int], packing: str | None, stride: int | None) -> Layout:
+def layout_of(
+    path: Path, size: tuple[int, int], packing: str | None, stride: int | None, skip: int = 0, byte_order: str | None = None
+) -> Layout:
     """Return the layout of a headerless file of frames of `size` (rows, columns); its suffix may name the packing."""
     suffix = path.suffix.lower().removeprefix(".")
-    layout = make_layout(size, packing or (suffix if suffix in PACKED else WORDS), stride)
+    layout = make_layout(size, packing or (suffix if suffix in PACKINGS else WORDS), stride, skip, byte_order)
     require_picture(str(path), layout.rows, layout.cols)
-    require_values(str(path), (layout.rows, layout.stride), value_bytes=1)
+    require_values(str(path), (layout.frame_bytes,), value_bytes=1)
     return layout
 
 
 def read(path: Path, layout: Layout) -> RawContent:
-    """Return one frame's values and nothing else."""
-    size = path.stat().st_size
+    """Return the frame of a file of one frame."""
+    size = path.stat().st_size - layout.skip
     if size != layout.frame_bytes:
         raise InputFileError(
-            f"{path} has {size} bytes, {layout} have {layout.frame_bytes}; "
-            "give its size with ‹size› ROWSxCOLS, ‹packing› and ‹stride›"
+            f"{path} has {_counted(size, layout)}, {layout} have {layout.frame_bytes}; {_cure(size, layout)}"
         )
-    return RawContent(values=layout.unpack(np.fromfile(path, np.uint8)), exchangeable=layout.exchangeable)
+    return content_of(np.fromfile(path, np.uint8, offset=layout.skip), layout)
+
+
+def _counted(size: int, layout: Layout) -> str:
+    """Return the number of bytes of a file without those skipped."""
+    if size < 0:
+        return f"{size + layout.skip} bytes, fewer than the {layout.skip} of ‹skip›"
+    return f"{size} bytes after the {layout.skip} of ‹skip›" if layout.skip else f"{size} bytes"
+
+
+def _cure(size: int, layout: Layout) -> str:
+    """Return the options by which a file of `size` bytes would be of this number of pixels."""
+    fitting = [
+        name
+        for name, packing in PACKINGS.items()
+        if not packing.pattern and replace(layout, packing=packing, stride=None).frame_bytes == size
+    ]
+    if fitting:
+        return f"{layout.rows}×{layout.cols} pixels of ‹packing› {', '.join(fitting)} have {size}; {GIVE_LAYOUT}"
+    return GIVE_LAYOUT
+
+
+def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) -> RawContent:
+    """Return the content of the bytes of one frame."""
+    content = RawContent(values=layout.unpack(stored), exchangeable=layout.exchangeable)
+
+    def readings() -> Iterator[tuple[str, NDArray[np.uint16], int]]:
+        yield "", content["values"], layout.bits
+        for option, other in layout.others():
+            yield option, other.unpack(stored), other.bits
+
+    content["readings"] = readings
+    if layout.pattern is not None:
+        content["pattern"] = layout.pattern
+    return content
 
 
 def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
     """Return as many frames as the file has room for; one that is cut is noticed when it is read. None without a second."""
-    size = path.stat().st_size
+    size = path.stat().st_size - layout.skip
     if size < 2 * layout.frame_bytes:
         return None
+    return MultiFrameFile(-(-size // layout.frame_bytes), lambda number: read_frame(path, layout, number))
 
-    def frame(number: int) -> RawContent:
-        content = np.fromfile(path, np.uint8, layout.frame_bytes, offset=number * layout.frame_bytes)
-        if content.size < layout.frame_bytes:
-            raise InputFileError(f"{path} ends within frame {number} of {layout}; give its size with ‹size› ROWSxCOLS")
-        return RawContent(values=layout.unpack(content), exchangeable=layout.exchangeable)
 
-    return MultiFrameFile(-(-size // layout.frame_bytes), frame)
+def read_frame(path: Path, layout: Layout, number: int) -> RawContent:
+    """Return frame `number`, from 0, of a file of frames one after the other; InputFileError if the file is cut there."""
+    stored = np.fromfile(path, np.uint8, layout.frame_bytes, offset=layout.skip + number * layout.frame_bytes)
+    if stored.size < layout.frame_bytes:
+        raise InputFileError(f"{path} ends within frame {number} of {layout}; {GIVE_LAYOUT}")
+    return content_of(stored, layout)
 
 
 def stdin(layout: Layout) -> MultiFrameFile:
     """Return the frames that come on stdin."""
     # Unbuffered: a thread that waits in a buffered stream would keep the interpreter from ending.
     pipe = open(0, "rb", buffering=0, closefd=False)  # noqa: SIM115
+    to_skip = layout.skip
 
-    def following() -> np.ndarray | None:
+    def filled(content: bytearray) -> int:
+        count = 0
+        while count < len(content) and (got := pipe.readinto(memoryview(content)[count:])):
+            count += got
+        return count
+
+    def following() -> RawContent | None:
+        nonlocal to_skip
+        while to_skip:
+            skipped = filled(bytearray(min(to_skip, 1 << 20)))
+            to_skip = to_skip - skipped if skipped else 0
         content = bytearray(layout.frame_bytes)
-        filled = 0
-        while filled < len(content) and (got := pipe.readinto(memoryview(content)[filled:])):
-            filled += got
-        if 0 < filled < len(content):
+        count = filled(content)
+        if 0 < count < len(content):
             raise InputFileError(f"stdin ends within the frame, of {layout}; check ‹size› ROWSxCOLS")
-        return layout.unpack(content) if filled else None
+        return content_of(content, layout) if count else None
 
-    return MultiFrameFile(None, InOrder(following, layout.exchangeable).read)
+    return MultiFrameFile(None, InOrder(following).read)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.io.isolated import isolated
-from l3cli.io.raw import InOrder, MultiFrameFile
+from l3cli.io.raw import InOrder, MultiFrameFile, RawContent
 from l3cli.io.video import DecodedVideo, InTurn, StatedTimes, storable_rate
 
 AT_A_TIME = 500  # frames whose times are read
@@ -22,7 +22,12 @@ def stack(path: Path) -> MultiFrameFile:
     channel of 8 to 16 bits, such as FFV1 in MKV."""
     fraction, numbers = _rate(path), itertools.count()
     rate = storable_rate(Fraction(*fraction)) if fraction else None
-    return MultiFrameFile(None, InOrder(lambda: _frame(path, next(numbers))).read, rate=rate, times=lambda: _times(path))
+
+    def following() -> RawContent | None:
+        pixels = _frame(path, next(numbers))
+        return None if pixels is None else RawContent(values=pixels)
+
+    return MultiFrameFile(None, InOrder(following).read, rate=rate, times=lambda: _times(path))
 
 
 def _times(path: Path) -> StatedTimes | None:

@@ -36,7 +36,10 @@ def overrides(options: RenderOptions) -> RawOverrides:
     """Return what the options state about raw files; InputFileError if the list of gains cannot be read."""
     levels = options.black_level, options.white_level, options.phase
     gains = gains_in(options.gains) if options.gains else ()
-    return RawOverrides(*levels, options.size, options.packing, options.stride, options.exposure_time, options.gain, gains)
+    return RawOverrides(
+        *levels, options.size, options.packing, options.stride, options.exposure_time, options.gain, gains,
+        skip=options.skip, byte_order=options.byte_order,
+    )  # fmt: skip
 
 
 def gains_in(path: Path) -> tuple[float, ...]:

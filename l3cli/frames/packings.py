@@ -1,0 +1,117 @@
+"""Packings of headerless frames: how the bits of pixels lie in the bytes of a file.
+
+Sources: MIPI CSI-2 (RAW10, RAW12), GenICam Pixel Format Naming Convention 2.4 (PFNC), GigE Vision 2 (formats "…Packed").
+`PACKINGS` is the only list of them. Option help, error messages and the table in docs/raw-files.md are made from it.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+BAYER_ORDERS = ("GR", "RG", "GB", "BG")  # first two pixels of the first row
+SECOND_ROWS = {"GR": "BG", "RG": "GB", "GB": "RG", "BG": "GR"}
+FAMILIES = {
+    "words": "a pixel per byte, or per 16-bit word in its lower bits",
+    "mipi": "MIPI CSI-2: upper bytes of a group of pixels, then a byte of all their lower bits; rows end with a whole group",
+    "p": "PFNC: a stream of bits, lower bits first",
+    "pmsb": "PFNC: a stream of bits, upper bits first",
+    "Packed": "GigE Vision: two pixels in three bytes, lower bits of both in the middle one",
+}
+
+
+class Piece(NamedTuple):
+    """Bits of a pixel that lie side by side in one byte of its group."""
+
+    byte: int
+    shift: int  # bits of the byte below them
+    bits: int
+    place: int  # bits of the pixel below them
+
+
+@dataclass(frozen=True)
+class Packing:
+    """Layout of pixels in groups of bytes."""
+
+    name: str
+    family: str  # one of FAMILIES
+    bits: int  # per pixel
+    group_bytes: int
+    pieces: tuple[tuple[Piece, ...], ...]  # of each pixel of a group
+    pattern: str = ""  # colours of a 2×2 array from the first pixel on, "rggb"; "": not stated
+
+    @property
+    def group_pixels(self) -> int:
+        """Number of pixels in a group."""
+        return len(self.pieces)
+
+    @property
+    def is_words(self) -> bool:
+        """Whether each pixel has 16 bits, whose byte order the caller may give."""
+        return self.family == "words" and self.group_bytes == 2
+
+    def bytes_of(self, pixels: int) -> int:
+        """Return the bytes of so many pixels that follow one another."""
+        if self.family == "mipi":
+            return -(-pixels // self.group_pixels) * self.group_bytes
+        return -(-pixels * self.group_bytes * 8 // (8 * self.group_pixels))
+
+
+def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
+    """Return bytes and pieces of the smallest group of a stream of bits that fills whole bytes."""
+    pixels = next(count for count in (1, 2, 4, 8) if count * bits % 8 == 0)
+    groups = []
+    for first in range(0, pixels * bits, bits):
+        pieces, done = [], 0
+        while done < bits:
+            byte, used = divmod(first + done, 8)
+            count = min(8 - used, bits - done)
+            if lower_first:
+                pieces.append(Piece(byte, used, count, done))
+            else:
+                pieces.append(Piece(byte, 8 - used - count, count, bits - done - count))
+            done += count
+        groups.append(tuple(pieces))
+    return pixels * bits // 8, tuple(groups)
+
+
+def _mipi(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
+    """Return bytes and pieces of a MIPI group. Its last byte holds the lower bits of all pixels, first pixel lowest."""
+    low = bits - 8
+    pixels = 8 // low
+    return pixels + 1, tuple((Piece(i, 0, 8, low), Piece(pixels, i * low, low, 0)) for i in range(pixels))
+
+
+def _gige(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
+    """Return bytes and pieces of a GigE Vision group."""
+    low = bits - 8
+    return 3, ((Piece(0, 0, 8, low), Piece(1, 0, low, 0)), (Piece(2, 0, 8, low), Piece(1, 4, low, 0)))
+
+
+def _word(bytes_of_pixel: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
+    return bytes_of_pixel, (tuple(Piece(byte, 0, 8, 8 * byte) for byte in range(bytes_of_pixel)),)
+
+
+def _packings() -> dict[str, Packing]:
+    plain = [Packing(f"u{bits}", "words", bits, *_word(bits // 8)) for bits in (16, 8)]
+    plain += [Packing(f"raw{bits}", "mipi", bits, *_mipi(bits)) for bits in (10, 12)]
+    endings = [(str(bits), "words", bits, _word(1 if bits == 8 else 2)) for bits in (8, 10, 12, 14, 16)]
+    endings += [(f"{bits}p", "p", bits, _stream(bits, True)) for bits in (10, 12, 14)]
+    endings += [(f"{bits}pmsb", "pmsb", bits, _stream(bits, False)) for bits in (10, 12, 14)]
+    endings += [(f"{bits}Packed", "Packed", bits, _gige(bits)) for bits in (10, 12)]
+    patterns = {"Mono": ""} | {f"Bayer{first}": (first + SECOND_ROWS[first]).lower() for first in BAYER_ORDERS}
+    named = [
+        Packing(start + end, family, bits, *layout, pattern)
+        for start, pattern in patterns.items()
+        for end, family, bits, layout in endings
+    ]
+    return {packing.name: packing for packing in (*plain, *named)}
+
+
+PACKINGS = _packings()
+WORDS = "u16"
+BYTE_ORDERS = ("little", "big")
+
+
+def packing_named(name: str) -> Packing | None:
+    """Return the packing of a name in upper or lower case, "12p" for Mono12p; None if there is none."""
+    known = {each.lower(): packing for each, packing in PACKINGS.items()}
+    return known.get(name.lower()) or (known.get(f"mono{name.lower()}") if not name.isdigit() else None)
