@@ -112,6 +112,7 @@ def raw_files(folder: Path, mosaic: np.ndarray, chart: np.ndarray) -> None:
     for name in ("photo.dng", "other.dng"):
         write_dng(folder / name, mosaic, rggb, tags=colour)
     (folder / "dump.raw10").write_bytes(bytes(1080 * 2432))
+    (folder / "grab.raw").write_bytes(bytes(512 + 1080 * 1920 * 3 // 2))
     (folder / "darks").mkdir()
     for name, values in {"night.fits": mosaic, "darks/1.fits": np.full_like(mosaic, 64)}.items():
         fits.writeto(folder / name, values, fits.Header({"EXPTIME": 1.0, "BAYERPAT": "RGGB"}))

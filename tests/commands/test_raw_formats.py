@@ -106,6 +106,11 @@ def test_a_bayer_name_says_where_the_array_begins(tmp_path: Path, order: str, ph
     frame = read_raw(tmp_path / "a.raw", RGGB, RawOverrides(size=(10, 12), packing=f"Bayer{order}12p", skip=6))
     np.testing.assert_array_equal(frame.values, values)
     assert frame.phase == phase
+    assert frame.notes == ()
+    whole = random_frame("Mono12p", (RGGB.rows, RGGB.cols), 3)
+    (tmp_path / "whole.raw").write_bytes(pack(whole, "Mono12p"))
+    notes = read_raw(tmp_path / "whole.raw", RGGB, RawOverrides(packing=f"Bayer{order}12p")).notes
+    assert bool(notes) == (phase != (0, 0))  # of the whole sensor, whose array the table knows
     five = dataclasses.replace(random_table(FIVE_BAND), rows=10, cols=12)
     with pytest.raises(InputFileError, match="colour filter array"):
         read_raw(tmp_path / "a.raw", five, RawOverrides(size=(10, 12), packing=f"Bayer{order}12p", skip=6))

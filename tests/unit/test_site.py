@@ -42,6 +42,13 @@ def test_the_command_reference_has_every_option(monkeypatch: pytest.MonkeyPatch)
     assert codes == ["0", "1", "2", "3", "4", "130", "143"]
 
 
+def test_tables_of_formats_are_those_of_the_registries(monkeypatch: pytest.MonkeyPatch) -> None:
+    tables = module("format_tables", monkeypatch)
+    for page in tables.TABLES:
+        text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+        assert tables.with_tables(page, text) == text, "run: python docs/site/format_tables.py"
+
+
 def test_the_pages_of_recipes_have_every_key(monkeypatch: pytest.MonkeyPatch) -> None:
     pages = module("recipe_pages", monkeypatch).recipe_pages()
     for kind in KINDS:

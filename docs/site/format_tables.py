@@ -1,0 +1,44 @@
+"""Tables of docs/ that are made from registries: python docs/site/format_tables.py writes them into their pages anew.
+
+A table stands between the comments `<!-- NAME -->` and `<!-- end -->` of a page.
+"""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from markup import code, table
+
+from l3cli.frames.packings import BAYER_ORDERS, FAMILIES, PACKINGS
+
+DOCS = Path(__file__).parents[1]
+
+
+def packings() -> str:
+    """Names of packings by family. Bayer names differ from Mono names in their first letters alone."""
+    orders = ", ".join(code(f"Bayer{order}") for order in BAYER_ORDERS)
+    rows = []
+    for family, meaning in FAMILIES.items():
+        names = [name for name, packing in PACKINGS.items() if packing.family == family and not packing.pattern]
+        bayer = any(packing.family == family and packing.pattern for packing in PACKINGS.values())
+        rows.append([", ".join(map(code, names)) + (f"; {orders} in place of `Mono`" if bayer else ""), meaning])
+    return table(["`--packing`", "pixels"], rows)
+
+
+TABLES: dict[str, dict[str, Callable[[], str]]] = {"raw-files.md": {"packings": packings}}
+
+
+def with_tables(page: str, text: str) -> str:
+    """The text of a page with its tables as the registries are now."""
+    for name, made in TABLES[page].items():
+        place = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
+        text, count = place.subn(lambda match, made=made: f"{match[1]}{made()}\n{match[2]}", text)
+        if count != 1:
+            raise ValueError(f"{page} has {count} places for the table {name}")
+    return text
+
+
+if __name__ == "__main__":
+    for page in TABLES:
+        path = DOCS / page
+        path.write_text(with_tables(page, path.read_text(encoding="utf-8")), encoding="utf-8")
