@@ -98,6 +98,9 @@ class TrainingFrame(TrainingPair):
     )
     seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
     shown: Shown | None = group(default=None)  # None: an older file
+    ignored: NDArray[np.uint8] | None = data(
+        "uint8", "row", "col", doc="1: the scene's file holds no data there; left out of training", default=None
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -29,6 +29,8 @@ class Scene:
     wavelength: NDArray[np.float64]  # (band) nm, increasing
     reflectance: NDArray[np.float32]  # (row, col, band)
     illuminant: NDArray[np.float64] | None  # (band) photons/s/sr/m²/nm of a perfect white, or NO_ILLUMINANT
+    # (row, col) pixels whose file holds no data for them, where their neighbours' reflectance stands; None: there are none
+    ignored: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         bands = self.wavelength.size
@@ -97,3 +99,5 @@ class SpectralCube:
     values: NDArray  # (row, col, band)
     wavelength: NDArray[np.float64] | None  # (band) nm; None: the file states none
     white: float | None = None  # stored value of a perfect white, where the file states it
+    good: NDArray[np.bool_] | None = None  # (band) those that the file does not call bad; None: all
+    ignored: NDArray[np.bool_] | None = None  # (row, col) pixels that the file marks as without data; None: there are none

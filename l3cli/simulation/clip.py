@@ -171,6 +171,10 @@ def clip_of(
     framing = wanted.source
     samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
     framed_size((samples.shape[0], samples.shape[1]), framing, run.camera)
+    if isinstance(scene, Scene) and scene.ignored is not None:
+        if turned(scene.ignored[..., None].astype(np.float32), framing).any():
+            raise ValueError("pixels without data would move through its clip; crop them away")
+        scene = replace(scene, ignored=None)
     canvas = np.ascontiguousarray(turned(samples, framing))
     scale = scale_of(framing, run.camera, canvas.shape[1]) or 1.0
     course = _course(wanted, run)

@@ -80,6 +80,7 @@ def simulate(
         light=light.spectrum,
         seed=seed,
         shown=Shown(scene.fingerprint, light.measured),
+        ignored=scene.ignored.astype(np.uint8) if isinstance(scene, Scene) and scene.ignored is not None else None,
     )
 
 

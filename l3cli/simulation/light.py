@@ -295,6 +295,33 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     return matching_weights(functions, light, bands)
 
 
+LEAST_SEEN = 0.1  # of the weight of what is wanted that lies within a scene's bands
+
+
+def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
+    """Raise ValueError if nearly all that a target wants of a scene lies beyond its `bands` (band) in nm: luminance for
+    colours, 400…700 nm for spectra, every channel for a camera's bands, every function of a file."""
+    grid: Array = np.arange(300.0, 1101.0)
+    wanted: Array
+    if target.kind == CAMERA:
+        grid, wanted = camera.wavelength, camera.electron_weights
+    elif target.functions:
+        grid, wanted = target.functions
+    elif target.outputs in (spectra.REFLECTANCES, spectra.RADIANCES):
+        wanted = ((grid >= spectra.SAMPLED[0]) & (grid <= spectra.SAMPLED[-1])).astype(float)[None]
+    else:
+        wanted = spectra.colour_matching_functions(grid)[1:2]
+    ends = spectra.bin_edges(bands)[[0, -1]]
+    inside = (grid >= ends[0]) & (grid <= ends[1])
+    weight = np.abs(wanted)
+    seen = weight[:, inside].sum(axis=1) / np.maximum(weight.sum(axis=1), np.finfo(float).tiny)
+    if seen.max() < LEAST_SEEN:
+        raise ValueError(
+            f"its bands of {bands[0]:g}…{bands[-1]:g} nm hold {seen.max():.1%} of what is wanted of it "
+            f"({', '.join(target.outputs[:3])}); check the unit of its wavelengths, or leave it out"
+        )
+
+
 def column_names(path: Path) -> tuple[str, ...]:
     """Return the names of the columns of a file of matching functions, or numbers where it has none."""
     table = read_table(path)

@@ -4,7 +4,7 @@ sensor: cropped, mirrored, turned, scaled; and a stored cube, with what the reci
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.frames.marks import missing
 from l3cli.frames.scene import NO_ILLUMINANT, Scene, SpectralCube
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
@@ -120,7 +121,11 @@ class Spectral(FileSource, kw_only=True):
     wavelengths_nm: list[float] | None = None  # of the bands; default: the file's own
     wavelength_range_nm: tuple[float, float, float] | None = None  # first, last, step, instead of a list
     holds: Literal["reflectance", "radiance", "photons"] = "reflectance"  # radiance: power per nm; photons: counts per nm
-    white: Positive | None = None  # stored value of a perfect white; default: 1, or the top of an integer type
+    # stored value of a perfect white; default: that of the file; else 1 for floats, 255 for 8 bits, and 65535 for 16 bits
+    # that are used up to there; all other integers ask for it
+    white: Positive | None = None
+    # stored value that marks pixels without data, which are left out of training; default: that of the file
+    ignored: float | Literal["nan"] | None = None
     light: str | None = None  # CSV of the light that radiance was measured under, or an illuminant's name
 
 
@@ -140,7 +145,7 @@ class Cube(Spectral, tag_field="source", tag="cube", kw_only=True):
 
 
 class ImageChannels(Spectral, tag_field="source", tag="channels", kw_only=True):
-    """EXR or TIFF with one channel or page a band."""
+    """EXR or TIFF with one channel or page per band."""
 
 
 Source = (
@@ -256,9 +261,11 @@ def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3
     """Raise `error` if a scene of `size` (rows, cols) is too small to learn from or does not fit the sensor of `camera`."""
     rows, cols = size
     if min(size) < SMALLEST:
-        raise error(f"{name} is {rows}×{cols}, and a scene has at least {SMALLEST}×{SMALLEST} pixels; make it larger")
+        larger = "give scale" if error is InputFileError else "make it larger"
+        raise error(f"{name} is {rows}×{cols}, and a scene has at least {SMALLEST}×{SMALLEST} pixels; {larger}")
     if camera and (rows > camera.rows or cols > camera.cols):
-        raise error(f"{name} is {rows}×{cols}, larger than the sensor of {camera.rows}×{camera.cols}; make it smaller")
+        smaller = "give scale, crop or (rgb) shrink" if error is InputFileError else "make it smaller"
+        raise error(f"{name} is {rows}×{cols}, larger than the sensor of {camera.rows}×{camera.cols}; {smaller}")
 
 
 def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> NDArray[np.float32]:
@@ -269,6 +276,16 @@ def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> 
     if scale is not None:
         cube = _scaled(cube, scale, (camera.rows, camera.cols))
     return np.ascontiguousarray(cube)
+
+
+def on_sensor(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
+    """Return a scene as `framing` lays it on the sensor; a pixel that sees any part of an ignored sample is ignored.
+    ValueError if the crop reaches beyond the scene."""
+    ignored = scene.ignored
+    if ignored is not None:
+        ignored = framed(ignored[..., None].astype(np.float32), framing, camera)[..., 0] > 0
+        ignored = ignored if ignored.any() else None
+    return replace(scene, reflectance=framed(scene.reflectance, framing, camera), ignored=ignored)
 
 
 def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
@@ -360,21 +377,39 @@ def _resampling(length: int, scale: float, most: int) -> Any:
 
 
 AXES = ("row", "col", "band")
-BRIGHT = 0.999  # share of the pixels that are at most a perfect white, where radiance came without its light
+BRIGHT = 0.999  # fraction of the pixels that are at most a perfect white, where radiance came without its light
 BRIGHTEST_USUAL = 2.0  # median reflectance of a scene: more is percent, counts or radiance
+FULL_RANGE = 0.5  # fraction of 16 bits that the brightest pixels of a cube reach whose white is the top of its type
 SPARSE = 8  # samples apart that tell the median
 STRIP = 128  # rows converted at once
 
 
 def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | None) -> Scene:
-    """Return the scene of a cube under `light` (None: not known, for radiance).
+    """Make a scene of a stored cube.
 
     Reflectance is stored value / white. Radiance is divided by that of a perfect white under `light`, whose level, like the
     cube's own, only `white` can tell; without a light the brightest pixels are taken as a white under equal photons, and
-    the scene keeps only that. Small negatives become zero (docs/method.md#simulation). ValueError says what does not fit.
+    the scene keeps only that. Small negatives become zero (docs/method.md#simulation). Bad bands are left out. Pixels
+    without data get the reflectance of the nearest pixel that has some, and are marked.
+
+    Parameters
+    ----------
+    cube : SpectralCube
+        The cube as its file stores it.
+    source : Spectral
+        What the recipe says of it.
+    name : str
+        Name of the scene.
+    light : Light or None
+        The light that radiance was measured under; None: not known.
+
+    Raises
+    ------
+    ValueError
+        If the cube does not fit what is said of it, or a question is left open: its white, its wavelengths.
     """
-    wavelength, values = _bands(cube, source)
-    white = source.white or cube.white or (np.iinfo(values.dtype).max if values.dtype.kind in "iu" else 1.0)
+    wavelength, values, ignored = _bands(cube, source)
+    white = source.white or cube.white or _usual_white(values, source, ignored)
     per_white = np.full(wavelength.size, 1.0 / white)
     illuminant = NO_ILLUMINANT
     if source.holds != "reflectance":
@@ -391,8 +426,11 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     reflectance = np.empty(values.shape, np.float32)
     for top in range(0, len(values), STRIP):
         reflectance[top : top + STRIP] = values[top : top + STRIP] * per_white.astype(np.float32)
+    if ignored is not None:
+        _fill(reflectance, ignored)
     if not np.isfinite(reflectance).all():
-        raise ValueError("holds values that are not finite (NaN or Inf); repair the cube")
+        raise ValueError('holds values that are not finite (NaN or Inf); repair the cube, or give ignored = "nan"')
+    _require_no_mark(values, ignored)
     np.maximum(reflectance, 0.0, out=reflectance)
     if source.holds != "reflectance" and source.white is None:
         _normalise(reflectance)
@@ -401,7 +439,50 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
         raise ValueError(
             f"its reflectances are {usual:.3g} in the median, and 1 is white; give white, 100 for percent, or holds"
         )
-    return Scene(name, wavelength, reflectance, illuminant)
+    return Scene(name, wavelength, reflectance, illuminant, ignored)
+
+
+def _usual_white(values: NDArray, source: Spectral, ignored: NDArray[np.bool_] | None) -> float:
+    """Return the stored value of a perfect white where neither the recipe nor the file states it; ValueError if only they
+    can tell."""
+    if values.dtype.kind not in "iu":
+        return 1.0
+    top = float(np.iinfo(values.dtype).max)
+    if source.holds != "reflectance" or values.dtype.itemsize == 1:
+        return top  # the brightest pixels tell; all that a camera of 8 bits has
+    brightest = np.max(values, axis=2, where=True if ignored is None else ~ignored[..., None], initial=0)
+    reached = float(np.quantile(brightest, BRIGHT))
+    if values.dtype.kind == "u" and values.dtype.itemsize == 2 and reached >= FULL_RANGE * top:
+        return top
+    raise ValueError(
+        f"its integers of {8 * values.dtype.itemsize} bits reach {reached:g}, and the file states no scale; give white, the "
+        f"stored value of a perfect white, such as 10000 or {top:g}"
+    )
+
+
+def _fill(reflectance: NDArray[np.float32], ignored: NDArray[np.bool_]) -> None:
+    """Give pixels without data the reflectance of the nearest pixel that has some; ValueError if none has."""
+    from scipy.ndimage import distance_transform_edt
+
+    if ignored.all():
+        raise ValueError("all of its pixels are marked as without data; give a cube that holds some")
+    rows, cols = distance_transform_edt(ignored, return_distances=False, return_indices=True)
+    reflectance[ignored] = reflectance[rows[ignored], cols[ignored]]
+
+
+def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None:
+    """Raise ValueError if pixels hold the same negative number in all bands: noise does not, a mark of missing data does."""
+    if values.shape[2] < 2 or values.dtype.kind == "u":
+        return
+    for row, line in enumerate(values):
+        marked = (line[:, 0] < 0) & (line == line[:, :1]).all(axis=1)
+        if ignored is not None:
+            marked &= ~ignored[row]
+        if marked.any():
+            mark = float(line[marked.argmax(), 0])
+            raise ValueError(
+                f"holds {mark:g} in all bands of some pixels; give ignored = {mark:g} if that marks missing data"
+            )
 
 
 def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
@@ -418,9 +499,9 @@ def _normalise(reflectance: np.ndarray) -> None:
     reflectance /= np.float32(peak)
 
 
-def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bands' wavelengths in nm, increasing, and values (row, col, band): the recipe's wavelengths, else the
-    file's."""
+def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray, NDArray[np.bool_] | None]:
+    """Return the good bands' wavelengths in nm, increasing, values (row, col, band), and the pixels (row, col) without data:
+    the recipe's wavelengths, else the file's."""
     if source.wavelengths_nm is not None:
         wavelength = np.array(source.wavelengths_nm)
     elif source.wavelength_range_nm is not None:
@@ -430,7 +511,7 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
         wavelength = cube.wavelength
     else:
         raise ValueError("holds no wavelengths; give wavelengths_nm or wavelength_range_nm in the recipe")
-    shape = cube.values.shape
+    values, shape = cube.values, cube.values.shape
     if shape[2] != wavelength.size:
         described = f"its {' × '.join(map(str, shape))} values (row × col × band) do not fit {wavelength.size} wavelengths"
         if wavelength.size in shape[:2]:
@@ -438,7 +519,22 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
                 f"{described}: the bands lie along its {AXES[shape.index(wavelength.size)]} axis; turn the cube (axes)"
             )
         raise ValueError(f"{described}; correct wavelengths_nm")
-    wavelength, values = spectra.ascending(wavelength, cube.values)
-    if not np.isfinite(wavelength).all() or (np.diff(wavelength) <= 0).any():
-        raise ValueError("its wavelengths do not increase; sort the bands or give wavelengths_nm in the recipe")
-    return wavelength, values
+    if not np.isfinite(wavelength).all():
+        raise ValueError("its wavelengths are not all numbers; give wavelengths_nm in the recipe")
+    good = np.ones(wavelength.size, bool) if cube.good is None else cube.good
+    ignored = cube.ignored
+    if source.ignored is not None:
+        ignored = missing(values, float(source.ignored), good)
+    order = np.argsort(wavelength, kind="stable")
+    order = order[good[order]]
+    if (twice := np.diff(wavelength[order]) <= 0).any():
+        raise ValueError(
+            f"{wavelength[order][twice.argmax()]:g} nm occurs twice among its wavelengths; give wavelengths_nm in the recipe"
+        )
+    steps = np.unique(np.diff(order)) if order.size > 1 else np.ones(1, int)
+    if steps.size == 1 and abs(steps[0]) == 1:  # a view
+        start, step = int(order[0]), int(steps[0])
+        values = values[..., start : start + step * order.size if start + step * order.size >= 0 else None : step]
+    else:
+        values = values[..., order]
+    return wavelength[order], values, ignored

@@ -153,13 +153,13 @@ def sample_patches(
 ) -> Patches:
     """Return `count` patches at random places and orientations of a frame, seen through the CFA `window` (tap).
 
-    The mosaic is laid over the full-resolution electrons at any offset, after mirroring and turning the scene.
+    The mosaic is laid over the full-resolution electrons at any offset, after mirroring and turning the scene. Patches touch
+    no ignored pixel.
     """
     side = int(np.sqrt(window.size))
     radius = side // 2
     _, rows, cols = frame.electrons.shape
-    places = even_places(count, 2, rng) * (rows - 2 * radius, cols - 2 * radius)
-    row, col = places.astype(np.int64).T + radius
+    row, col = _centres(frame, side, count, rng)
     turn = np.arange(count) * len(orientations) // count
     reach = np.arange(side) - radius
     offset = (reach[:, None] * cols + reach[None]).ravel()
@@ -173,6 +173,23 @@ def sample_patches(
     signal *= (head.camera.channel_gains / head.camera.full_scale).astype(np.float32)[window]
     target = frame.target[:, row, col].T * np.float32(frame.exposure / unit)
     return Patches(signal, np.ascontiguousarray(target))
+
+
+def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return rows and columns (2, place) of `count` patches of a side that touch no ignored pixel; InputFileError if none is
+    free."""
+    rows, cols = frame.raw.shape[0] - side + 1, frame.raw.shape[1] - side + 1
+    if frame.ignored is None:
+        return (even_places(count, 2, rng) * (rows, cols)).astype(np.int64).T + side // 2
+    from scipy.ndimage import maximum_filter  # only sets with ignored pixels need it
+
+    free = maximum_filter(frame.ignored, side, mode="nearest")[side // 2 :, side // 2 :][:rows, :cols] == 0
+    if not free.any():
+        raise InputFileError(
+            f"frame of scene {frame.scene} has no {side}×{side} pixels without an ignored one; leave the scene out"
+        )
+    places = np.flatnonzero(free)[(even_places(count, 1, rng)[:, 0] * np.count_nonzero(free)).astype(np.int64)]
+    return np.stack(np.unravel_index(places, free.shape)) + side // 2
 
 
 def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np.float64]:

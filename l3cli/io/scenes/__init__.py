@@ -25,6 +25,8 @@ class SceneFormat:
     keys: tuple[str, ...] = ()  # of the recipe, that the reader takes
     is_folder: bool = False  # a scene is a folder, not a file
     has_files: bool = False  # a scene is in several files
+    holds: str = ""  # what the files are and where they state wavelengths, for the documentation
+    states: str = ""  # what else the files state that l3 reads
 
     def read(self, path: Path, **keys: Any) -> Scene | SpectralCube | NDArray[np.float32]:
         """Return a scene, a cube of bands, or a linear picture (row, col, 3); InputFileError if the file is none."""
@@ -46,13 +48,27 @@ class SceneFormat:
 
 
 FORMATS = (
-    SceneFormat("iset", "iset", keys=("light",)),
-    SceneFormat("rgb", "rgb", keys=("holds",)),
-    SceneFormat("bands", "bands", is_folder=True, has_files=True),
-    SceneFormat("envi", "envi", has_files=True),
-    SceneFormat("cube", "cube", keys=("variable", "axes")),
-    SceneFormat("channels", "bands", has_files=True),
-)
+    SceneFormat("iset", "iset", keys=("light",), holds="ISET scene (.mat)", states="photons, wavelengths, illuminant"),
+    SceneFormat("rgb", "rgb", keys=("holds",), holds="picture of three channels", states="—"),
+    SceneFormat(
+        "bands", "bands", is_folder=True, has_files=True, holds="folder of one picture per band (.png, .tif, .pgm, .exr)",
+        states='wavelengths in the names of the files: "450nm.png", "face_450.5nm.tif", "450.png"',
+    ),
+    SceneFormat(
+        "envi", "envi", keys=("holds",), has_files=True, holds="ENVI header (.hdr) with its data beside it",
+        states="[all fields of the header that change values](#fields-of-envi-headers)",
+    ),
+    SceneFormat(
+        "cube", "cube", keys=("variable", "axes"), holds="array of MATLAB (any version), HDF5, netCDF-4 or .npy",
+        states="wavelengths, their unit and bad bands beside the cube, in its attributes, groups or structs; attributes "
+        "`scale_factor`, `add_offset`, `_FillValue`, `missing_value` (CF), `Scale_Factor`, `Data_Ignore_Value` (NEON)",
+    ),
+    SceneFormat(
+        "channels", "bands", has_files=True, holds="OpenEXR or TIFF with one channel per band; TIFF with one page per band",
+        states="wavelengths in the names of channels and pages, in labels of ImageJ, channels of OME, metadata of tifffile "
+        "and GDAL; scale, offset and nodata value of GDAL",
+    ),
+)  # fmt: skip
 
 
 def format_of(source: str, path: Path) -> SceneFormat:

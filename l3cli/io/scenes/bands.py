@@ -1,43 +1,50 @@
-"""Bands as pictures: a folder with one picture a band; one picture of many channels, such as EXR, with one a band; a TIFF
-with one page a band."""
+"""Bands as pictures: a folder with one picture per band; one picture of many channels, such as EXR, with one per band; a
+TIFF with one page per band."""
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.frames.marks import missing, scaled
 from l3cli.frames.scene import SpectralCube
-from l3cli.io.images import picture_size, read_image
-from l3cli.io.isolated import isolated
+from l3cli.io.images import open_image, picture_size, pixels_of, read_image, require_bearable
+from l3cli.io.isolated import isolated, named_in_utf8
+from l3cli.io.scenes.wavelengths import NAMES, in_nm, of_names
 from l3cli.system.limits import require_values
 
 BAND_PICTURES = (".png", ".tif", ".tiff", ".pgm", ".exr")
 TIFF = (".tif", ".tiff")
+GDAL_METADATA, GDAL_NODATA, PAGE_NAME = 42112, 42113, 285  # tags
+ITEM = re.compile(r'<Item name="(\w+)"([^>]*)>([^<]*)</Item>')
 
 
 def read(path: Path) -> SpectralCube:
-    """Return the pictures of a folder, one a band in the order of their names' numbers (CAVE: 16-bit PNG), of a picture with
-    several channels the first; or all channels of a picture, in increasing wavelength, which their names may give ("450nm",
-    "S0.450,5nm"), of a TIFF of one channel its pages. InputFileError if there are none or they differ in size."""
+    """Return the cube of a folder of pictures, of a picture of several channels, or of the pages of a TIFF.
+
+    The pictures of a folder are in the order of the numbers in their names, and of each the first channel is read. Names of
+    files, channels or pages may give the wavelengths ("450nm", "S0.450,5nm"); those that give none among others that do are
+    left out. InputFileError if there are no pictures or they differ in size.
+    """
     if path.is_dir():
-        return SpectralCube(_stacked(_pictures(path)), None)
-    pages = _read_pages(path) if path.suffix.lower() in TIFF else None
-    if pages is not None:
-        return SpectralCube(pages, None)
+        pictures = _pictures(path)
+        wanted, wavelength = _named([picture.stem for picture in pictures])
+        return SpectralCube(_stacked([pictures[index] for index in wanted]), wavelength)
+    if path.suffix.lower() in TIFF:
+        return _of_tiff(*_read_tiff(path))
     pixels, names = read_image(path)
-    matches = [re.search(r"(\d+(?:[.,]\d+)?)\s*nm", name) for name in names]
-    wanted = [index for index, match in enumerate(matches) if match]
-    if not wanted:
-        return SpectralCube(pixels, None)
-    nanometres = np.array([float(match[1].replace(",", ".")) for match in matches if match])
-    order = np.argsort(nanometres, kind="stable")
-    return SpectralCube(pixels[..., np.array(wanted)[order]], nanometres[order])
+    wanted, wavelength = _named(names)
+    return SpectralCube(pixels[..., wanted], wavelength)
 
 
 def size(path: Path) -> tuple[int, int]:
     """Return (rows, cols) of the first picture; InputFileError if there is none."""
+    if path.suffix.lower() in TIFF and not path.is_dir():
+        rows, cols = _tiff_size(path)
+        return rows, cols
     return picture_size(_pictures(path)[0] if path.is_dir() else path)
 
 
@@ -60,6 +67,16 @@ def _pictures(folder: Path) -> list[Path]:
     return pictures
 
 
+def _named(names: list[str] | tuple[str, ...]) -> tuple[list[int], NDArray[np.float64] | None]:
+    """Return the indices of the bands among what has these names, and their wavelengths in nm: all and None where no name
+    states one, else those that do."""
+    stated = of_names(names)
+    wanted = [index for index, each in enumerate(stated) if each is not None]
+    if not wanted:
+        return list(range(len(names))), None
+    return wanted, np.array([each for each in stated if each is not None])
+
+
 def _stacked(pictures: list[Path]) -> NDArray:
     """Return the first channel of each picture (row, col, band)."""
     cube: NDArray | None = None
@@ -76,15 +93,120 @@ def _stacked(pictures: list[Path]) -> NDArray:
     return cube
 
 
+# ------------------------------------------------------------------------------------------------------------ TIFF
+
+
+def _of_tiff(values: NDArray, names: list[str], said: dict[str, Any]) -> SpectralCube:
+    """Return the cube of what `_read_tiff` returns."""
+    if said["wavelengths"]:
+        wanted, wavelength = list(range(values.shape[2])), in_nm(said["wavelengths"], "")
+    else:
+        wanted, wavelength = _named(names) if len(names) == values.shape[2] else (list(range(values.shape[2])), None)
+    values = values[..., wanted]
+    ignored = None if said["nodata"] is None else missing(values, said["nodata"])
+    gain = np.array(said["SCALE"])[wanted] if said["SCALE"] else 1.0
+    offset = np.array(said["OFFSET"])[wanted] if said["OFFSET"] else 0.0
+    made = scaled(values, gain, offset)
+    return SpectralCube(made, wavelength, None if made is values else 1.0, None, ignored)
+
+
 @isolated("tifffile")
-def _read_pages(path: Path) -> NDArray | None:
-    """Return the pages (row, col, page) of a TIFF of one channel; None of one of several."""
+def _tiff_size(path: Path) -> tuple[int, int]:
+    """Return (rows, cols) of the bands of a TIFF."""
     import tifffile
 
     with tifffile.TiffFile(path) as file:
-        if file.pages[0].samplesperpixel > 1:
-            return None
-        first = file.series[0]
-        require_values(str(path), first.shape, first.dtype.itemsize if first.dtype else 1)
-        pages = first.asarray()
-    return np.moveaxis(pages, 0, 2) if pages.ndim == 3 else pages[..., None]
+        page = _bands_of(path, file).keyframe
+        return page.imagelength, page.imagewidth
+
+
+@isolated("OpenImageIO", "tifffile")
+def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
+    """Return the bands (row, col, band) of a TIFF, their names, and what its tags say of them: wavelengths, the value that
+    marks pixels without data, GDAL's scales and offsets."""
+    import tifffile
+
+    with tifffile.TiffFile(path) as file:
+        series = _bands_of(path, file)
+        page, bands = (
+            series.keyframe,
+            int(np.prod(series.shape)) // (series.keyframe.imagelength * series.keyframe.imagewidth),
+        )
+        said, names = _said(file, page, bands), _page_names(file, series, bands)
+        pages = [each.index for each in series.pages if each is not None]
+        is_one_frame_of_many = len(pages) * page.samplesperpixel != bands  # ImageJ and tifffile: the others lie behind it
+        values = series.asarray() if is_one_frame_of_many else None
+        axes = series.axes
+    if values is not None:
+        order = sorted(range(values.ndim), key=lambda axis: {"Y": 0, "X": 1}.get(axes[axis], 2))
+        return values.transpose(order).reshape(page.imagelength, page.imagewidth, bands), names, said
+    with named_in_utf8(path) as name:
+        source = open_image(path, name)
+        planes = []
+        for index in pages:
+            source.seek_subimage(index, 0)
+            spec = source.spec()
+            require_bearable(path, spec)
+            pixels = pixels_of(path, source, spec)
+            depth = 8 * pixels.dtype.itemsize
+            if pixels.dtype.kind == "u":  # OpenImageIO stretches depths such as 12 bits: the upper bits are what is stored
+                pixels = pixels >> pixels.dtype.type(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
+            planes.append(pixels)
+            names = names or list(spec.channelnames)
+        source.close()
+    return np.concatenate(planes, axis=2), names if len(names) == bands else [], said
+
+
+def _bands_of(path: Path, file: Any) -> Any:
+    """Return the series of pages that are the bands; InputFileError if there are several such series, or axes beside rows,
+    columns and bands."""
+    series = file.series[0]
+    page = series.keyframe
+    if any(each.shape == series.shape and each is not series for each in file.series[1:]):
+        raise InputFileError(f"{path} holds several stacks of pages; give a file of one cube")
+    further = [axis for axis, length in zip(series.axes, series.shape, strict=True) if axis not in "YX" and length > 1]
+    if len(further) > 1 or "Y" not in series.axes or "X" not in series.axes:
+        lengths = "×".join(map(str, series.shape))
+        raise InputFileError(f"{path} has axes {series.axes} of lengths {lengths}; give rows, columns and bands alone")
+    if page.samplesperpixel > 1 and sum(each is not None for each in series.pages) > 1:
+        raise InputFileError(f"{path} holds pages of {page.samplesperpixel} channels; give pages of one")
+    require_values(str(path), series.shape, series.dtype.itemsize)
+    return series
+
+
+def _said(file: Any, page: Any, bands: int) -> dict[str, Any]:
+    """Return what the tags say of the values of the bands."""
+    said: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": []}
+    for metadata in file.shaped_metadata or ():
+        for name, value in metadata.items():
+            if name.lower() in NAMES and isinstance(value, list | tuple) and len(value) == bands:
+                said["wavelengths"] = [float(each) for each in value]
+    if GDAL_NODATA in page.tags:
+        said["nodata"] = float(str(page.tags[GDAL_NODATA].value).strip("\0 "))
+    items: dict[str, dict[int, str]] = {}
+    for name, about, text in ITEM.findall(str(page.tags[GDAL_METADATA].value) if GDAL_METADATA in page.tags else ""):
+        if sample := re.search(r'sample="(\d+)"', about):
+            items.setdefault(name, {})[int(sample[1])] = text
+    for name, usual in (("SCALE", 1.0), ("OFFSET", 0.0)):
+        if name in items:
+            said[name] = [float(items[name].get(band, usual)) for band in range(bands)]
+    for name, nm in (("wavelength", 1.0), ("WAVELENGTH", 1.0), ("CENTRAL_WAVELENGTH_UM", 1e3)):
+        if len(items.get(name, ())) == bands:
+            said["wavelengths"] = [float(items[name][band]) * nm for band in range(bands)]
+    if "DESCRIPTION" in items:
+        said["names"] = [items["DESCRIPTION"].get(band, "") for band in range(bands)]
+    return said
+
+
+def _page_names(file: Any, series: Any, bands: int) -> list[str]:
+    """Return the names of the bands: labels of ImageJ, channels of OME, names or descriptions of pages; empty if none."""
+    if file.is_imagej and len(labels := (file.imagej_metadata or {}).get("Labels") or ()) == bands:
+        return [str(label) for label in labels]
+    if file.is_ome and len(channels := re.findall(r'<Channel [^>]*?Name="([^"]*)"', file.ome_metadata or "")) == bands:
+        return channels
+    pages = [each for each in series.pages if each is not None]
+    if len(pages) != bands or bands == 1:
+        return []
+    pages = [file.pages[each.index] for each in pages]
+    named = [str(page.tags[PAGE_NAME].value) if PAGE_NAME in page.tags else "" for page in pages]
+    return named if all(named) else [page.description[:200] for page in pages]

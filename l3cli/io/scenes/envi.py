@@ -1,74 +1,233 @@
-"""ENVI cubes: a header in text, the data beside it."""
+"""ENVI cubes: a header in text, the data beside it.
+
+FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) and what
+becomes of it. Fields that are not listed are those of a maker, and are passed over.
+"""
 
 import math
+import mmap
+import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.frames.marks import missing, scaled
 from l3cli.frames.scene import SpectralCube
+from l3cli.io.scenes.wavelengths import UNSTATED, in_nm, of_names
 from l3cli.system.limits import read_bounded, require_picture
 
 TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
+COMPLEX = (6, 9)
 AXES = {"bsq": ("bands", "lines", "samples"), "bil": ("lines", "bands", "samples"), "bip": ("lines", "samples", "bands")}
-UNITS = {"nanometers": 1.0, "nm": 1.0, "micrometers": 1e3, "um": 1e3, "µm": 1e3, "microns": 1e3}
-DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube")
+STANDARD = ("envi standard", "envi", "standard", *UNSTATED)  # file types of a cube without compression
+DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube", ".hyspex")
+CURE = "give a whole ENVI header"
+
+READ, REFUSED, HARMLESS = "read", "refused", "harmless"
 
 
-def read(path: Path) -> SpectralCube:
-    """Return the cube of an ENVI header (.hdr); the data lie beside it. InputFileError if the two do not fit each other."""
-    header = _header(path)
+@dataclass(frozen=True)
+class HeaderField:
+    """A field of an ENVI header."""
+
+    name: str
+    fate: str  # READ, REFUSED unless it says nothing that matters, or HARMLESS: no value of the cube depends on it
+    meaning: str
+
+
+FIELDS = (
+    HeaderField("samples", READ, "columns"),
+    HeaderField("lines", READ, "rows"),
+    HeaderField("bands", READ, "bands"),
+    HeaderField("data type", READ, "1, 2, 3, 4, 5, 12, 13, 14 or 15; complex numbers (6, 9) are refused"),
+    HeaderField("interleave", READ, "bsq, bil or bip; may be missing from a header of one band"),
+    HeaderField("byte order", READ, "0: little-endian, also where it is missing; 1: big-endian"),
+    HeaderField("header offset", READ, "bytes before the data"),
+    HeaderField("major frame offsets", READ, "bytes before and after each band (bsq) or line (bil, bip)"),
+    HeaderField("minor frame offsets", READ, "bytes before and after each line of a band (bsq, bil) or pixel (bip)"),
+    HeaderField("wavelength", READ, "of each band"),
+    HeaderField("wavelength units", READ, "Nanometers, Micrometers, Angstroms, Wavenumber, GHz …; Index: no wavelengths"),
+    HeaderField("band names", READ, 'wavelengths, such as "450 nm", where `wavelength` is missing'),
+    HeaderField("bbl", READ, "0: a bad band, which is left out and interpolated over; 1: a good one"),
+    HeaderField("data ignore value", READ, "pixels that hold it in any good band are left out of training"),
+    HeaderField("reflectance scale factor", READ, "stored value of a perfect white"),
+    HeaderField("data gain values", READ, "stored values are multiplied by them"),
+    HeaderField("data offset values", READ, "added after the gains"),
+    HeaderField("data reflectance gain values", READ, "the same, to reflectance; they precede the data gains"),
+    HeaderField("data reflectance offset values", READ, "added after the reflectance gains"),
+    HeaderField("file type", REFUSED, "anything but ENVI Standard: classifications, spectral libraries, TIFF"),
+    HeaderField("file compression", REFUSED, "1: the data are compressed"),
+    HeaderField("read procedures", REFUSED, "the data are only understood by a program that the header names"),
+    HeaderField("fwhm", HARMLESS, "widths of the bands: values are taken as samples at the centres"),
+    HeaderField("complex function", HARMLESS, "complex data are refused"),
+    HeaderField("solar irradiance", HARMLESS, "from which others compute reflectance; give `light` instead"),
+    *(
+        HeaderField(name, HARMLESS, meaning)
+        for name, meaning in (
+            ("description", "text"),
+            ("sensor type", "text"),
+            ("product type", "text"),
+            ("security tag", "text"),
+            ("acquisition time", "when"),
+            ("timestamp", "when"),
+            ("sun azimuth", "where the sun stood"),
+            ("sun elevation", "where the sun stood"),
+            ("cloud cover", "share of clouds"),
+            ("map info", "where on earth"),
+            ("projection info", "where on earth"),
+            ("coordinate system string", "where on earth"),
+            ("geo points", "where on earth"),
+            ("rpc info", "where on earth"),
+            ("pixel size", "where on earth"),
+            ("x start", "where on the sensor"),
+            ("y start", "where on the sensor"),
+            ("dem file", "heights of the ground"),
+            ("dem band", "heights of the ground"),
+            ("classes", "of a classification"),
+            ("class names", "of a classification"),
+            ("class lookup", "of a classification"),
+            ("spectra names", "of a spectral library"),
+            ("default bands", "how ENVI shows it"),
+            ("default stretch", "how ENVI shows it"),
+            ("color table", "how ENVI shows it"),
+            ("z plot average", "how ENVI plots it"),
+            ("z plot range", "how ENVI plots it"),
+            ("z plot titles", "how ENVI plots it"),
+        )
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the values lie in the data file."""
+
+    shape: tuple[int, int, int]  # in the order of `axes`, the last one varying fastest
+    axes: tuple[str, str, str]
+    dtype: np.dtype
+    offset: int  # bytes before the first value
+    strides: tuple[int, int, int]  # bytes
+    end: int  # bytes that the file must have
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.shape[self.axes.index("lines")], self.shape[self.axes.index("samples")]
+
+
+class Header:
+    """Text of an ENVI header by its fields, in lower case."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.fields = path, _fields(path)
+
+    def wrong(self, name: str, why: str, cure: str = CURE) -> InputFileError:
+        return InputFileError(f"{self.path}: {name} {why}; {cure}")
+
+    def text(self, name: str) -> str:
+        return self.fields.get(name, "")
+
+    def whole(self, name: str, least: int = 0, default: int | None = None) -> int:
+        """Return a whole number; without a default the field must be there."""
+        text = self.text(name)
+        if not text and default is not None:
+            return default
+        if not text:
+            raise self.wrong(name, "is missing")
+        if not text.isdecimal() or int(text) < least:
+            raise self.wrong(name, f'is "{text[:40]}", no whole number from {least}')
+        return int(text)
+
+    def numbers(self, name: str, count: int) -> NDArray[np.float64] | None:
+        """Return one number for each of `count` bands, or None if the field is missing; one number stands for all bands."""
+        if not self.text(name):
+            return None
+        words = [word for word in re.split(r"[,\s]+", self.text(name)) if word]
+        try:
+            listed = np.array([float(word) for word in words])
+        except ValueError as error:
+            raise self.wrong(name, f"has an entry that is no number ({error})") from error
+        if listed.size not in (1, count):
+            raise self.wrong(name, f"lists {listed.size} numbers for {count} bands")
+        return np.broadcast_to(listed, count)
+
+
+def read(path: Path, holds: str = "reflectance") -> SpectralCube:
+    """Return the cube of an ENVI header (.hdr), whose data lie beside it.
+
+    Parameters
+    ----------
+    path : Path
+        The header.
+    holds : str
+        What the recipe says the cube holds: "reflectance", "radiance" or "photons". It decides between the gains to
+        reflectance and those to radiance.
+
+    Raises
+    ------
+    InputFileError
+        If the header and its data do not fit each other, or a field asks for what l3 does not do.
+    """
+    header = Header(path)
+    layout = _layout(header)
+    wavelength, good = _wavelengths(header), _good_bands(header)
+    gain, offset, white = _scale(header, holds)
+    data = _whole_data(path, layout)
+    with open(data, "rb") as stream:
+        content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    stored = np.ndarray(layout.shape, layout.dtype, content, layout.offset, layout.strides)
+    values = stored.transpose([layout.axes.index(axis) for axis in ("lines", "samples", "bands")])
+    mark = header.text("data ignore value")
     try:
-        sizes = {key: int(header[key]) for key in ("lines", "samples", "bands")}
-        axes = AXES[header["interleave"].lower()]
-        order = ">" if int(header.get("byte order", "0")) else "<"
-        dtype = np.dtype(order + TYPES[int(header["data type"])])
-        offset = int(header.get("header offset", "0"))
-        listed = [float(value) for value in header["wavelength"].split(",")] if "wavelength" in header else None
-        white = float(header["reflectance scale factor"]) if "reflectance scale factor" in header else None
-    except KeyError as error:
-        raise InputFileError(f"{path}: {error.args[0]} is missing or of no known kind; give a whole ENVI header") from error
+        ignored = missing(values, float(mark), good) if mark else None
     except ValueError as error:
-        raise InputFileError(f"{path}: {error}; give a whole ENVI header") from error
-    data = _data(path)
-    shape = tuple(sizes[axis] for axis in axes)
-    wanted = offset + math.prod(shape) * dtype.itemsize
-    require_picture(str(path), sizes["lines"], sizes["samples"], sizes["bands"])
-    if min(shape) < 1 or offset < 0 or data.stat().st_size < wanted:
-        raise InputFileError(f"{data} has {data.stat().st_size} bytes, its header wants {wanted}; give the whole file")
-    stored = np.memmap(data, dtype, "r", offset, shape)
-    values = stored.transpose([axes.index(axis) for axis in ("lines", "samples", "bands")])
-    wavelength = None if listed is None else np.array(listed) * _unit(header, listed)
-    return SpectralCube(values, wavelength, white)
+        raise header.wrong("data ignore value", f'is "{mark[:40]}", no number') from error
+    return SpectralCube(scaled(values, gain, offset), wavelength, white, good, ignored)
 
 
-def _header(path: Path) -> dict[str, str]:
-    """Return the keys in lower case and values, braces taken off."""
-    text = read_bounded(path).decode("latin-1")
-    if not text.lstrip().startswith("ENVI"):
-        raise InputFileError(f"{path} is not an ENVI header; give the .hdr file")
-    header, lines = {}, iter(text.splitlines())
-    for line in lines:
-        key, equals, value = line.partition("=")
-        if not equals or line.lstrip().startswith(";"):  # a comment
-            continue
-        values = [value]
-        while values[0].lstrip().startswith("{") and "}" not in values[-1]:
-            values.append(next(lines, "}"))
-        header[key.strip().lower()] = " ".join(values).partition("}")[0].replace("{", "").strip()
-    return header
-
-
-def size(path: Path) -> tuple[int, int]:
-    """Return (rows, cols); the data are only mapped for it."""
-    rows, cols, _ = read(path).values.shape
-    return rows, cols
+def size(path: Path, holds: str = "reflectance") -> tuple[int, int]:
+    """Return (rows, cols) by the header; InputFileError as `read`."""
+    header = Header(path)
+    layout = _layout(header)
+    _wavelengths(header), _good_bands(header), _scale(header, holds), _whole_data(path, layout)
+    return layout.size
 
 
 def files(path: Path) -> list[Path]:
     """Return an ENVI header and its data; InputFileError unless both are there."""
-    _header(path)
+    _fields(path)
     return [path, _data(path)]
+
+
+def _fields(path: Path) -> dict[str, str]:
+    """Return the names in lower case and the values, without braces and comments."""
+    content = read_bounded(path)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    if not text.lstrip().startswith("ENVI"):
+        raise InputFileError(f"{path} is not an ENVI header; give the .hdr file")
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith(";")]  # comments
+    fields, at = {}, 0
+    while at < len(lines):
+        name, equals, value = lines[at].partition("=")
+        at += 1
+        if not equals:
+            continue
+        value = value.strip()
+        while at < len(lines) and _goes_on(value, lines[at]):
+            value = f"{value} {lines[at].strip()}".strip()
+            at += 1
+        fields[" ".join(name.lower().split())] = value.partition("}")[0].replace("{", "").strip()
+    return fields
+
+
+def _goes_on(value: str, following: str) -> bool:
+    """Return whether a value goes on in the line below: its brace is open, or only opens there."""
+    return "}" not in value if value.startswith("{") else not value and following.lstrip().startswith("{")
 
 
 def _data(path: Path) -> Path:
@@ -80,7 +239,116 @@ def _data(path: Path) -> Path:
     raise InputFileError(f"{path}: its data file is missing; put {stem.name} or {stem.name}.img beside the header")
 
 
-def _unit(header: dict[str, str], listed: list[float]) -> float:
-    """Return how many nm a unit has of the listed wavelengths; by the header or else by their size."""
-    named = header.get("wavelength units", "").lower()
-    return UNITS.get(named, 1e3 if max(listed) < 100 else 1.0)
+def _whole_data(path: Path, layout: Layout) -> Path:
+    """Return the data file; InputFileError if there is none or it is too short."""
+    data = _data(path)
+    held = data.stat().st_size
+    if held < layout.end:
+        raise InputFileError(f"{data} has {held} bytes, its header wants {layout.end}; give the whole file")
+    return data
+
+
+def _layout(header: Header) -> Layout:
+    """Return where the values lie; InputFileError names the field that is missing or says what cannot be read."""
+    sizes = {name: header.whole(name, 1) for name in ("lines", "samples", "bands")}
+    kind = header.text("file type")
+    if kind.lower() not in STANDARD:
+        raise header.wrong("file type", f'is "{kind[:40]}"', "give a cube of file type ENVI Standard")
+    if header.text("read procedures"):
+        raise header.wrong("read procedures", "name a program that alone can read the data", "save it as ENVI Standard")
+    if header.text("file compression").lower() not in ("", "0", "none", "false"):
+        raise header.wrong("file compression", "says that the data are compressed", "save the cube without compression")
+    code = header.whole("data type")
+    if code not in TYPES:
+        what = " (complex numbers)" if code in COMPLEX else ""
+        raise header.wrong("data type", f"= {code}{what} is of no known kind", "save the cube as real numbers")
+    order = header.whole("byte order", default=0)
+    if order > 1:
+        raise header.wrong("byte order", f"is {order}, neither 0 nor 1")
+    interleave = (header.text("interleave") or ("bsq" if sizes["bands"] == 1 else "")).lower()
+    if interleave not in AXES:
+        raise header.wrong("interleave", f'is "{interleave[:40]}", none of bsq, bil and bip' if interleave else "is missing")
+    axes, dtype = AXES[interleave], np.dtype("<>"[order] + TYPES[code])
+    require_picture(str(header.path), sizes["lines"], sizes["samples"], sizes["bands"])
+    shape = sizes[axes[0]], sizes[axes[1]], sizes[axes[2]]
+    (before, after), (above, below) = (_frame_offsets(header, f"{which} frame offsets") for which in ("minor", "major"))
+    minor = before + shape[2] * dtype.itemsize + after
+    major = above + shape[1] * minor + below
+    start = header.whole("header offset", default=0)
+    return Layout(shape, axes, dtype, start + above + before, (major, minor, dtype.itemsize), start + shape[0] * major)
+
+
+def _frame_offsets(header: Header, name: str) -> tuple[int, int]:
+    listed = header.numbers(name, 2)
+    if listed is None:
+        return 0, 0
+    if not all(number >= 0 and number == int(number) for number in listed):
+        raise header.wrong(name, "are not two numbers of bytes")
+    return int(listed[0]), int(listed[1])
+
+
+def _wavelengths(header: Header) -> NDArray[np.float64] | None:
+    """Return the wavelengths (band) in nm, from their own field or else the bands' names."""
+    bands = header.whole("bands", 1)
+    if (listed := header.numbers("wavelength", bands)) is not None:
+        try:
+            wavelength = in_nm(listed, header.text("wavelength units"))
+        except ValueError as error:
+            name = "wavelength units" if "unit" in str(error) else "wavelength"
+            raise InputFileError(f"{header.path}: {name}: {error}") from error
+        if wavelength is not None:
+            return wavelength
+    names = [name.strip() for name in header.text("band names").split(",") if name.strip()]
+    stated = [each for each in of_names(names) if each is not None]
+    return np.array(stated) if len(stated) == len(names) == bands else None
+
+
+def _good_bands(header: Header) -> NDArray[np.bool_] | None:
+    listed = header.numbers("bbl", header.whole("bands", 1))
+    if listed is None:
+        return None
+    if not np.isin(listed, (0.0, 1.0)).all():
+        raise header.wrong("bbl", "has entries other than 0 and 1", "mark bad bands by 0, good ones by 1")
+    if not listed.any():
+        raise header.wrong("bbl", "marks all bands as bad", "mark the good ones by 1")
+    return np.asarray(listed == 1.0)
+
+
+def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
+    """Return gain and offset (band) of the stored values, and what then is a perfect white, None if nothing states it."""
+    bands = header.whole("bands", 1)
+    white = None
+    if text := header.text("reflectance scale factor"):
+        try:
+            white = float(text)
+        except ValueError:
+            white = math.nan
+        if not 0 < white < math.inf:
+            raise header.wrong("reflectance scale factor", f'is "{text[:40]}", no number above zero')
+    to_radiance, to_reflectance = (_linear(header, kind, bands) for kind in ("data", "data reflectance"))
+    if to_reflectance is not None and holds == "reflectance":
+        if white is not None:
+            raise header.wrong(
+                "reflectance scale factor", "and data reflectance gain values both scale the data", "remove one of them"
+            )
+        return *to_reflectance, 1.0
+    if to_radiance is not None:
+        if white is not None and holds == "reflectance":
+            raise header.wrong(
+                "reflectance scale factor", "and data gain values both scale the data", "remove one of them, or set holds"
+            )
+        return *to_radiance, None
+    if to_reflectance is not None:
+        raise header.wrong(
+            "data reflectance gain values", f"make reflectance of the data, not {holds}", 'leave out "holds" in the recipe'
+        )
+    return np.ones(bands), np.zeros(bands), white
+
+
+def _linear(header: Header, kind: str, bands: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return the gains and offsets (band) of a kind; None if there are none, or they change nothing."""
+    gain, offset = (header.numbers(f"{kind} {what} values", bands) for what in ("gain", "offset"))
+    gain, offset = np.ones(bands) if gain is None else gain, np.zeros(bands) if offset is None else offset
+    if not (np.isfinite(gain).all() and np.isfinite(offset).all() and gain.all()):
+        raise header.wrong(f"{kind} gain values", "or offsets are zero or not finite", "correct them")
+    return None if (gain == 1).all() and (offset == 0).all() else (gain, offset)

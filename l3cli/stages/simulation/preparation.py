@@ -18,7 +18,15 @@ from l3cli.recipes.toml import read_text
 from l3cli.simulation import recipe as asked
 from l3cli.simulation import sources
 from l3cli.simulation.frame import SimulationRun
-from l3cli.simulation.light import SCENE_LIGHT, column_names, make_light, make_target, read_curve, recorded_under
+from l3cli.simulation.light import (
+    SCENE_LIGHT,
+    column_names,
+    make_light,
+    make_target,
+    read_curve,
+    recorded_under,
+    require_seen,
+)
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.simulation.sensor import noise_plugin
 from l3cli.simulation.sources import FileSource, name_of
@@ -43,7 +51,7 @@ def files_of(source: sources.Source, path: Path) -> list[Path]:
 def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callable[[int], Scene | ChannelPicture]":
     """Return the scene, read or synthetic, as it lies on the sensor in each frame of its clip; one that stands still is the
     same in all. InputFileError if it does not fit there."""
-    from l3cli.frames.scene import ChannelPicture
+    from l3cli.frames.scene import ChannelPicture, Scene
     from l3cli.simulation import procedural
     from l3cli.simulation.clip import clip_of
     from l3cli.simulation.sources import framed
@@ -55,12 +63,14 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
         scene = _from_file(wanted, wanted.path, run)
     culprit = str(wanted.path or wanted.name)
     with raised_as(wanted.error, culprit):
+        if isinstance(scene, Scene) and wanted.path is not None:
+            require_seen(scene.wavelength, run.target, run.camera)
         if wanted.source.motion is not None:
             return clip_of(scene, wanted, run)
         if isinstance(scene, ChannelPicture):
             scene = replace(scene, signal=framed(scene.signal, wanted.source, run.camera))
         else:
-            scene = replace(scene, reflectance=framed(scene.reflectance, wanted.source, run.camera))
+            scene = sources.on_sensor(scene, wanted.source, run.camera)
     samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
     sources.check_size(samples.shape[:2], run.camera, InputFileError, culprit)
     return lambda _: scene
@@ -167,10 +177,12 @@ def fitting(
         return files, 0
     if not skip_bad:
         count = sum(map(len, files))
-        total = f"{len(bad)} of {count} scenes cannot be taken: " if len(bad) > 1 else ""
-        why = [str(error).partition("; ")[0] for error in bad]
-        cure = "give scale, crop or (rgb) shrink, correct the files, or leave them out with ‹skip_bad›"
-        raise InputFileError(f"{total}{listed(why)}; {cure}")
+        if len(bad) == 1:
+            raise InputFileError(f"{bad[0]}, or leave it out with ‹skip_bad›" if count > 1 else str(bad[0]))
+        cures = dict.fromkeys(str(error).partition("; ")[2] for error in bad)
+        why = listed(str(error).partition("; ")[0] for error in bad)
+        cure = ", ".join([*filter(None, cures), "or leave them out with ‹skip_bad›"])
+        raise InputFileError(f"{len(bad)} of {count} scenes cannot be taken: {why}; {cure}")
     readable = [[path for path in paths if path not in errors] for paths, errors in zip(files, refused, strict=True)]
     synthetic = any(not isinstance(source, FileSource) for source in run.recipe.scene)
     if not (any(readable) or synthetic or run.recipe.pair):

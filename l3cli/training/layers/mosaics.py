@@ -35,13 +35,18 @@ class Mosaics:
     values: NDArray[np.uint16]  # (row, col) DN, noisy
     clean: Floats | None  # (row, col) DN without noise, clipped at the white level; None: as `values`
     target: Floats  # (output, row, col) in the table's output unit
+    usable: NDArray[np.bool_] | None = None  # (row, col) pixels that layers may learn from; None: all
 
     @classmethod
     def joined(cls, parts: list["Mosaics"]) -> "Mosaics":
         """Return the mosaics of all parts, of one width."""
         values, target = (np.concatenate([getattr(part, name) for part in parts], axis=-2) for name in ("values", "target"))
         clean = [part.clean for part in parts if part.clean is not None]
-        return cls(sum(part.count for part in parts), values, np.concatenate(clean) if clean else None, target)
+        usable = None
+        if any(part.usable is not None for part in parts):
+            masks = [np.ones(part.values.shape, bool) if part.usable is None else part.usable for part in parts]
+            usable = np.concatenate(masks)
+        return cls(sum(part.count for part in parts), values, np.concatenate(clean) if clean else None, target, usable)
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,7 @@ def _shown(
     channel = camera.channel_map(shape)
     gains = (camera.channel_gains / camera.full_scale).astype(np.float32)
     mean = np.tensordot(gains / np.float32(gains.size), frame.electrons, 1)[None]
+    usable = _usable(frame, exposed.margin)
     places = even_places(count, 3, rng)
     levels = levels_at(exposed.recipe, places[:, 2])
     for place, level in zip(places[:, :2].tolist(), levels.tolist(), strict=True):
@@ -101,7 +107,18 @@ def _shown(
         values = expose_patches(mosaic, camera, rng, None, exposed.dark, channel) if exposed.noisy else np.rint(clean)
         target = _turned(frame.target, piece) * np.float32(scale * frame.exposure / camera.output_unit)
         as_rounded = not (exposed.noisy or exposed.recipe.rescale)  # at dark levels rounding is noise, too
-        yield Mosaics(1, values.astype(np.uint16), None if as_rounded else clean, target)
+        part_usable = None if usable is None else _turned(usable, piece)[0]
+        yield Mosaics(1, values.astype(np.uint16), None if as_rounded else clean, target, part_usable)
+
+
+def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
+    """Return the pixels (1, row, col) with no ignored one within a margin, which is all that layers read about each; None:
+    all pixels of the frame."""
+    if frame.ignored is None:
+        return None
+    from scipy.ndimage import maximum_filter  # only sets with ignored pixels need it
+
+    return np.asarray(maximum_filter(frame.ignored, 2 * margin + 1, mode="nearest") == 0)[None]
 
 
 def sheets_of(mosaics: Iterable[Mosaics], period: int) -> Iterator[Mosaics]:
@@ -151,7 +168,7 @@ def _drawn_turn(
     return (turns, mirrored, parts[0], parts[1]), (turns, mirrored, pieces[0], pieces[1])
 
 
-def _turned(planes: Floats, turn: Turn) -> Floats:
+def _turned(planes: NDArray, turn: Turn) -> NDArray:
     turns, mirrored, rows, cols = turn
     turned = np.rot90(planes, turns, (1, 2))
     return (turned[:, :, ::-1] if mirrored else turned)[:, rows, cols]
@@ -174,6 +191,7 @@ class Seen:
     # (row, col, output) where layers correct the first one's outputs, what these lack without noise, and what noise adds
     missing: Floats | None = None
     spread: Floats | None = None  # None: there is no noise
+    usable: NDArray[np.bool_] | None = None  # (row, col) pixels that may be learned from; None: all
 
     @property
     def light(self) -> Floats:
@@ -181,8 +199,9 @@ class Seen:
         return self.noisy.astype(np.float32) if self.clean is None else self.clean
 
     def inner_pixels(self, margin: int) -> Integers:
-        """Return indices (pixel) of the pixels that are at least `margin` away from the edge of their mosaic."""
-        return within(np.arange(self.label.size).reshape(self.label.shape), self.count, margin).ravel()
+        """Return indices (pixel) of the usable pixels that are at least `margin` away from the edge of their mosaic."""
+        inner = within(np.arange(self.label.size).reshape(self.label.shape), self.count, margin).ravel()
+        return inner if self.usable is None else inner[self.usable.ravel()[inner]]
 
 
 def within(planes: NDArray, count: int, margin: int) -> NDArray:
@@ -222,7 +241,8 @@ class FirstLayer:
         target = np.moveaxis(within(mosaics.target, count, margin), 0, -1)
         missing = target - made[-1] if made.size else None
         spread = made[0] - made[-1] if made.size and len(made) > 1 else None
-        return Seen(count, target, label, within(brightness, count, margin), noisy, clean, missing, spread)
+        usable = None if mosaics.usable is None else within(mosaics.usable, count, margin)
+        return Seen(count, target, label, within(brightness, count, margin), noisy, clean, missing, spread, usable)
 
 
 class PlaneStage:
@@ -246,6 +266,7 @@ class PlaneStage:
             brightness=within(seen.brightness, count, margin),
             noisy=noisy,
             clean=clean,
+            usable=None if seen.usable is None else within(seen.usable, count, margin),
         )
 
 

@@ -1,0 +1,106 @@
+"""Wavelengths of bands as scene files state them: lists in any unit, names of bands, pages and files, names of arrays."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.spectra.units import length_nm
+
+NAMES = (
+    "wave", "wavelength", "wavelengths", "lambda", "wl", "wvl", "bands", "wlens", "wavelengthlist", "bandwavelengths",
+    "centerwavelength", "centerwavelengths", "centrewavelength", "centrewavelengths", "bandcenters", "bandcentres",
+)  # fmt: skip
+GOOD_NAMES = ("bbl", "goodwavelengths", "goodbands")  # of a list of 0 (a bad band) and 1
+UNSTATED = ("", "unknown", "none", "n/a")
+INVERSE_CM = ("wavenumber", "wavenumbers", "cm-1", "1/cm", "cm^-1", "cm⁻¹")
+HERTZ = {"thz": 1e12, "ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0}
+LIGHT_SPEED_NM = 299792458e9  # nm/s
+MICROMETRES = 100.0  # wavelengths without a unit that are all smaller are in µm
+UNIT_WORDS = "Nanometers, Micrometers, Millimeters, Centimeters, Meters, Angstroms, Wavenumber, GHz, MHz, Index"
+SHORTEST, LONGEST = 300.0, 2600.0  # nm, of numbers that are taken for wavelengths though nothing says so
+IN_NAME = re.compile(r"(\d+(?:[.,]\d+)?)[\s_]*(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)(?![A-Za-z])", re.IGNORECASE)
+
+
+def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] | None:
+    """Convert wavelengths, wavenumbers or frequencies to nm.
+
+    Parameters
+    ----------
+    values : (band)
+        Wavelengths in `unit`.
+    unit : str
+        The unit's name as a file states it. Without one, numbers that are all below 100 are in µm and others in nm.
+
+    Returns
+    -------
+    (band) in nm, or None if the unit says that the numbers are indices of bands.
+
+    Raises
+    ------
+    ValueError
+        If the unit is unknown or a number is not above zero.
+    """
+    numbers, word = np.asarray(values, np.float64).ravel(), " ".join(unit.split()).strip("{}()[] ")
+    if word.lower() == "index":
+        return None
+    if not (numbers.size and np.isfinite(numbers).all() and numbers.min() > 0):
+        raise ValueError("wavelengths are numbers above zero")
+    if word.lower() in UNSTATED:
+        return numbers * (1e3 if numbers.max() < MICROMETRES else 1.0)
+    if word.lower() in INVERSE_CM:
+        return 1e7 / numbers
+    if word.lower() in HERTZ:
+        return LIGHT_SPEED_NM / (numbers * HERTZ[word.lower()])
+    scale = length_nm(word) or length_nm(word.lower())
+    if scale is None:
+        raise ValueError(f'"{word[:40]}" is no unit of wavelength; give one of {UNIT_WORDS}')
+    return numbers * scale
+
+
+def in_name(name: str) -> float | None:
+    """Return the wavelength in nm that a name of a band or file states with its unit, such as "red (650.5 nm)" or
+    "S0.450,5nm"; None if it states none. A comma is a decimal point. So is a point, unless the number then were below
+    100 nm, as in "S0.450nm"."""
+    found = IN_NAME.search(name)
+    if found is None:
+        return None
+    number, scale = found[1].replace(",", "."), 1.0 if found[2].lower().startswith("n") else 1e3
+    if scale == 1.0 and float(number) < MICROMETRES:
+        number = number.rpartition(".")[2]
+    return float(number) * scale
+
+
+def of_names(names: Sequence[str]) -> list[float | None]:
+    """Return the wavelength (band) in nm that each name states, None where it states none. Numbers without a unit count if
+    every name ends in one, all are 300…2600 and no two are closer than 2: else they are indices."""
+    stated = [in_name(name) for name in names]
+    if any(stated):
+        return stated
+    numbers = [re.search(r"(\d+)\D*$", name) for name in names]
+    bare = [float(number[1]) for number in numbers if number]
+    if (
+        len(bare) < max(2, len(names))
+        or not SHORTEST <= min(bare) <= max(bare) <= LONGEST
+        or np.diff(sorted(bare)).min() < 2
+    ):
+        return stated
+    return list(bare)
+
+
+def is_named(name: str, names: Sequence[str] = NAMES) -> bool:
+    """Return whether an array's name is one of `names`, whatever its case, punctuation and unit."""
+    return _plain(name) in names
+
+
+def unit_in(name: str) -> str:
+    """Return the unit in the name of an array, such as "wavelength_um" or "Wavelength (nm)"; nothing where there is none."""
+    words = [word for word in re.split(r"[\s_()\[\]/]+", name) if word]
+    return words[-1] if len(words) > 1 and length_nm(words[-1]) is not None else ""
+
+
+def _plain(name: str) -> str:
+    unit = unit_in(name)
+    bare = name[: name.rindex(unit)] if unit else name
+    return re.sub(r"[\W_]", "", bare.lower())
