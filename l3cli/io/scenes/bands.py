@@ -207,6 +207,6 @@ def _page_names(file: Any, series: Any, bands: int) -> list[str]:
     pages = [each for each in series.pages if each is not None]
     if len(pages) != bands or bands == 1:
         return []
-    pages = [file.pages[each.index] for each in pages]
+    pages = [file.pages[each.index].aspage() for each in pages]
     named = [str(page.tags[PAGE_NAME].value) if PAGE_NAME in page.tags else "" for page in pages]
     return named if all(named) else [page.description[:200] for page in pages]

@@ -16,6 +16,7 @@ GOOD_NAMES = ("bbl", "goodwavelengths", "goodbands")  # of a list of 0 (a bad ba
 UNSTATED = ("", "unknown", "none", "n/a")
 INVERSE_CM = ("wavenumber", "wavenumbers", "cm-1", "1/cm", "cm^-1", "cm⁻¹")
 HERTZ = {"thz": 1e12, "ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0}
+METRIC = {"millimeter": 1e6, "millimetre": 1e6, "centimeter": 1e7, "centimetre": 1e7, "meter": 1e9, "metre": 1e9}
 LIGHT_SPEED_NM = 299792458e9  # nm/s
 MICROMETRES = 100.0  # wavelengths without a unit that are all smaller are in µm
 UNIT_WORDS = "Nanometers, Micrometers, Millimeters, Centimeters, Meters, Angstroms, Wavenumber, GHz, MHz, Index"
@@ -53,7 +54,7 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
         return 1e7 / numbers
     if word.lower() in HERTZ:
         return LIGHT_SPEED_NM / (numbers * HERTZ[word.lower()])
-    scale = length_nm(word) or length_nm(word.lower())
+    scale = length_nm(word) or length_nm(word.lower()) or METRIC.get(word.lower().rstrip("s"))
     if scale is None:
         raise ValueError(f'"{word[:40]}" is no unit of wavelength; give one of {UNIT_WORDS}')
     return numbers * scale
