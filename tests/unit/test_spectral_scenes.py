@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import open_training_set
+from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.errors import InputFileError
 from l3cli.frames.scene import Scene, SpectralCube
 from l3cli.io.scenes import bands, cube, envi
@@ -106,8 +106,9 @@ def test_wavelengths_of_every_unit(tmp_path: Path, unit: str, values: np.ndarray
     assert np.allclose(found.reflectance, TRUTH, atol=1e-6)
 
 
-def test_indices_are_no_wavelengths(tmp_path: Path) -> None:
-    path = written(tmp_path, TRUTH.astype("<f4"), "wavelength units = Index", nm=np.arange(1.0, 32.0))
+@pytest.mark.parametrize(("unit", "first"), [("Index", 1), ("Index", 0), ("Unknown", 1)])
+def test_indices_are_no_wavelengths(tmp_path: Path, unit: str, first: int) -> None:
+    path = written(tmp_path, TRUTH.astype("<f4"), f"wavelength units = {unit}", nm=np.arange(31.0) + first)
     assert envi.read(path).wavelength is None
     found = envi_scene(path, wavelength_range_nm=(400.0, 700.0, 10.0))
     assert np.allclose(found.reflectance, TRUTH, atol=1e-6)
@@ -217,7 +218,8 @@ def test_a_harmless_field_changes_nothing(tmp_path: Path) -> None:
     lines = "\n".join(f"{field.name} = {{7, 8}}" for field in harmless)
     other = envi.read(written(tmp_path, TRUTH.astype("<f4"), lines))
     assert np.array_equal(other.values, plain.values)
-    assert np.array_equal(other.wavelength, plain.wavelength)
+    assert other.wavelength is not None
+    assert np.array_equal(other.wavelength, NM)
     assert (other.white, other.good, other.ignored) == (plain.white, plain.good, plain.ignored)
 
 
@@ -311,8 +313,8 @@ def test_no_patch_touches_a_marked_pixel(tmp_path: Path, simulated: Callable[[st
     written(tmp_path, stored, "data ignore value = -9999\nreflectance scale factor = 10000")
     path = simulated('source = "envi"\nfile = "scene.hdr"\nscale = 2.0\nflip = "cols"\n')
     with open_training_set(path) as reader:
-        (frame,) = list(reader)
-        head = reader.head
+        frame, head = reader.frame(0), reader.head
+    assert isinstance(frame, TrainingFrame)
     assert frame.ignored is not None
     places = np.argwhere(frame.ignored)
     assert places.min(axis=0).tolist() == [7, 33]  # samples 4 and 24 - 1 - 6 at 2 pixels each, and those beside them
@@ -384,11 +386,11 @@ def test_pages_of_a_tiff_are_bands(tmp_path: Path, how: str, dtype: str) -> None
     stored = PAGES.astype(dtype) if dtype[0] == "f" else np.rint(PAGES * 120).astype(dtype)
     if how == "imagej" and dtype not in ("u1", "u2", "f4"):
         return  # ImageJ knows no others
-    keys: dict[str, Any] = {
+    ways: dict[str, dict[str, Any]] = {
         "shaped": {}, "bare": {"metadata": None}, "deflate": {"compression": "zlib"}, "imagej": {"imagej": True},
         "ome": {"ome": True, "metadata": {"axes": "CYX"}}, "planes": {"planarconfig": "separate"},
-    }[how]  # fmt: skip
-    tifffile.imwrite(tmp_path / "a.tif", stored, photometric="minisblack", **keys)
+    }  # fmt: skip
+    tifffile.imwrite(tmp_path / "a.tif", stored, photometric="minisblack", **ways[how])
     assert bands.size(tmp_path / "a.tif") == PLAIN.shape
     assert np.array_equal(bands.read(tmp_path / "a.tif").values, stored.transpose(1, 2, 0))
 

@@ -32,11 +32,12 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
     values : (band)
         Wavelengths in `unit`.
     unit : str
-        The unit's name as a file states it. Without one, numbers that are all below 100 are in µm and others in nm.
+        The unit's name as a file states it. Without one, whole numbers that count from 0 or 1 are indices, other numbers
+        that are all below 100 are in µm, and all others in nm.
 
     Returns
     -------
-    (band) in nm, or None if the unit says that the numbers are indices of bands.
+    (band) in nm, or None if the numbers are indices of bands.
 
     Raises
     ------
@@ -44,7 +45,8 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
         If the unit is unknown or a number is not above zero.
     """
     numbers, word = np.asarray(values, np.float64).ravel(), " ".join(unit.split()).strip("{}()[] ")
-    if word.lower() == "index":
+    counted = numbers.size > 1 and numbers[0] in (0, 1) and (np.diff(numbers) == 1).all()
+    if word.lower() == "index" or (word.lower() in UNSTATED and counted):
         return None
     if not (numbers.size and np.isfinite(numbers).all() and numbers.min() > 0):
         raise ValueError("wavelengths are numbers above zero")
