@@ -10,6 +10,8 @@ from pathlib import Path
 from markup import code, table
 
 from l3cli.frames.packings import BAYER_ORDERS, FAMILIES, PACKINGS
+from l3cli.io.scenes import FORMATS
+from l3cli.io.scenes.envi import FIELDS, HARMLESS, READ, REFUSED
 
 DOCS = Path(__file__).parents[1]
 
@@ -25,7 +27,29 @@ def packings() -> str:
     return table(["`--packing`", "pixels"], rows)
 
 
-TABLES: dict[str, dict[str, Callable[[], str]]] = {"raw-files.md": {"packings": packings}}
+def scenes() -> str:
+    """Formats of files of scenes, by the source of a recipe."""
+    return table(["`source`", "file", "what it states"], ([code(each.source), each.holds, each.states] for each in FORMATS))
+
+
+def envi_fields(fate: str) -> str:
+    """Fields of ENVI headers of one fate, those of one meaning in one row."""
+    rows: dict[str, list[str]] = {}
+    for field in FIELDS:
+        if field.fate == fate:
+            rows.setdefault(field.meaning, []).append(code(field.name))
+    return table(["field", "meaning"], ([", ".join(names), meaning] for meaning, names in rows.items()))
+
+
+TABLES: dict[str, dict[str, Callable[[], str]]] = {
+    "raw-files.md": {"packings": packings},
+    "spectral-scenes.md": {
+        "scenes": scenes,
+        "envi-read": lambda: envi_fields(READ),
+        "envi-refused": lambda: envi_fields(REFUSED),
+        "envi-harmless": lambda: envi_fields(HARMLESS),
+    },
+}
 
 
 def with_tables(page: str, text: str) -> str:

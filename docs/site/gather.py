@@ -19,7 +19,7 @@ FRONT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "
 AS_THEY_ARE = ("LICENSE", "CITATION.cff")
 CONTENTS = {
     "Start": ["tutorial", "own-lab", "arrays"],
-    "Use": ["raw-files", "video", "python", "programs"],
+    "Use": ["raw-files", "spectral-scenes", "video", "python", "programs"],
     "Reference": ["commands", "reference/commands", "reference/recipes", "artifacts", "reference/artifacts"],
     "What to expect": ["gallery", "benchmarks", "measurement", "peers", "limits", "method", "notebook"],
     "Project": ["architecture", "contributing", "changelog", "security", "reference/licences"],

@@ -32,7 +32,7 @@ from tests.helpers.cameras import bayer_camera
 from tests.helpers.dng_files import write_dng
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.photos import chart_mosaic
-from tests.helpers.readme import PAGES, README, blocks, commands
+from tests.helpers.readme import PAGES, README, blocks, commands, fenced, sessions
 from tests.helpers.recipes import FEW_CLASSES, SMALL
 from tests.helpers.sequences import write_raw_video
 
@@ -180,11 +180,25 @@ def test_the_keys_of_a_page_are_keys(name: str, block: str, tmp_path: Path) -> N
         block += '\n[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
         block = f"exposure_share = [0.5]\n{block}"
     kind: type[Recipe] = CorrectionRecipe if "base" in content else MeasurementRecipe
-    if {"pair", "target"} & content.keys():
+    if {"pair", "target", "scene"} & content.keys():
         kind = SceneRecipe
     head = GEOMETRY if kind is MeasurementRecipe else ""
     (tmp_path / "a.toml").write_text(head + block)
     load_recipe(tmp_path / "a.toml", kind)
+
+
+def test_the_example_of_spectral_scenes_prints_what_is_shown(
+    l3: L3, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = PAGES["spectral-scenes.md"]
+    (script,) = fenced(page, "python")
+    exec(script, {})
+    (recipe,) = [block for name, block in TABLES if name == "spectral-scenes.md"]
+    for ((line, shown),), white, code in zip(sessions(page), ("", "white = 10000\n"), (3, 0), strict=True):
+        (tmp_path / "SCENES.toml").write_text(f"{recipe}\n{white}")
+        got, out, err = l3(*commands(line)[0])
+        assert (got, (out + err).splitlines()) == (code, shown)
 
 
 def test_the_session_of_check_prints_what_is_shown(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
