@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,19 +38,20 @@ def read_raw(
     path: Name, sensor: TransformTable | CameraModel, *, black_level: float | None = None, white_level: float | None = None,
     phase: tuple[int, int] | None = None, size: tuple[int, int] | None = None, packing: str | None = None,
     stride: int | None = None, exposure: float | None = None, gain: float | None = None, camera: CameraModel | None = None,
-    skip: int = 0, byte_order: str | None = None,
+    skip: int = 0, byte_order: str | None = None, opcodes: Literal["leave"] | None = None,
 ) -> RawFrame:  # fmt: skip
     """Return the raw frame in a file of any format that `l3 render` reads, `values` (row, col) in DN.
 
     `black_level`, `white_level` (DN), `phase` (CFA row and column of the first pixel), `exposure` (s), `gain` (analog, over
     the camera's): in place of what the file states; `size` (rows, columns), `packing`, `stride` (bytes), `skip` (bytes
     before the frame), `byte_order` ("little", "big"): of headerless files. `camera`: model whose defects and flat field are
-    corrected. InputFileError if it cannot be read, or has another CFA than the `sensor`.
+    corrected. `opcodes`: "leave" reads a DNG without the opcodes, such as a lens warp, that it demands and l3 does not carry
+    out. InputFileError if it cannot be read, or has another CFA than the `sensor`.
     """
     correction = None if camera is None else correction_of(camera)
     known = RawOverrides(
         black_level, white_level, phase, size, packing, stride, exposure, gain, correction=correction, skip=skip,
-        byte_order=byte_order,
+        byte_order=byte_order, opcodes=opcodes,
     )  # fmt: skip
     return read_raw_file(Path(path), sensor, known)
 

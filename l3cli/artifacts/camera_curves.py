@@ -14,7 +14,7 @@ from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Positive, Recipe
 from l3cli.spectra.file import read_table
-from l3cli.spectra.table import CurveTable, gaps, without_noise
+from l3cli.spectra.table import CurveTable, gaps, known_as, without_noise
 
 WIDEST_GAP = 20.0  # nm between samples of measured curves
 CUT_OFF = 0.05  # of a channel's peak: a curve that ends higher within the visible was cut off
@@ -74,7 +74,7 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
 
 def column_faults(columns: Mapping[str, str], channels: Sequence[str], key: str) -> Iterator[Fault]:
     """Yield the faults of `columns` (channel → name), which stand at `key`."""
-    if odd := sorted(set(columns) - set(channels)):
+    if odd := sorted({known_as(name, channels) for name in columns} - set(channels)):
         yield fault(f'{key}: "{odd[0]}" is not a channel; {suggestion(odd[0], channels)}', key)
 
 

@@ -24,6 +24,9 @@ DARKEST = 0.1  # percentile of the values of a channel: about black in most pict
 LEAST_BLACK, HIGHEST_BLACK = 1 / 64, 1 / 6  # of the white level: where black levels of real cameras lie
 ROUGH, SMOOTHER = 0.01, 3.0  # of full scale: least roughness of a misread frame; times as rough as a frame read rightly
 MOST_BANDS = 32  # of a frame, of two super-pixels' rows, that roughness is measured on
+SMALLEST_BLACK = 16.0  # DN: of less nothing can be said
+BELOW = 0.5  # of the black level: pixels without light lie above, since black is there for their noise to have room
+FEW = 0.05  # fraction of the pixels below which nothing is said
 Phase = tuple[int, int]
 
 
@@ -98,6 +101,14 @@ def _far_from_grey(
         return 0.0
     means = np.array([blocks[:, array == channel].mean() for channel in range(len(neutral))])
     return float(np.ptp(np.log(np.maximum(means, blocks.mean() / 100) / neutral)))
+
+
+def share_below_black(frame: RawFrame) -> float:
+    """Return the fraction of pixels that lie further below a frame's black level than noise explains; 0 if they are few."""
+    if frame.black_level < SMALLEST_BLACK:
+        return 0.0
+    share = float((frame.values < BELOW * frame.black_level).mean())
+    return share if share >= FEW else 0.0
 
 
 def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:

@@ -4,7 +4,7 @@ which files of a folder of captures are raw frames, which are tables of spectra,
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from l3cli.frames.frame import shifted_cfa
 from l3cli.frames.measurement import CaptureFolder, RawFile
 from l3cli.io.images import mono_of, opened
 from l3cli.io.isolated import isolated
-from l3cli.io.raw import RawContent
+from l3cli.io.raw import RawContent, refuse_faults
 from l3cli.io.raw.cfa_codes import FilterArray, find_phase
 from l3cli.io.raw.files import BY_SUFFIX, format_of, read_raw
 from l3cli.io.raw.tiff import read_plain
@@ -31,8 +31,9 @@ RAW_FILE = "give a raw file of a chart (DNG, CR2, NEF, ARW…)"
 PICTURES = (".tif", ".png")  # of formats whose depth is checked before their pixels are read
 
 
-def raw_content(path: Path) -> RawContent:
-    """Return the content of a raw file of one frame; InputFileError if it is not a mosaic of one channel."""
+def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
+    """Return the content of a raw file of one frame; InputFileError if it is not a mosaic of one channel, or has a fault
+    that none of the `answered` parameters answers."""
     require_regular(path, RAW_FILE)
     kind = format_of(path)
     if not kind.holds_frame or kind.wants_geometry:
@@ -41,6 +42,7 @@ def raw_content(path: Path) -> RawContent:
     if content["values"].ndim != 2 or content["values"].size == 0:
         raise InputFileError(f"{path} is not a mosaic; {RAW_FILE}")
     require_picture(str(path), *content["values"].shape)
+    refuse_faults(str(path), content, answered)
     return content
 
 
@@ -85,7 +87,7 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
     InputFileError if it is none, not of `shape`, beyond `bits`, or if it states another `array` or phase.
     """
     if path.suffix.lower() in BY_SUFFIX and format_of(path).suffixes[0] not in PICTURES:
-        content = raw_content(path)
+        content = raw_content(path, ("black_level",))
         values, pattern = content["values"], content.get("pattern")
         if array is not None and pattern is not None:
             phase = phase_of(path, pattern, array)

@@ -76,7 +76,9 @@ MOST = 65535  # DN
 Array = NDArray[np.float64]
 
 
-Levels = Mapping[str, float]  # "black_level" and "white_level" in DN of raw files that state none, as far as they are known
+# "black_level" and "white_level" in DN of raw files that state none, as far as they are known; "opcodes": "leave" if those
+# of a DNG that are not carried out are to be left out
+Levels = Mapping[str, Any]
 
 
 def load_photos(photos: Sequence[PhotoRecipe], body: Body, levels: Levels, path: Path) -> tuple[PhotoCapture, ...]:
@@ -111,7 +113,7 @@ def _check_alike(frames: Sequence[RawFrame], darks: Sequence[RawFrame], whites: 
 
 def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
     """Return a raw file as it stands, at its own levels."""
-    content: Mapping[str, Any] = {**levels, **raw_content(path)}
+    content: Mapping[str, Any] = {**levels, **raw_content(path, levels)}
     if "black_level" not in content:
         raise InputFileError(f"{path} states no black level; name a dark frame, as dark, or give a [datasheet]")
     pattern = content.get("pattern")
@@ -165,10 +167,11 @@ def _chart_of_photo(photo: PhotoRecipe, path: Path) -> Chart:
 # -------------------------------------------------------------------------- a raw file without a measurement file
 
 
-def recipe_of_photos(paths: Sequence[Path], light: str | None) -> MeasurementRecipe:
+def recipe_of_photos(paths: Sequence[Path], light: str | None, levels: Levels | None = None) -> MeasurementRecipe:
     """Return the measurement file of raw files that state their own array, levels and size: one camera, a photo each, under
     one light. Pixel pitch and optics, which no responsivity depends on, are declared. InputFileError if a file does not."""
-    content = raw_content(paths[0])
+    levels = levels or {}
+    content = {**levels, **raw_content(paths[0], levels)}
     stated, white = content.get("pattern"), content.get("white_level")
     if stated is None or white is None or "black_level" not in content:
         raise InputFileError(
@@ -179,14 +182,18 @@ def recipe_of_photos(paths: Sequence[Path], light: str | None) -> MeasurementRec
     if max(len(cfa.pattern), len(cfa.pattern[0].split())) > MAX_CFA:
         raise InputFileError(f"{paths[0]}: its colour filter array is larger than {MAX_CFA}×{MAX_CFA}")
     rows, cols = content["values"].shape
-    bits = min(int(np.ceil(np.log2(white + 1))), MAX_BITS)
     return MeasurementRecipe(
         name=paths[0].stem,
-        sensor=BodyRecipe(rows, cols, PITCH_UM, bits),
+        sensor=BodyRecipe(rows, cols, PITCH_UM, bits_of(white)),
         cfa=cfa,
         optics=OpticsRecipe(FOCAL_MM, F_NUMBER),
         photo=[PhotoRecipe(frames=[str(path.absolute())], light=light) for path in paths],
     )
+
+
+def bits_of(white_level: float) -> int:
+    """Return the bits of a sensor that saturates at a white level (DN)."""
+    return min(int(np.ceil(np.log2(white_level + 1))), MAX_BITS)
 
 
 def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
@@ -254,8 +261,9 @@ def _corrections(recipe: CorrectionRecipe, path: Path) -> Measurements:
     return Measurements(body=body, darks=captures(recipe.dark), whites=captures(recipe.white), base=camera)
 
 
-def measurements_of(recipe: MeasurementRecipe, path: Path) -> Measurements:
-    """Return the measurements of a measurement file that lies, or would lie, at `path`; errors as of `load_measurements`."""
+def measurements_of(recipe: MeasurementRecipe, path: Path, levels: Levels | None = None) -> Measurements:
+    """Return the measurements of a measurement file that lies, or would lie, at `path`; errors as of `load_measurements`.
+    `levels`: of photos that state none; None: those of the [datasheet]."""
     refuse_first(key_faults(recipe), path)
     body = _body(recipe, path)
     for name in frame_names(recipe):
@@ -274,7 +282,7 @@ def measurements_of(recipe: MeasurementRecipe, path: Path) -> Measurements:
         gains=tuple(GainCaptures(iso, darks[iso], whites.get(iso, ())) for iso in stated[1:]),
         bands=tuple(BandCapture(**_chart(band, "band", body, path)) for band in recipe.band),
         curve=curve_of(recipe, path),
-        photos=load_photos(recipe.photos, body, _levels(recipe), path),
+        photos=load_photos(recipe.photos, body, _levels(recipe) if levels is None else levels, path),
         cameras=_cameras(recipe, path),
         datasheet=None if recipe.datasheet is None else _figures(recipe.datasheet),
         lamp_drift=math.hypot(recipe.uncertainty.lamp_drift, recipe.uncertainty.photodiode),
@@ -437,7 +445,7 @@ def inputs_of_photos(photos: Sequence[Path]) -> Inputs:
     return Inputs("", {"frames": list(photos)}, {file: stamp(file) for file in photos})
 
 
-def photo_measurements(photos: Sequence[Path], light: str | None) -> Measurements:
+def photo_measurements(photos: Sequence[Path], light: str | None, levels: Levels | None = None) -> Measurements:
     """Return the measurements of raw files of a chart under one light (None: to be estimated) without a measurement file;
-    InputFileError if they do not state all that is needed."""
-    return measurements_of(recipe_of_photos(photos, light), photos[0])
+    InputFileError if neither they nor `levels` state all that is needed."""
+    return measurements_of(recipe_of_photos(photos, light, levels), photos[0], levels or {})

@@ -294,3 +294,7 @@ class InitOptions(ForceOptions):
         metavar="ROW,COL",
     )
     black_level: float | None = option(None, "Black level of the raw files, where they misstate it.", LEVEL, metavar="DN")
+    white_level: float | None = option(None, "White level of the raw files, where they misstate it.", LEVEL, metavar="DN")
+    opcodes: Literal["leave"] | None = option(
+        None, "Of a DNG: leave out the opcodes, such as a lens warp, that it demands and l3 does not carry out."
+    )

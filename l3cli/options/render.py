@@ -189,6 +189,9 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     phase: Given[PAIR | str | None, PAIR | None] = option(
         None, "CFA site of the inputs' first pixel, from 0.", SITE, metavar="ROW,COL"
     )
+    opcodes: Literal["leave"] | None = option(
+        None, "Of a DNG: leave out the opcodes, such as a lens warp, that it demands and l3 does not carry out."
+    )
     size: Given[PAIR | str | None, PAIR | None] = option(
         None, "Pixels of headerless inputs [default: the table's].", Pair("ROWSxCOLS", "x", PIXELS), metavar="ROWSxCOLS"
     )

@@ -25,6 +25,7 @@ COMMON = {
     "Snakefile": "pipelines/Snakefile",
     "slurm.sh": "pipelines/slurm.sh",
 }
+SCENES = ("scenes.toml", "bands_scenes.toml", "unseen.toml")  # of these, the scene recipes
 KNOWN = {  # what the pipelines take for the camera where its recipe is no invented truth: the recipe itself, no virtual lab
     "Makefile": ("CAMERA ?= camera.h5", "CAMERA ?= camera.toml"),
     "Snakefile": ('config.get("camera", "snakemake/camera.h5")', 'config.get("camera", "camera.toml")'),
@@ -100,10 +101,24 @@ def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
     return known
 
 
-def common_files() -> dict[str, bytes]:
-    """Return what a folder holds beside a camera that its recipe describes."""
+def common_files(rows: int, cols: int) -> dict[str, bytes]:
+    """Return what a folder holds beside the recipe of a camera of `rows` × `cols` pixels, whose scenes fit that sensor."""
     files = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
-    return files | known_camera(files)
+    scenes = {name: fitting_scenes(files[name].decode(), rows, cols).encode() for name in SCENES}
+    return files | known_camera(files) | scenes
+
+
+def fitting_scenes(text: str, rows: int, cols: int) -> str:
+    """Return the text of a scene recipe with no scene larger than `rows` × `cols` pixels. Of random scenes that become
+    smaller there are more, so that as many pixels are learned from."""
+
+    def fitted(scene: re.Match[str]) -> str:
+        height, width, count = (int(number or 0) for number in scene.groups())
+        fitting = min(height, rows), min(width, cols)
+        more = -(-count * height * width // (fitting[0] * fitting[1]))
+        return f"size = [{fitting[0]}, {fitting[1]}]" + (f"\ncount = {more}" if count else "")
+
+    return re.sub(r"\bsize = \[(\d+), (\d+)\](?:\ncount = (\d+))?", fitted, text)
 
 
 def summary(starter: Path) -> str:

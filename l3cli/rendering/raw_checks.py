@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
-from l3cli.frames.raw_sanity import phase_doubt
+from l3cli.frames.raw_sanity import BELOW, SMALLEST_BLACK, phase_doubt, share_below_black
 from l3cli.rendering.conditions import FAR, known_gains
 from l3cli.rendering.exposure import RangeMeter
 
 BEYOND = 1.5  # times the white level: no saturated pixel lies so far above
 SHALLOW = 0.55  # times the white level: no pixels of the same depth clip so far below
-CLIPPED, FEW = 1e-3, 0.05  # shares of the pixels that have the highest value where a sensor clips; that say something
-BELOW = 0.5  # of the black level: pixels without light lie above, since black is there for their noise to have room
+CLIPPED = 1e-3  # fraction of the pixels that have the highest value where a sensor clips
 NEAR_BLACK = 0.75  # of it, at least, and its inverse at most: what is about black
-LEAST_BLACK = 16.0  # DN: of less nothing can be said
 DARKEST = 0.1  # percentile of the values: about black in most pictures
 SAME_DEPTH = 0.02  # of the white level
 TORN = 1.5  # times as much as with rows and columns exchanged that rows may differ by
@@ -249,13 +247,13 @@ def _clips_lower(frame: RawFrame, top: int) -> str:
 
 def _below_black(frame: RawFrame) -> str:
     """Return a warning of values further below black than noise explains, or nothing."""
-    limit = BELOW * frame.black_level
-    share = float((frame.values < limit).mean()) if frame.black_level >= LEAST_BLACK else 0.0
-    if share < FEW:
+    share = share_below_black(frame)
+    if not share:
         return ""
     return (
-        f"{share:.0%} of its pixels have less than {limit:.0f} DN, its black level is {frame.black_level:g}: black has been "
-        "taken off it, or its values are of another depth; give ‹black_level› and ‹white_level›"
+        f"{share:.0%} of its pixels have less than {BELOW * frame.black_level:.0f} DN, its black level is "
+        f"{frame.black_level:g}: black has been taken off it, or its values are of another depth; give ‹black_level› and "
+        "‹white_level›"
     )
 
 
@@ -263,7 +261,7 @@ def _fog(frame: RawFrame, table: TransformTable) -> str:
     """Return a warning of darkest values where the table's camera has its black, and a black level far below, or nothing."""
     black = table.black_level
     other_depth = abs(frame.white_level - table.white_level) > SAME_DEPTH * table.white_level
-    if black < LEAST_BLACK or frame.black_level > black / 2 or other_depth:
+    if black < SMALLEST_BLACK or frame.black_level > black / 2 or other_depth:
         return ""
     darkest = float(np.percentile(frame.values[::3, ::3], DARKEST))
     if not NEAR_BLACK * black <= darkest <= black / NEAR_BLACK:

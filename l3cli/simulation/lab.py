@@ -29,6 +29,7 @@ MEMORY = 0.8  # correlation of the lamp's drift from one capture to the next
 Nanometres = Annotated[float, msgspec.Meta(gt=0, le=LONGEST)]
 Several = Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)]
 Trials = Annotated[int, msgspec.Meta(ge=2, le=MOST)]  # two or more: noise is measured on pairs of frames
+SMALLEST_SENSOR = (64, 96)  # rows, columns on which the patches of a chart can be told apart
 Array = NDArray[np.float64]
 
 
@@ -97,8 +98,9 @@ def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]
         yield fault("mono needs bandwidth_nm above spectrometer_step_nm", "mono.bandwidth_nm", "spectrometer_step_nm")
     elif camera is not None:
         yield from _step_faults(recipe, camera)
-    if camera is not None and (camera.rows < 64 or camera.cols < 96):
-        yield fault(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs 64×96 pixels")
+    if camera is not None and (camera.rows < SMALLEST_SENSOR[0] or camera.cols < SMALLEST_SENSOR[1]):
+        least = "×".join(map(str, SMALLEST_SENSOR))
+        yield fault(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs {least} pixels")
     if camera is not None and not camera.absolute:
         yield fault("the camera's responsivity is only relative; the lab needs quantum efficiencies")
 

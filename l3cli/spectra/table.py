@@ -19,6 +19,8 @@ AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}
 VISIBLE = 400.0, 700.0  # nm
 DARK, DARK_OUTSIDE = 0.01, 0.05  # of its peak: a curve below it is dark, within the visible and outside
 NOISE = 0.01  # of a curve's peak: so far below zero lies the dark noise of spectrometers at most
+COLOURS = {"r": "red", "g": "green", "b": "blue", "c": "cyan", "m": "magenta", "y": "yellow", "w": "white"}
+OTHER_NAMES = COLOURS | {name: letter for letter, name in COLOURS.items()}  # of channels
 ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # eV nm: energy of a photon × wavelength
 Array = NDArray[np.float64]
 
@@ -65,7 +67,7 @@ class CurveTable:
     def channel_columns(self, channels: Sequence[str], columns: Mapping[str, str] | None = None) -> "CurveTable":
         """Return the columns of `channels` in their order, each by its name or by that which `columns` gives it; others are
         left out. Without names as many columns as channels, in their order. InputFileError if a channel has none."""
-        columns = columns or {}
+        columns = {known_as(channel, channels): name for channel, name in (columns or {}).items()}
         if self.names is None and columns:
             raise InputFileError(f"{self.path}: columns are named, and there is no heading; leave `columns` out")
         if self.names is None or (len(self.values) == len(channels) == 1 and not columns):
@@ -321,12 +323,20 @@ def _plain(name: str) -> str:
 
 
 def _place(name: str, names: Sequence[str]) -> int | None:
-    """Return the place of the column of that name; capitals count only between names that differ in nothing else. None:
-    nowhere, or in several places."""
-    for asked, given in ((name, names), (name.casefold(), [each.casefold() for each in names])):
+    """Return the place of the column of that name, "red" being "r"; capitals count only between names that differ in nothing
+    else. None: nowhere, or in several places."""
+    folded = [each.casefold() for each in names]
+    other = OTHER_NAMES.get(name.casefold(), name.casefold())
+    for asked, given in ((name, names), (name.casefold(), folded), (other, folded)):
         if given.count(asked) == 1:
             return given.index(asked)
     return None
+
+
+def known_as(name: str, channels: Sequence[str]) -> str:
+    """Return the channel that a name means, "red" being "r" where no channel is called red; other names as they are."""
+    other = OTHER_NAMES.get(name.casefold(), name)
+    return other if name not in channels and other in channels else name
 
 
 def _difference(given: Sequence[str], asked: Sequence[str]) -> str:

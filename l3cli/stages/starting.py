@@ -20,19 +20,22 @@ from l3cli.design.recipe import camera_texts
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import array_rows, shifted_cfa
 from l3cli.frames.measurement import Body, Measurements, Stated
-from l3cli.frames.raw_sanity import PhaseDoubt, black_doubt, phase_doubt
+from l3cli.frames.raw_sanity import BELOW, PhaseDoubt, black_doubt, phase_doubt, share_below_black
 from l3cli.io.curves import shipped_statistics
 from l3cli.io.known_cameras import ROLES, known_as, known_cameras, known_curves
-from l3cli.io.measurements import photo_measurements
+from l3cli.io.measurements import bits_of, photo_measurements
 from l3cli.io.raw.cfa_codes import code_of
 from l3cli.io.raw.files import BY_SUFFIX, is_photo
 from l3cli.io.raw.libraw import stated
 from l3cli.options.commands import InitOptions
 from l3cli.recipes.builtin import COMMON, CURVES, common_files, curves_of, folder_files, known_camera, summary
+from l3cli.simulation.lab import SMALLEST_SENSOR
 from l3cli.system.console import Console
 from l3cli.system.files import atomic_output, blamed_on, refuse_protected, require_regular
 from l3cli.system.outputs import Made, OutputGuard, before_work
 
+ANSWERS = ("black_level", "white_level", "opcodes")  # options that answer what raw files leave in doubt
+OF_ONE = ("phase", "black_level", "white_level")  # options that hold for one camera
 NEW_FOLDER = "mine"  # as the documentation calls it
 SHOWN = "picture"  # and the photo's suffix: a link to it, for make cannot hold every name
 SEARCHED = 4  # photos of a camera that a chart is looked for in
@@ -75,7 +78,7 @@ def start_designed(path: Path, folder: Path, options: InitOptions) -> None:
         design = load(Design, path)
         camera = design.camera(*design.winner)
         texts = camera_texts(camera, f"The best array of the design {design.name}, by predicted error.")
-        contents = common_files() | {name: text.encode() for name, text in texts.items()}
+        contents = common_files(camera.rows, camera.cols) | {name: text.encode() for name, text in texts.items()}
         _write_recipes(folder, contents, {"design": [path]})
         options.console.info(
             f"{folder}: {camera.name}, the best of {design.tried} arrays; next: make -C {shlex.quote(str(folder))}"
@@ -119,8 +122,8 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
         guard.guard_folder(folder, options.force, *WRITTEN, *(f"*/{name}" for name in WRITTEN))
         listed = {file for photo in photos if photo.is_dir() for file in _raw_files(photo)}
         cameras = _sorted_by_camera(files, listed, console)
-        if len(cameras) > 1 and (options.phase or options.black_level is not None):
-            raise RecipeError("‹phase› and ‹black_level› are those of one camera; give its raw files alone")
+        if len(cameras) > 1 and (given := [name for name in OF_ONE if getattr(options, name) is not None]):
+            raise RecipeError(f"‹{given[0]}› is that of one camera; give its raw files alone")
         places = _places(folder, list(cameras))
         made = {
             places[name]: photographed(taken, options)
@@ -167,7 +170,7 @@ def _rendering(table: Path, photos: Sequence[Path], output: Path) -> str:
 
 def _contents(camera: PhotoCamera) -> dict[str, bytes]:
     """Return the content of a camera's folder, by name."""
-    common = common_files()
+    common = common_files(camera.body.rows, camera.body.cols)
     makefile = common["Makefile"].decode()
     shown = camera.photo and _shown(camera)
     known = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in camera.overrides.items())
@@ -266,7 +269,7 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
     levels = frame.black_level, frame.white_level
     noise = noise_of(known, levels[1] - levels[0])
     phase = "0,0" if any(options.phase or ()) else None  # of the recipe's array, which begins there
-    given = {"phase": phase, "black_level": options.black_level}
+    given = {"phase": phase} | {name: getattr(options, name) for name in ANSWERS}
     overrides = {name: f"{value}" for name, value in given.items() if value is not None}
     for other, facts in taken[:SEARCHED]:
         found = _by_chart(measured if other == path else _measurements(other, options), options.console)
@@ -295,26 +298,35 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     """Return a raw file as a photo, its array and black level as the options have them. InputFileError if its pixels show
     another array than it states and the options leave that open; what its black level leaves to doubt is warned of."""
     try:
-        measured = photo_measurements([path], options.light)
+        answers = {name: value for name in ANSWERS if (value := getattr(options, name)) is not None}
+        measured = photo_measurements([path], options.light, answers)
     except InputFileError as error:
         reason, other_cure, _ = str(error).partition("; write a measurement file")
         cure = '; start from a recipe instead, such as "l3 init bayer DIR"' if other_cure else ""
         raise InputFileError(reason + cure) from error
     frame, body = measured.photos[0].frames[0], measured.body
+    if body.rows < SMALLEST_SENSOR[0] or body.cols < SMALLEST_SENSOR[1]:
+        least = "×".join(map(str, SMALLEST_SENSOR))
+        raise InputFileError(f"{path} has {body.rows}×{body.cols} pixels, {least} are needed; give one of the whole sensor")
     if options.phase is None and (doubt := phase_doubt(frame, body.cfa, frame.neutral)):
         raise InputFileError(f"{path}: {_misplaced(body, doubt)}")
-    if options.black_level is not None:
-        if not options.black_level < frame.white_level:
-            raise RecipeError(
-                f"{path} is white at {frame.white_level:g} DN; ‹black_level› {options.black_level:g} is not below"
-            )
-        frame = replace(frame, black_level=options.black_level)
-    elif (black := black_doubt(frame, body.cfa)) is not None:
+    white_level = frame.white_level if options.white_level is None else options.white_level
+    black_level = frame.black_level if options.black_level is None else options.black_level
+    if not black_level < white_level:
+        raise RecipeError(f"{path} is white at {white_level:g} DN; ‹black_level› {black_level:g} is not below")
+    frame = replace(frame, black_level=black_level, white_level=white_level)
+    if options.black_level is None and (share := share_below_black(frame)):
+        raise InputFileError(
+            f"{path}: {share:.0%} of its pixels have less than {BELOW * black_level:.0f} DN, its black level is "
+            f"{black_level:g} DN: its values are of another depth, or black has been taken off them; give ‹black_level› "
+            "and ‹white_level›"
+        )
+    if options.black_level is None and (black := black_doubt(frame, body.cfa)) is not None:
         options.console.warn(
             f"{path} states a black level of 0, and the darkest values of all its channels lie at {black:.0f} of "
             f"{frame.white_level:.0f} DN; if that is its black, colours get pale: give ‹black_level› {black:.0f}"
         )
-    body = replace(body, cfa=shifted_cfa(body.cfa, options.phase or (0, 0)))
+    body = replace(body, bits=bits_of(white_level), cfa=shifted_cfa(body.cfa, options.phase or (0, 0)))
     return replace(measured, body=body, photos=(replace(measured.photos[0], frames=(frame,)),))
 
 

@@ -24,7 +24,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import FRACTION
 from l3cli.io.images import read_image
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
-from l3cli.io.raw.files import read_raw
+from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ, delta_e_2000, lab
 from l3cli.simulation.light import colour_matrix, make_light, neutral
@@ -32,11 +32,13 @@ from tests.helpers import dng_files
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, bayer_camera
 from tests.helpers.dng_files import (
+    ASCII,
     BYTE,
     LONG,
     RATIONAL,
     SHORT,
     SRATIONAL,
+    UNDEFINED,
     Tags,
     gain_map,
     lossless_jpeg,
@@ -238,6 +240,7 @@ def tiled(width: int, length: int) -> Tags:
 
 MASK = {50829: (LONG, [2, 4, 30, 40])}
 SQUARED = (np.arange(4096) ** 2 // 256).tolist()
+COLOUR_MATRIX = (SRATIONAL, [part for each in (7, -2, -1, -5, 12, 3, -1, 2, 6) for part in (each, 10)])
 # What is read: tags, what is stored, what the frame must be.
 READ: dict[str, tuple[Tags, list[bytes] | None, Callable[[RawFrame], bool]]] = {
     "NewSubFileType": ({254: (LONG, [0])}, None, the_mosaic),
@@ -257,6 +260,10 @@ READ: dict[str, tuple[Tags, list[bytes] | None, Callable[[RawFrame], bool]]] = {
     "BlackLevel": ({50714: (SHORT, [32])}, None, lambda frame: frame.black_level == 32),
     "BlackLevelDeltaH": ({50715: (SRATIONAL, [2, 1] * COLS)}, None, lambda frame: frame.black_level == 66),
     "BlackLevelDeltaV": ({50716: DELTAS}, None, lambda frame: not the_mosaic(frame)),
+    "SamplesPerPixel": ({277: (SHORT, [2]), 258: (SHORT, [16, 16])}, [np.stack([MOSAIC, MOSAIC // 2], -1).tobytes()],
+                        the_mosaic),
+    "AsShotWhiteXY": ({50721: COLOUR_MATRIX, 50729: (RATIONAL, [44757, 100000, 40745, 100000])}, None,
+                      lambda frame: frame.neutral == (0.7041, 1, 0.4008)),
     "WhiteLevel": ({50717: (LONG, [3500])}, None, lambda frame: frame.white_level == 3500),
     "DefaultCropOrigin": ({50719: (LONG, [3, 2]), 50720: (LONG, [20, 10])}, None, at(np.s_[2:12], np.s_[3:23])),
     "DefaultCropSize": ({50720: (LONG, [20, 10])}, None, at(np.s_[:10], np.s_[:20])),
@@ -282,6 +289,7 @@ REFUSED: dict[str, tuple[Tags, str]] = {
     "FillOrder": ({266: (SHORT, [2])}, "bits in reverse"),
     "Orientation": ({274: (SHORT, [9])}, "its orientation is 9, TIFF knows 1…8"),
     "SamplesPerPixel": ({277: (SHORT, [3]), 262: (SHORT, [34892])}, "already demosaicked"),
+    "samples of three": ({277: (SHORT, [3])}, "3 samples a pixel"),
     "TileWidth": (tiled(48, 32), "tiles are wider than the image"),
     "Predictor": ({317: (SHORT, [2])}, "stores differences"),
     "SampleFormat": ({339: (SHORT, [3])}, "floating-point"),
@@ -306,7 +314,7 @@ HARMLESS = {  # they change no pixel of the mosaic: hints, colours, looks, previ
     "ColorMatrix3", "CameraCalibration1", "CameraCalibration2", "CameraCalibration3", "ReductionMatrix1",
     "ReductionMatrix2", "ReductionMatrix3", "ForwardMatrix1", "ForwardMatrix2", "ForwardMatrix3",
     "CalibrationIlluminant1", "CalibrationIlluminant2", "CalibrationIlluminant3", "IlluminantData1", "IlluminantData2",
-    "AnalogBalance", "AsShotWhiteXY", "ProfileName", "ProfileCopyright", "ProfileEmbedPolicy", "ProfileGroupName",
+    "AnalogBalance", "ProfileName", "ProfileCopyright", "ProfileEmbedPolicy", "ProfileGroupName",
     "ProfileCalibrationSignature", "CameraCalibrationSignature", "AsShotProfileName", "ProfileToneCurve",
     "ProfileHueSatMapDims", "ProfileHueSatMapData1", "ProfileHueSatMapData2", "ProfileHueSatMapData3",
     "ProfileHueSatMapEncoding", "ProfileLookTableDims", "ProfileLookTableData", "ProfileLookTableEncoding",
@@ -337,7 +345,131 @@ def test_what_is_read_changes_the_frame_as_it_states(tmp_path: Path, name: str) 
     tags, strips, holds = READ[name]
     frame = read(tmp_path, tags, strips)
     assert holds(frame)
-    assert frame.notes == ()
+    assert frame.notes == (TWO_SAMPLES,) * (name == "SamplesPerPixel")
+
+
+TWO_SAMPLES = "it holds two samples a pixel (dual pixels); the first is taken"
+BLACK_LEVELS: dict[
+    str, tuple[Tags, float | np.ndarray]
+] = {  # of tags as cameras and apps write them; (row, col) of each site
+    "four without BlackLevelRepeatDim": ({50714: (RATIONAL, [64, 1] * 4)}, 64),
+    "four that differ without BlackLevelRepeatDim": ({50714: (SHORT, [60, 62, 66, 68])}, np.array([[60, 62], [66, 68]])),
+    "one beside 2×2": ({50713: (SHORT, [2, 2]), 50714: (SHORT, [32])}, 32),
+    "four beside 1×1": ({50713: (SHORT, [1, 1]), 50714: (SHORT, [32] * 4)}, 32),
+    "three that are equal": ({50714: (SHORT, [32] * 3)}, 32),
+    "BlackLevelRepeatDim of one number": ({50713: (SHORT, [2]), 50714: (SHORT, [32] * 4)}, 32),
+    "fractions": ({50714: (RATIONAL, [129, 2])}, 64.5),
+    "signed fractions": ({50714: (SRATIONAL, [129, 2])}, 64.5),
+    "two samples a pixel": ({277: (SHORT, [2]), 258: (SHORT, [16, 16]), 50714: (SHORT, [32, 40])}, 32),
+    "none": ({}, 0),
+}
+
+
+@pytest.mark.parametrize("name", BLACK_LEVELS)
+def test_black_levels_as_cameras_write_them(tmp_path: Path, name: str) -> None:
+    tags, wanted = BLACK_LEVELS[name]
+    strips = [np.stack([MOSAIC, MOSAIC // 2], -1).tobytes()] if 277 in tags else None
+    frame = read_raw(
+        dng_files.write_dng(tmp_path / "a.dng", MOSAIC, PATTERN, strips=strips, tags=tags, drop=[50714][bool(tags) :]), RGGB
+    )
+    sites = np.broadcast_to(wanted, (2, 2))[np.arange(ROWS)[:, None] % 2, np.arange(COLS) % 2]
+    np.testing.assert_array_equal(frame.values - frame.black_level, MOSAIC - sites)
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [
+        {50714: (SHORT, [60, 62, 64])},
+        {50714: (RATIONAL, [64, 0])},
+        {50713: (SHORT, [0, 2]), 50714: (SHORT, [60, 62, 64])},
+        {50714: (SHORT, [4096])},
+        {50714: (SRATIONAL, [-5, 1])},
+        {50715: (SRATIONAL, [2, 1])},
+    ],
+)
+def test_a_black_level_that_cannot_be_told_is_refused_until_it_is_given(tmp_path: Path, tags: Tags) -> None:
+    path = dng_files.write_dng(tmp_path / "a.dng", MOSAIC, PATTERN, tags=tags)
+    with pytest.raises(InputFileError, match="black_level"):
+        read_raw(path, RGGB)
+    frame = read_raw(path, RGGB, RawOverrides(black_level=40.0))
+    assert the_mosaic(frame)
+    assert (frame.black_level, frame.white_level) == (40, 4000)
+
+
+A, D65, OTHER = (SHORT, [17]), (SHORT, [21]), (SHORT, [255])
+SECOND = (SRATIONAL, [part for each in (9, -3, -1, -5, 12, 3, -1, 2, 8) for part in (each, 10)])
+MATRIX_1, MATRIX_2 = (np.reshape(each[1][::2], (3, 3)) / 10 for each in (COLOUR_MATRIX, SECOND))
+TWICE = (SRATIONAL, [part for each in (2, 0, 0, 0, 1, 0, 0, 0, 1) for part in (each, 1)])
+TWICE_RED = np.diag([2.0, 1, 1])
+
+
+def white(x: float, y: float) -> tuple[int, list[int]]:
+    return RATIONAL, [round(x * 100000), 100000, round(y * 100000), 100000]
+
+
+def halfway() -> tuple[float, float]:
+    """The chromaticity of a black body whose reciprocal temperature lies halfway between those of A and D65."""
+    light = spectra.illuminant(f"{2 / (1 / 2856 + 1 / 6504):.3f}K", np.arange(380.0, 781.0, 5.0))
+    xyz = spectra.xyz_weights(np.arange(380.0, 781.0, 5.0)) @ light
+    return float(xyz[0] / xyz.sum()), float(xyz[1] / xyz.sum())
+
+
+TWO_LIGHTS = {50721: COLOUR_MATRIX, 50722: SECOND, 50778: A, 50779: D65}
+SIGNED, OTHERWISE = (ASCII, list(b"one\0")), (ASCII, list(b"two\0"))
+WHITES: dict[str, tuple[Tags, tuple[float, float], np.ndarray]] = {  # tags, the white's x and y, matrix times gains
+    "below both lights": (TWO_LIGHTS, (0.5, 0.415), MATRIX_1),
+    "at the first": (TWO_LIGHTS, (0.44757, 0.40745), MATRIX_1),
+    "at the second": (TWO_LIGHTS, (0.3127, 0.329), MATRIX_2),
+    "above both": (TWO_LIGHTS, (0.28, 0.29), MATRIX_2),
+    "between them": (TWO_LIGHTS, halfway(), (MATRIX_1 + MATRIX_2) / 2),
+    "exchanged": (
+        {50721: SECOND, 50722: COLOUR_MATRIX, 50778: D65, 50779: A}, halfway(), (MATRIX_1 + MATRIX_2) / 2
+    ),
+    "one matrix": ({50721: COLOUR_MATRIX, 50778: D65}, (0.44757, 0.40745), MATRIX_1),
+    "lights not stated": ({50721: COLOUR_MATRIX, 50722: SECOND}, (0.3127, 0.329), MATRIX_1),
+    "another light": (TWO_LIGHTS | {50779: OTHER}, (0.3127, 0.329), MATRIX_1),
+    "another light of a chromaticity": (
+        TWO_LIGHTS | {50779: OTHER, 52534: (UNDEFINED, list(struct.pack("<H4I", 0, 3127, 10000, 329, 1000)))}, halfway(),
+        (MATRIX_1 + MATRIX_2) / 2,
+    ),
+    "three lights": (
+        TWO_LIGHTS | {52529: (SHORT, [23]), 52531: COLOUR_MATRIX}, (0.3457, 0.3585), MATRIX_1
+    ),
+    "AnalogBalance": (
+        {50721: COLOUR_MATRIX, 50727: (RATIONAL, [2, 1, 1, 1, 1, 1])}, (0.3127, 0.329), TWICE_RED @ MATRIX_1
+    ),
+    "CameraCalibration": (TWO_LIGHTS | {50723: TWICE, 50724: TWICE}, (0.3127, 0.329), TWICE_RED @ MATRIX_2),
+    "CameraCalibration interpolated": (
+        TWO_LIGHTS | {50723: TWICE}, halfway(), np.diag([1.5, 1, 1]) @ (MATRIX_1 + MATRIX_2) / 2
+    ),
+    "CameraCalibration of this profile": (
+        TWO_LIGHTS | {50724: TWICE, 50931: SIGNED, 50932: SIGNED}, (0.3127, 0.329), TWICE_RED @ MATRIX_2
+    ),
+    "CameraCalibration of another profile": (
+        TWO_LIGHTS | {50724: TWICE, 50931: SIGNED, 50932: OTHERWISE}, (0.3127, 0.329), MATRIX_2
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WHITES)
+def test_the_grey_of_a_white_that_is_stated_by_its_chromaticity(tmp_path: Path, name: str) -> None:
+    """DNG 1.7.1, chapter 6: AnalogBalance · CameraCalibration · ColorMatrix · (x/y, 1, (1 - x - y)/y)."""
+    tags, (x, y), matrix = WHITES[name]
+    grey = matrix @ (x / y, 1, (1 - x - y) / y)
+    frame = read(tmp_path, tags | {50729: white(x, y)})
+    np.testing.assert_allclose(frame.neutral, grey / grey.max(), atol=4e-4)
+
+
+def test_a_white_that_is_none_counts_as_not_stated(tmp_path: Path) -> None:
+    for tags in (
+        {50721: COLOUR_MATRIX, 50729: white(0.9, 0.4)},
+        {50721: COLOUR_MATRIX, 50729: (RATIONAL, [1, 0, 1, 3])},
+        {50721: (SRATIONAL, [1, 1] * 4), 50729: white(0.31, 0.33)},
+        {50729: white(0.31, 0.33)},
+    ):
+        assert read(tmp_path, tags).neutral is None
+    both = {50721: COLOUR_MATRIX, 50728: (RATIONAL, [1, 2, 1, 1, 2, 3]), 50729: white(0.31, 0.33)}
+    assert read(tmp_path, both).neutral == (0.5, 1, 2 / 3)
 
 
 def test_the_mosaic_is_read_next_to_a_larger_enhanced_image(tmp_path: Path) -> None:
@@ -382,7 +514,7 @@ def test_the_page_states_what_is_done_with_every_tag_that_counts() -> None:
     for what, tags in rows[1:]:
         named[what.strip()] |= set(re.findall(r"\w+", tags))
     assert named["read"] == {*READ}
-    assert named["refused"] == {*REFUSED}
+    assert named["refused"] == {*REFUSED} - {"samples of three"}
     assert named["warned"] == {*NOTED}
     known = {name for code, name in tifffile.TIFF.TAGS.items() if 50706 <= code <= 52555}
     assert known - HARMLESS - set().union(*named.values()) == OF_OTHERS
@@ -486,6 +618,20 @@ def test_what_moves_pixels_is_refused_or_noted(tmp_path: Path, table: TransformT
     for stage, number in ((LIST_1, 9), (LIST_2, 4), (LIST_3, 5), (LIST_2, 8)):
         dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={stage: opcode_list((number, 0, b""))})
         assert "not carried out" in refused(3, *render, "--force")
+        assert l3(*render, "--force", "--opcodes", "leave")[0] == 0
+
+
+def test_opcodes_are_left_out_where_that_is_asked_for(tmp_path: Path, table: TransformTable) -> None:
+    """Those that are carried out are; of each other one there is a note."""
+    vignette, warp = struct.pack(">7d", 0.5, 0, 0, 0, 0, 0.5, 0.5), struct.pack(">I8d", 1, 1, 0, 0, 0, 0, 0, 0.5, 0.5)
+    lists = opcode_list((3, 0, vignette), (1, 0, warp), (8, 0, b""))
+    path = dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: lists})
+    with pytest.raises(InputFileError, match="WarpRectilinear of OpcodeList3"):
+        read_raw(path, table)
+    frame = read_raw(path, table, RawOverrides(opcodes="leave"))
+    np.testing.assert_array_equal(frame.values, stored())
+    assert frame.shading is not None
+    assert [note.split()[0] for note in frame.notes] == ["WarpRectilinear", "MapPolynomial"]
 
 
 @pytest.mark.parametrize(

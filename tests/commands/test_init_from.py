@@ -23,6 +23,7 @@ from l3cli.io.pictures.dng import write_dng
 from l3cli.io.raw.files import read_raw
 from l3cli.physics import spectra
 from l3cli.recipes.builtin import COMMON
+from l3cli.recipes.toml import parse_toml
 from tests.helpers import dng_files, photos
 from tests.helpers.calls import L3, Refused
 
@@ -195,6 +196,62 @@ def test_a_black_level_of_0_is_questioned(bayer: CameraModel, tmp_path: Path, l3
     assert "RENDER ?= --black-level 256" in (tmp_path / "mine/Makefile").read_text()
 
 
+def test_values_below_the_black_level_are_refused_until_answered(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+    """10-bit values under the levels of 16 bits."""
+    tags = {50714: (dng_files.SHORT, [4096]), 50717: (dng_files.LONG, [65535])}
+    values = np.minimum(scene(bayer), 1023)
+    dng_files.write_dng(tmp_path / "a.dng", values, np.array([[0, 1], [1, 2]]), tags=tags)
+    call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
+    code, _, err = l3(*call)
+    assert code == 3
+    assert "a.dng" in err
+    assert l3(*call, "--black-level", "64", "--white-level", "1023")[0] == 0
+    camera = load_camera(tmp_path / "mine/camera.toml")
+    assert (camera.black_level, camera.white_level, camera.bits) == (64, 1023, 10)
+    assert "RENDER ?= --black-level 64.0 --white-level 1023.0\n" in (tmp_path / "mine/Makefile").read_text()
+
+
+@pytest.mark.parametrize(("tag", "value"), [(50714, [60, 62, 64]), (50714, [5000])])
+def test_a_black_level_that_cannot_be_told_is_given(
+    bayer: CameraModel, tmp_path: Path, l3: L3, tag: int, value: list
+) -> None:
+    tags = {tag: (dng_files.SHORT, value), 50717: (dng_files.LONG, [4095])}
+    dng_files.write_dng(tmp_path / "a.dng", scene(bayer), np.array([[0, 1], [1, 2]]), tags=tags)
+    call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
+    assert l3(*call)[0] == 3
+    assert l3(*call, "--black-level", "64")[0] == 0
+    assert load_camera(tmp_path / "mine/camera.toml").black_level == 64
+
+
+def test_a_lens_warp_is_no_matter_of_the_camera_once_it_is_to_be_left(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+    warp = {51022: dng_files.opcode_list((1, 0, b""))}
+    dng_files.write_dng(tmp_path / "a.dng", scene(bayer), np.array([[0, 1], [1, 2]]), tags=warp)
+    call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
+    assert l3(*call)[0] == 3
+    assert l3(*call, "--opcodes", "leave")[0] == 0
+    assert "RENDER ?= --opcodes leave\n" in (tmp_path / "mine/Makefile").read_text()
+
+
+@pytest.mark.parametrize("size", [(480, 640), (96, 128), (64, 96), (300, 100)])
+def test_scenes_fit_the_sensor(tmp_path: Path, l3: L3, size: tuple[int, int]) -> None:
+    values = np.random.default_rng(0).integers(100, 900, size).astype(np.uint16)
+    dng_files.write_dng(tmp_path / "a.dng", values, np.array([[0, 1], [1, 2]]))
+    assert l3("init", "--from", tmp_path / "a.dng", tmp_path / "mine")[0] == 0
+    code, out, err = l3("check", tmp_path / "mine")
+    assert code == 0, out + err
+    learned = parse_toml((tmp_path / "mine/scenes.toml").read_text(), "scenes.toml")["scene"]
+    for scene_made, (pixels, count) in zip(learned, ((160 * 160, 60), (160 * 160, 6)), strict=True):
+        rows, cols = scene_made["size"]
+        assert rows <= size[0]
+        assert cols <= size[1]
+        assert rows * cols * scene_made["count"] >= pixels * count
+
+
+def test_a_sensor_of_hardly_any_pixels_is_refused(tmp_path: Path, l3: L3) -> None:
+    dng_files.write_dng(tmp_path / "a.dng", np.full((40, 60), 900, np.uint16), np.array([[0, 1], [1, 2]]))
+    assert l3("init", "--from", tmp_path / "a.dng", tmp_path / "mine")[0] == 3
+
+
 def test_a_camera_by_the_chart_in_its_photo(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     camera = replace(bayer, rows=600, cols=800, black_level=256.0, white_level=4095.0, name="of charts")
     chart = photos.photograph(photos.UPRIGHT, np.random.default_rng(0)) + camera.black_level
@@ -276,7 +333,7 @@ def test_wrong_calls(photo: Path, bayer: CameraModel, tmp_path: Path, refused: R
     assert "--phase is that of photos" in refused(2, "init", "bayer", tmp_path / "new", "--phase", "0,1")
     dng_files.write_dng(tmp_path / "other.dng", scene(bayer), np.array([[0, 1], [1, 2]]), tags={272: (ASCII, list(b"X\0"))})
     both = ("init", "--from", photo, tmp_path / "other.dng", tmp_path / "new", "--phase", "0,1")
-    assert "are those of one camera" in refused(2, *both)
+    assert "--phase is that of one camera" in refused(2, *both)
     assert "give raw files with --from" in refused(2, "init", "bayer", tmp_path / "new", "more")
     assert "is a file; name a folder" in refused(1, "init", "--from", photo, photo)
     (tmp_path / "full").mkdir()

@@ -1,6 +1,6 @@
 """Content of raw files as their readers return it: one frame, or the frames of one file."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import NotRequired, TypedDict
@@ -27,9 +27,18 @@ class RawContent(TypedDict):
     shot: NotRequired[dict[str, str | float]]  # fields of Shot, as far as they are stated
     gain: NotRequired[NDArray[np.float32]]  # (row, col) that the file wants its values above black to be multiplied by
     notes: NotRequired[tuple[str, ...]]  # what of the file's wishes is not carried out
+    # what is wrong with the file, or what it demands and l3 does not do, by the parameter that answers it
+    faults: NotRequired[dict[str, str]]
     exchangeable: NotRequired[bool]  # whether rows and columns, which the caller says, would fit the file exchanged, too
     # ways to read the bytes of the frame, first as it was read: option that asks for each, its values, their bits
     readings: NotRequired[Callable[[], Iterable[tuple[str, NDArray[np.uint16], int]]]]
+
+
+def refuse_faults(name: str, content: RawContent, answered: Container[str]) -> None:
+    """Raise InputFileError for the first fault of a file, called `name`, that none of the `answered` parameters answers."""
+    for parameter, text in content.get("faults", {}).items():
+        if parameter not in answered:
+            raise InputFileError(f"{name} {text}")
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from l3cli.io import tags
 from l3cli.io.isolated import isolated
 from l3cli.io.raw import RawContent
 from l3cli.io.raw.cfa_codes import LETTERS
+from l3cli.io.raw.dng_colour import as_shot_neutral
 from l3cli.io.raw.libraw import opened
 from l3cli.io.raw.opcodes import Opcodes, bad_pixels, gain_of_pixels, read_opcodes
 from l3cli.io.video import storable_rate
@@ -29,6 +30,7 @@ from l3cli.system.limits import require_picture
 WHITE_CODE = LETTERS.index("W")
 LATEST = (1, 7)  # DNG that is read
 UNREAD = {8: "Deflate", 34892: "lossy JPEG", 52546: "JPEG XL"}  # compressions that LibRaw does not unpack mosaics of
+DUAL = 2  # samples a pixel of dual-pixel files and of those with a second, less sensitive photodiode
 WHOLE = (0, 0, 1, 1)  # value of DefaultUserCrop
 ONLY = {  # tags of which one value is read, and the complaint about any other
     "CFALayout": (tags.RECTANGULAR, "is of a sensor with staggered pixels, which no table is made for"),
@@ -56,6 +58,7 @@ class Mosaic:
     black_level: NDArray[np.float64]  # (row, col) DN, repeating from the corner of the active area
     black_of_row: NDArray[np.float64]  # (active row), DN added
     black_of_col: NDArray[np.float64]  # (active col), DN added
+    black_fault: str  # why the black level cannot be told; "" if it can
     white_level: float  # DN
     exposure: float | None  # s
     baseline_exposure: float  # EV
@@ -101,8 +104,12 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
     shown = np.s_[row : row + rows, col : col + cols]
     black_level = _black_levels(mosaic, (bottom - top, right - left))
     black_level = black_level if black_level.size == 1 else black_level[shown]
+    fault = mosaic.black_fault
     if not (black_level.min() >= 0 and (black_level < mosaic.white_level).all()):
-        raise InputFileError(f"{path}: its black levels are not below its white level {mosaic.white_level:g}; it is damaged")
+        levels = f"{black_level.min():g}" if black_level.size == 1 else f"{black_level.min():g}…{black_level.max():g}"
+        fault = f"states a black level of {levels} DN, not between 0 and its white level of {mosaic.white_level:g}"
+    if fault:
+        black_level = np.zeros((1, 1))
     pixels = stored[top:bottom, left:right].copy()  # LibRaw takes its memory back
     gain = None
     if mosaic.opcodes:
@@ -112,7 +119,6 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
     pattern = np.roll(mosaic.pattern, (-row, -col), axis=(0, 1))
     content = RawContent(
         values=values,
-        black_level=common,
         white_level=white_level,
         pattern=pattern,
         orientation=mosaic.orientation,
@@ -123,7 +129,20 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
         shot=mosaic.shot,
         notes=mosaic.notes + mosaic.opcodes.notes,
     )
-    return content if gain is None else content | {"gain": gain}
+    faults = {"black_level": f"{fault}; give ‹black_level›"} if fault else {}
+    if mosaic.opcodes.demanded:
+        faults["opcodes"] = (
+            f"is to be changed by {mosaic.opcodes.demanded[0]}, which is not carried out; convert the camera's own file "
+            "without lens corrections, or have it rendered without: ‹opcodes› leave"
+        )
+        content["notes"] += tuple(f"{each} is left out" for each in mosaic.opcodes.demanded)
+    if faults:
+        content["faults"] = faults
+    if not fault:
+        content["black_level"] = common
+    if gain is not None:
+        content["gain"] = gain
+    return content
 
 
 def _changed(
@@ -205,8 +224,12 @@ def _refuse_others(path: Path, first: Any, raw: Any) -> None:
             f"{path} is for readers of DNG {version[0]}.{version[1]}, this is one of {LATEST[0]}.{LATEST[1]}; "
             "convert the camera's own file to DNG for earlier ones"
         )
-    if raw.samplesperpixel != 1:
+    if raw.samplesperpixel != 1 and raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:
         raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
+    if raw.samplesperpixel > DUAL:
+        raise InputFileError(
+            f"{path} holds {raw.samplesperpixel} samples a pixel; give a mosaic of one, or of two (dual pixels)"
+        )
     if raw.compression in UNREAD:
         raise InputFileError(
             f"{path} is compressed by {UNREAD[raw.compression]}, which is not read; convert it to lossless JPEG or none"
@@ -235,27 +258,61 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
     crop = tuple(round(value) for value in (origin[1], origin[0], size[1], size[0]))
     if not (min(crop[:2]) >= 0 and min(crop[2:]) >= 1 and crop[0] + crop[2] <= rows and crop[1] + crop[3] <= cols):
         raise InputFileError(f"{path}: its crop {crop} is not within its active area of {rows}×{cols} pixels")
-    black_shape = raw.tags.valueof("BlackLevelRepeatDim", (1, 1))
+    pattern = _pattern(path, raw)
+    black, fault = _stated_black(raw, pattern.shape, (rows, cols))
     return Mosaic(
         orientation=tags.flip_of(path, first.tags.valueof("Orientation", tags.UPRIGHT)),
-        pattern=_pattern(path, raw),
+        pattern=pattern,
         active=(top, left, bottom, right),
         crop=crop,
-        black_level=_repeating(tags.numbers(raw, "BlackLevel", (0,)), black_shape).astype(np.float64),
-        black_of_row=_as_many(raw, "BlackLevelDeltaV", rows),
-        black_of_col=_as_many(raw, "BlackLevelDeltaH", cols),
+        black_level=black[0],
+        black_of_row=black[1],
+        black_of_col=black[2],
+        black_fault=fault,
         white_level=float(tags.numbers(raw, "WhiteLevel", (2**raw.bitspersample - 1,))[0]),
         exposure=tags.exposure_time(first),
         baseline_exposure=_baseline_exposure(first),
         neutral=_neutral(first, raw),
         camera=tags.camera_names(first),
         shot=tags.shot_of_page(first),
-        opcodes=read_opcodes(path, raw),
+        opcodes=read_opcodes(raw),
         planes=tuple(raw.tags.valueof("CFAPlaneColor") or (0, 1, 2)),
         shape=shape,
         fields=_fields(raw),
         notes=tuple(_notes(raw)),
     )
+
+
+def _stated_black(
+    raw: Any, cfa_shape: tuple[int, ...], shape: tuple[int, int]
+) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], str]:
+    """Return the black levels (row, col) that repeat, those added to each row and column of `shape`, and "".
+
+    If the tags cannot be read, all are 0, and the text says why.
+    """
+    rows, cols = shape
+    try:
+        added = _as_many(raw, "BlackLevelDeltaV", rows), _as_many(raw, "BlackLevelDeltaH", cols)
+        return (_repeating_black(raw, cfa_shape), *added), ""
+    except tags.BROKEN as error:
+        return (np.zeros((1, 1)), np.zeros(rows), np.zeros(cols)), f"has a damaged black level ({error})"
+
+
+def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return the black levels (row, col) that repeat, of the first sample of each pixel.
+
+    Many writers leave BlackLevelRepeatDim out, or state one that does not fit the number of levels: then there is a level
+    for each site of the array, or all are equal. ValueError otherwise.
+    """
+    levels = np.asarray(tags.numbers(raw, "BlackLevel", (0,)), np.float64)
+    stated = tuple(np.ravel(raw.tags.valueof("BlackLevelRepeatDim", (1, 1))).tolist())
+    for shape in (stated, cfa_shape):
+        for samples in (raw.samplesperpixel, 1):
+            if len(shape) == 2 and min(shape) >= 1 and levels.size == shape[0] * shape[1] * samples:
+                return levels.reshape(*shape, samples)[..., 0]
+    if levels.size and np.ptp(levels) == 0:
+        return levels[:1, None]
+    raise ValueError(f"BlackLevel holds {levels.size} values, BlackLevelRepeatDim is {'×'.join(map(str, stated))}")
 
 
 def _fields(raw: Any) -> tuple[int, int]:
@@ -271,21 +328,20 @@ def _notes(raw: Any) -> Iterator[str]:
     across, down = tags.numbers(raw, "DefaultScale", (1, 1))
     if across != down:
         yield f"its pixels are not square (DefaultScale {across:g}, {down:g}); the picture is not stretched"
+    if raw.samplesperpixel == DUAL:
+        yield "it holds two samples a pixel (dual pixels); the first is taken"
     if tuple(tags.numbers(raw, "DefaultUserCrop", WHOLE)) != WHOLE:
         yield "the crop that was chosen in the camera (DefaultUserCrop) is not applied"
 
 
 def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
-    """Return codes of the colour planes and the signals that the camera took for those of a grey; None where they are not
-    stated, or are none."""
+    """Return (plane, 2) codes of the colour planes and the signals of a grey as the camera took it; None if not stated."""
     try:
-        codes = tags.numbers(raw, "CFAPlaneColor", (0, 1, 2))
-        signals = np.asarray(tags.numbers(first, "AsShotNeutral", ()), np.float64)
+        codes = np.asarray(tags.numbers(raw, "CFAPlaneColor", (0, 1, 2)), np.float64)
     except tags.BROKEN:  # pixels need none of it
         return None
-    if len(signals) != len(codes) or not (np.isfinite(signals).all() and signals.min() > 0):
-        return None
-    return np.stack([np.asarray(codes, np.float64), signals], axis=1)
+    signals = as_shot_neutral(first, len(codes))
+    return None if signals is None else np.stack([codes, signals], axis=1)
 
 
 def _baseline_exposure(first: Any) -> float:

@@ -9,7 +9,7 @@ of its array the phase; an array that is not the table's is refused.
 
 import importlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from l3cli.frames.correction import Correction, DarkFrame, HotTest, without_dark
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.raw_sanity import smoother_reading
 from l3cli.frames.shading import shading_of_gain
-from l3cli.io.raw import MultiFrameFile, RawContent
+from l3cli.io.raw import MultiFrameFile, RawContent, refuse_faults
 from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
 from l3cli.io.raw.headerless import Layout, layout_of, stdin
 from l3cli.io.tags import believable_shot
@@ -142,6 +142,7 @@ class RawOverrides:
     hot: HotTest | None = None  # by which its hot pixels are found; None: they are left
     skip: int = 0  # bytes before the first frame of a headerless file
     byte_order: str | None = None  # of 16-bit values of a headerless file, "little" or "big"; None: little
+    opcodes: str | None = None  # "leave": opcodes of a DNG that are not carried out are left out; None: its file is refused
 
     def of_frame(self, place: int) -> "RawOverrides":
         """Return those of the frame at a place of a sequence, from 0; InputFileError if no gain is listed for it."""
@@ -200,13 +201,21 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     if values.size == 0 or values.ndim != 2:
         raise InputFileError(f"{name} holds no pixels; give a raw file")
     require_picture(name, *values.shape)
+    refuse_faults(name, content, [each.name for each in fields(known) if getattr(known, each.name) is not None])
+    black_level = content.get("black_level", table.black_level) if known.black_level is None else known.black_level
+    white_level = content.get("white_level", table.white_level) if known.white_level is None else known.white_level
+    if not 0 <= black_level < white_level <= TOP:
+        raise InputFileError(
+            f"{name}: black level {black_level:g} and white level {white_level:g} do not fit; "
+            "give ‹black_level› and ‹white_level›"
+        )
     frame_phase = find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0)
     gain = content.get("gain")
     frame = RawFrame(
         name,
         np.ascontiguousarray(values, np.uint16),
-        content.get("black_level", table.black_level),
-        content.get("white_level", table.white_level),
+        black_level,
+        white_level,
         frame_phase,
         content.get("orientation", 0),
         content.get("exposure"),
@@ -237,33 +246,25 @@ def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tu
 
 def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
     """Return the frame as the caller knows it better than the file, and what dark current adds to it."""
-    black_level = frame.black_level if known.black_level is None else known.black_level
-    white_level = frame.white_level if known.white_level is None else known.white_level
     phase = frame.phase if known.phase is None else known.phase
-    if not 0 <= black_level < white_level <= TOP:
-        raise InputFileError(
-            f"{frame.name}: black level {black_level:g} and white level {white_level:g} do not fit; "
-            "give ‹black_level› and ‹white_level›"
-        )
     rows, cols = table.cfa.shape
+    span = frame.white_level - frame.black_level
     recorded = frame.exposure if frame.exposure is not None and 0 < frame.exposure <= LONGEST else None
     exposure = recorded if known.exposure is None else known.exposure
     gain = (table.gain_at(frame.shot.iso) or known.unlabelled_gain) if known.gain is None else known.gain
     dark = (
         (gain if exposure is not None else 1.0)
         * table.dark_signal(exposure)
-        * (white_level - black_level)
+        * span
         / (table.white_level - table.black_level)
     )
-    if not dark < white_level - black_level:
+    if not dark < span:
         raise InputFileError(
-            f"{frame.name}: dark current alone fills a pixel with {dark:.4g} of {white_level - black_level:.4g} DN; "
+            f"{frame.name}: dark current alone fills a pixel with {dark:.4g} of {span:.4g} DN; "
             "is its exposure time in seconds?"
         )
     corrected = replace(
         frame,
-        black_level=black_level,
-        white_level=white_level,
         phase=(phase[0] % rows, phase[1] % cols),
         exposure=exposure,
         dark=dark,

@@ -15,7 +15,8 @@ from l3cli.frames.measurement import Stated, StatedMatrix
 from l3cli.io.isolated import isolated, named_in_utf8
 from l3cli.io.raw import RawContent
 from l3cli.io.raw.cfa_codes import codes_of
-from l3cli.io.tags import BROKEN, COLOUR_FILTER_ARRAY, camera_names, exif_of, number, numbers, shot_of_page
+from l3cli.io.raw.dng_colour import calibrations
+from l3cli.io.tags import COLOUR_FILTER_ARRAY, camera_names, exif_of, number, numbers, shot_of_page
 from l3cli.system.files import require_regular
 from l3cli.system.limits import require_picture
 
@@ -226,17 +227,6 @@ def _figures(pages: list[Any]) -> dict[str, float]:
 
 def _matrices(pages: list[Any]) -> list[tuple[int, NDArray, NDArray]]:
     """Return XYZ → what the camera collects: AnalogBalance · CameraCalibration · ColorMatrix."""
-    tags = pages[0].tags
     raw = [page for page in pages if page.tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY]
     codes = np.array(numbers((raw or pages)[0], "CFAPlaneColor", (0, 1, 2)), np.int64)
-    count, found = len(codes), []
-    for index in (1, 2):
-        if f"ColorMatrix{index}" not in tags:
-            continue
-        with contextlib.suppress(*BROKEN):  # one that is wrong counts as none
-            balance = numbers(pages[0], "AnalogBalance", np.ones(count))
-            calibration = np.reshape(numbers(pages[0], f"CameraCalibration{index}", np.eye(count)), (count, count))
-            matrix = np.reshape(numbers(pages[0], f"ColorMatrix{index}", ()), (count, 3))
-            light = int(tags.valueof(f"CalibrationIlluminant{index}") or 0)
-            found.append((light, codes, np.array(balance)[:, None] * (calibration @ matrix)))
-    return found
+    return [(each.light, codes, each.camera @ each.colour) for each in calibrations(pages[0], len(codes))]

@@ -1,19 +1,17 @@
 """The opcode lists of a DNG (Adobe DNG 1.7, chapter 7): what a reader is to do to the mosaic, or to what is made of it.
 
 Bad pixels are corrected, gain maps and radial vignetting become a gain of every pixel. All else would move pixels or bend
-values; a file that leaves it to the reader is taken without, with a note, one that does not is refused.
+values: an opcode that the file calls optional is left out with a note; a file with another one is refused, unless the user
+has it rendered without.
 """
 
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from l3cli.errors import InputFileError
 
 LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # for values as stored, linear, demosaicked
 FIX_VIGNETTE_RADIAL, FIX_BAD_PIXELS_CONSTANT, FIX_BAD_PIXELS_LIST, GAIN_MAP = 3, 4, 5, 9
@@ -70,7 +68,8 @@ class Opcodes:
     constants: tuple[int, ...] = ()  # stored values of bad pixels
     rects: tuple[NDArray[np.int64], ...] = ()  # (rect, 5) stage, top, left, bottom, right
     gains: tuple[GainMap | Vignette, ...] = ()
-    notes: tuple[str, ...] = ()  # what is left out
+    notes: tuple[str, ...] = ()  # on optional opcodes that are left out
+    demanded: tuple[str, ...] = ()  # opcodes that are not carried out, though the file does not call them optional
 
     def __bool__(self) -> bool:
         return bool(self.constants or self.rects or self.gains)
@@ -79,15 +78,19 @@ class Opcodes:
 # ------------------------------------------------------------------------------------------------------------ reading
 
 
-def read_opcodes(path: Path, page: Any) -> Opcodes:
-    """Return the opcodes of a page. InputFileError if one is neither carried out nor optional; ValueError or struct.error if
-    a list is damaged."""
-    found: dict[str, list[Any]] = {"constants": [], "rects": [], "gains": [], "notes": []}
+def read_opcodes(page: Any) -> Opcodes:
+    """Return the opcodes of a page; ValueError or struct.error if a list is damaged."""
+    found: dict[str, list[Any]] = {"constants": [], "rects": [], "gains": [], "notes": [], "demanded": []}
     linearised = page.tags.valueof("LinearizationTable") is not None
     for each in _listed(page):
         carried = each.number in CARRIED_OUT[each.stage]
         if not carried or (each.number == FIX_BAD_PIXELS_CONSTANT and linearised):
-            found["notes"].append(_left_out(path, each))
+            name = NAMES[each.number] if 0 < each.number < len(NAMES) else f"opcode {each.number}"
+            named = f"{name} of {LISTS[each.stage]}"
+            if each.optional:
+                found["notes"].append(f"{named} is optional and not carried out")
+            else:
+                found["demanded"].append(named)
         elif each.number == FIX_BAD_PIXELS_CONSTANT:
             found["constants"].append(struct.unpack(">II", each.content)[0])
         elif each.number == FIX_BAD_PIXELS_LIST:
@@ -115,17 +118,6 @@ def _listed(page: Any) -> list[Opcode]:
                 raise ValueError("an opcode beyond its list")
             opcodes.append(Opcode(stage, number, bool(flags & OPTIONAL), content[at - size : at]))
     return opcodes
-
-
-def _left_out(path: Path, opcode: Opcode) -> str:
-    """Return the note of an opcode that is not carried out; InputFileError if it must be."""
-    name = NAMES[opcode.number] if 0 < opcode.number < len(NAMES) else f"opcode {opcode.number}"
-    if not opcode.optional:
-        raise InputFileError(
-            f"{path} is to be changed by {name} of OpcodeList{opcode.stage + 1}, which is not carried out; "
-            "convert the camera's own file without lens corrections"
-        )
-    return f"{name} of OpcodeList{opcode.stage + 1} is optional and not carried out"
 
 
 def _bad_rects(opcode: Opcode) -> NDArray[np.int64]:

@@ -38,7 +38,7 @@ def overrides(options: RenderOptions) -> RawOverrides:
     gains = gains_in(options.gains) if options.gains else ()
     return RawOverrides(
         *levels, options.size, options.packing, options.stride, options.exposure_time, options.gain, gains,
-        skip=options.skip, byte_order=options.byte_order,
+        skip=options.skip, byte_order=options.byte_order, opcodes=options.opcodes,
     )  # fmt: skip
 
 

@@ -1,0 +1,126 @@
+"""Colour tags of a DNG: its colour matrices, and what a grey gives in the camera's channels under the white that it states.
+
+DNG 1.7.1, chapter 6: a white of chromaticity x, y gives the camera AB · CC · CM · (x/y, 1, (1 - x - y)/y). AB is
+AnalogBalance; CM and CC are interpolated between ColorMatrix1, 2, 3 and between CameraCalibration1, 2, 3, linearly over the
+reciprocal of the correlated colour temperature.
+"""
+
+import contextlib
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.io.tags import BROKEN, numbers
+
+Array = NDArray[np.float64]
+
+OTHER_LIGHT = 255  # value of CalibrationIlluminant: IlluminantData says which light it is
+KELVIN = {  # correlated colour temperature of the values of CalibrationIlluminant (Exif's LightSource)
+    1: 5500.0, 2: 4150.0, 3: 2856.0, 4: 5500.0, 9: 5500.0, 10: 6504.0, 11: 7504.0, 12: 6400.0, 13: 5050.0, 14: 4150.0,
+    15: 3525.0, 16: 2925.0, 17: 2856.0, 18: 4874.0, 19: 6774.0, 20: 5503.0, 21: 6504.0, 22: 7504.0, 23: 5003.0, 24: 3200.0,
+}  # fmt: skip
+MIREDS = np.arange(40.0, 1000.0, 0.25)  # reciprocal temperatures, 10^6 / K, among which that of a white is found
+DECIMALS = 4  # with which AsShotNeutral is stated, so that a file gives the same picture whichever tag has its white
+CHROMATICITY = 0  # kind of IlluminantData: two fractions, x and y
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The matrices that a DNG states for one light."""
+
+    light: int  # value of CalibrationIlluminant; 0: not stated
+    kelvin: float | None  # correlated colour temperature of the light; None: not known
+    colour: Array  # (plane, 3) from XYZ to the reference camera
+    camera: Array  # (plane, plane) from the reference camera to this one: AnalogBalance · CameraCalibration
+
+
+def calibrations(first: Any, planes: int) -> list[Calibration]:
+    """Return the calibrations that the first page of a DNG states; one that is broken counts as none."""
+    tags, found = first.tags, []
+    ours = tags.valueof("CameraCalibrationSignature", "") == tags.valueof("ProfileCalibrationSignature", "")
+    for number in (1, 2, 3):
+        with contextlib.suppress(*BROKEN):
+            colour = np.reshape(numbers(first, f"ColorMatrix{number}", ()), (planes, 3)).astype(np.float64)
+            stated = numbers(first, f"CameraCalibration{number}", np.eye(planes)) if ours else np.eye(planes)
+            balance = np.reshape(numbers(first, "AnalogBalance", np.ones(planes)), (planes, 1)).astype(np.float64)
+            camera = balance * np.reshape(stated, (planes, planes))
+            light = int(tags.valueof(f"CalibrationIlluminant{number}") or 0)
+            other = _white_of(tags.valueof(f"IlluminantData{number}")) if light == OTHER_LIGHT else None
+            found.append(Calibration(light, KELVIN.get(light) if other is None else temperature(*other), colour, camera))
+    return found
+
+
+def as_shot_neutral(first: Any, planes: int) -> Array | None:
+    """Return the signals (plane) of a grey as the camera took it, by AsShotNeutral or by AsShotWhiteXY.
+
+    None if the file states neither, if they are broken, or if no matrix says what the camera sees of a chromaticity.
+    """
+    with contextlib.suppress(*BROKEN):
+        stated = np.asarray(numbers(first, "AsShotNeutral", ()), np.float64)
+        if _is_neutral(stated, planes):
+            return stated
+    with contextlib.suppress(*BROKEN):
+        x, y = numbers(first, "AsShotWhiteXY", (0.0, 0.0))
+        known = calibrations(first, planes)
+        if known and _is_white(x, y):
+            colour, camera = interpolated(known, temperature(x, y))
+            signals = camera @ colour @ np.array([x / y, 1.0, (1.0 - x - y) / y])
+            signals = np.round(signals / signals.max(), DECIMALS)
+            return signals if _is_neutral(signals, planes) else None
+    return None
+
+
+def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Array]:
+    """Return colour and camera matrix of a light of a correlated colour temperature: linear in its reciprocal between the
+    calibrations around it, beyond them the nearest. If less than two lights are known, those of the first."""
+    placed = {1e6 / each.kelvin: each for each in known if each.kelvin is not None}  # of two for one light, the second
+    mireds = np.array(sorted(placed))
+    if len(mireds) < 2:
+        return known[0].colour, known[0].camera
+    mired = np.clip(1e6 / kelvin, mireds[0], mireds[-1])
+    after = int(np.clip(np.searchsorted(mireds, mired), 1, len(mireds) - 1))
+    below, above = placed[mireds[after - 1]], placed[mireds[after]]
+    part = (mired - mireds[after - 1]) / (mireds[after] - mireds[after - 1])
+    return (1 - part) * below.colour + part * above.colour, (1 - part) * below.camera + part * above.camera
+
+
+def temperature(x: float, y: float) -> float:
+    """Return the correlated colour temperature (K) of a chromaticity: of the nearest black body in CIE 1960 u, v.
+
+    References
+    ----------
+    M. Krystek, An algorithm to calculate correlated colour temperature, Color Research & Application 10 (1985) 38-40:
+    the black bodies' u and v as rational functions of temperature.
+    """
+    kelvin = 1e6 / MIREDS
+    locus_u = (0.860117757 + 1.54118254e-4 * kelvin + 1.28641212e-7 * kelvin**2) / (
+        1 + 8.42420235e-4 * kelvin + 7.08145163e-7 * kelvin**2
+    )
+    locus_v = (0.317398726 + 4.22806245e-5 * kelvin + 4.20481691e-8 * kelvin**2) / (
+        1 - 2.89741816e-5 * kelvin + 1.61456053e-7 * kelvin**2
+    )
+    below = -2 * x + 12 * y + 3
+    return float(kelvin[np.argmin((locus_u - 4 * x / below) ** 2 + (locus_v - 6 * y / below) ** 2)])
+
+
+def _white_of(content: Any) -> tuple[float, float] | None:
+    """Return the chromaticity that IlluminantData states, in whichever byte order; None where it states a spectrum."""
+    for order in "<>":
+        with contextlib.suppress(*BROKEN):
+            kind, *parts = struct.unpack(f"{order}H4I", bytes(content)[:18])
+            x, y = parts[0] / parts[1], parts[2] / parts[3]
+            if kind == CHROMATICITY and _is_white(x, y):
+                return x, y
+    return None
+
+
+def _is_white(x: float, y: float) -> bool:
+    return bool(x > 0.01 and y > 0.01 and x + y < 1)
+
+
+def _is_neutral(signals: Array, planes: int) -> bool:
+    return len(signals) == planes and bool(np.isfinite(signals).all() and signals.min() > 0)
