@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from astropy.io import fits
@@ -12,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.frames.frame import shifted_cfa
 from l3cli.frames.packings import PACKINGS
 from l3cli.frames.raw_sanity import smoother_reading
 from l3cli.io.frames import read_frame
@@ -333,7 +335,7 @@ def test_packed_fits_and_its_header(tmp_path: Path, mosaic: np.ndarray) -> None:
     assert read_raw(tmp_path / "a.fits", RGGB, RawOverrides(phase=(1, 1))).phase == (1, 1)
     fits.setval(tmp_path / "a.fits", "BAYERPAT", value="RGB", ext=1)
     (note,) = read_raw(tmp_path / "a.fits", RGGB).notes
-    assert 'BAYERPAT "RGB" is not an array of 2×2 colours' in note
+    assert 'BAYERPAT "RGB" is not an array of 2×2 or 6×6 colours' in note
     fits.setval(tmp_path / "a.fits", "ROWORDER", value="BOTTOM", ext=1)
     with pytest.raises(InputFileError, match='ROWORDER is "BOTTOM"; correct the header to TOP-DOWN or BOTTOM-UP'):
         read_raw(tmp_path / "a.fits", RGGB)
@@ -341,6 +343,41 @@ def test_packed_fits_and_its_header(tmp_path: Path, mosaic: np.ndarray) -> None:
     fits.setval(tmp_path / "a.fits", "BAYERPAT", value="CMYG", ext=1)
     with pytest.raises(InputFileError, match="colour filter array mc/gy, the table rg/gb"):
         read_raw(tmp_path / "a.fits", RGGB)
+
+
+X_TRANS_LETTERS = "GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG"  # as Siril writes it
+
+
+@pytest.mark.parametrize(("row", "col", "order"), [(0, 0, ""), (1, 0, ""), (2, 5, "TOP-DOWN"), (4, 3, "BOTTOM-UP")])
+def test_x_trans_of_fits_and_its_phase(tmp_path: Path, mosaic: np.ndarray, row: int, col: int, order: str) -> None:
+    array = np.array(["rgb".index(letter) for letter in X_TRANS_LETTERS.lower()], np.uint8).reshape(6, 6)
+    table = dataclasses.replace(random_table(array, bits=12), rows=32, cols=40)
+    header = fits.Header({"BAYERPAT": X_TRANS_LETTERS, "XBAYROFF": col, "YBAYROFF": row})
+    if order:
+        header["ROWORDER"] = order
+    fits.writeto(tmp_path / "a.fits", mosaic[:: -1 if order == "BOTTOM-UP" else 1], header)
+    frame = read_raw(tmp_path / "a.fits", table)
+    np.testing.assert_array_equal(frame.values, mosaic)
+    np.testing.assert_array_equal(
+        shifted_cfa(table.cfa, frame.phase), array[(np.arange(6)[:, None] + row) % 6, (np.arange(6) + col) % 6]
+    )
+
+
+@pytest.mark.parametrize(("number", "name"), [(32008, "bitshuffle"), (32001, "blosc"), (32015, "zstd"), (40000, "40000")])
+def test_a_filter_that_is_missing_is_named(
+    tmp_path: Path, raw_table: Path, refused: Refused, number: int, name: str
+) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        created = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        created.set_chunk((1, 32, 40))
+        created.set_filter(number, h5py.h5z.FLAG_OPTIONAL, ())
+        space = h5py.h5s.create_simple((2, 32, 40))
+        dataset = h5py.h5d.create(file.id, b"frames", h5py.h5t.NATIVE_UINT16, space, created)
+        for frame in range(2):
+            dataset.write_direct_chunk((frame, 0, 0), bytes(100))
+    line = refused(3, "render", raw_table, tmp_path / "a.h5", "-o", tmp_path / "out")
+    assert name in line
+    assert "hdf5plugin" in line
 
 
 def test_a_fits_cube_is_a_sequence(tmp_path: Path, mosaic: np.ndarray) -> None:

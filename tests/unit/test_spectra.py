@@ -10,11 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_curves import column_faults
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration import captures, responsivity
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import BandCapture
 from l3cli.frames.scene import Scene, SpectralCube
+from l3cli.io.curves import read_cameras, read_finished
 from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.physics import spectra
 from l3cli.simulation import light, recipe
@@ -251,3 +253,24 @@ def test_a_camera_that_sees_nothing_visible_has_no_saturation_exposure(bayer: Ca
     with pytest.raises(InputFileError, match=rf"camera small Bayer: light of {wavelength[0]:g}.*380…780 nm"):
         _ = seeing(wavelength).saturation_exposure
     assert seeing(np.arange(750.0, 1001.0, 5.0)).saturation_exposure > 0
+
+
+@pytest.mark.parametrize("heading", ["nm,Blue,Red,Green", "nm,b,r,g", "nm,B,red,G"])
+@pytest.mark.parametrize(
+    ("channels", "columns"),
+    [(("r", "g", "b"), {}), (("r", "g", "b"), {"red": "Red", "Green": "green"}), (("red", "green", "blue"), {"r": "red"})],
+)
+def test_channels_are_called_by_letter_or_name(
+    tmp_path: Path, heading: str, channels: tuple[str, ...], columns: dict[str, str]
+) -> None:
+    (tmp_path / "a.csv").write_text(f"{heading}\n400,3,1,2\n500,6,2,4\n600,9,3,6\n")
+    curves = read_finished(tmp_path / "a.csv", channels, per_energy=False, columns=columns)
+    np.testing.assert_array_equal(curves.responsivity[:, 0], [1, 2, 3])
+    assert not list(column_faults(columns, channels, "columns"))
+    assert list(column_faults({"violet": "a"}, channels, "columns"))
+
+
+def test_a_prior_takes_red_green_and_blue(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("nm,Red,Green,Blue\n400,1,2,3\n500,2,4,6\n600,3,6,9\n")
+    (curves,) = read_cameras([tmp_path / "a.csv"])
+    np.testing.assert_allclose(curves.responsivity[:, 0] * 400, [1, 2, 3])

@@ -2,7 +2,7 @@
 
 astropy and no reader of this package: unsigned values are coded by BZERO, images may be packed (fpack), and headers run over
 blocks. Row order: the first row is the uppermost, unless ROWORDER says BOTTOM-UP; BAYERPAT gives the colours of the upper
-left pixels, displaced by XBAYROFF and YBAYROFF.
+left pixels, of Bayer (4 letters) or X-Trans (36), displaced by XBAYROFF and YBAYROFF.
 """
 
 import contextlib
@@ -16,10 +16,11 @@ import numpy as np
 from l3cli.errors import InputFileError, L3Error
 from l3cli.io.isolated import isolated
 from l3cli.io.raw import MultiFrameFile, RawContent
-from l3cli.io.raw.cfa_codes import codes_of
+from l3cli.io.raw.cfa_codes import LETTERS, codes_of
 from l3cli.system.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
+SIDES = {4: 2, 36: 6}  # letters of BAYERPAT → rows and columns of the array: Bayer, X-Trans
 BOTTOM_UP = "BOTTOM-UP"
 ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
 
@@ -60,11 +61,11 @@ def read(path: Path, number: int | None = None) -> RawContent:
         values = values[::-1]
     exposure = float(seconds) if isinstance(seconds, int | float) else None
     content = RawContent(values=np.ascontiguousarray(values, np.uint16), exposure=exposure)
-    if len(pattern) == 4:
-        square = np.roll(np.array(list(pattern)).reshape(2, 2), (-offset[0], -offset[1]), axis=(0, 1))
-        content["pattern"] = codes_of("".join(square.ravel())).reshape(2, 2)
+    side = SIDES.get(len(pattern))
+    if side and set(pattern) <= set(LETTERS):
+        content["pattern"] = np.roll(codes_of(pattern).reshape(side, side), (-offset[0], -offset[1]), axis=(0, 1))
     elif pattern:
-        content["notes"] = (f'its BAYERPAT "{pattern}" is not an array of 2×2 colours; it is taken for the table\'s',)
+        content["notes"] = (f'its BAYERPAT "{pattern}" is not an array of 2×2 or 6×6 colours; it is taken for the table\'s',)
     return content
 
 

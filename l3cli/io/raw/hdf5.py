@@ -13,6 +13,10 @@ from l3cli.io.raw import MultiFrameFile, RawContent
 from l3cli.system.files import stamp
 from l3cli.system.limits import require_picture
 
+FILTERS = {  # by the numbers that The HDF Group registered
+    4: "szip", 307: "bzip2", 32000: "LZF", 32001: "blosc", 32004: "LZ4", 32008: "bitshuffle", 32013: "ZFP", 32015: "zstd",
+    32017: "SZ", 32018: "FCIDECOMP", 32019: "JPEG", 32024: "SZ3", 32026: "blosc2", 32028: "SPERR",
+}  # fmt: skip
 CHUNK_CACHE = 128 << 20  # bytes at most: chunks of many frames are unpacked once, not once a frame
 
 _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change if it were another one
@@ -24,7 +28,7 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
     return MultiFrameFile(count, lambda number: RawContent(values=stack_frame(path, name, number)), numbered=False)
 
 
-@isolated("h5py")
+@isolated("h5py", "hdf5plugin")
 def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     """Return name and number of frames of the stack `dataset`, or of the only one; InputFileError without one."""
     root = _open(path)
@@ -38,7 +42,7 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     return name, len(frames) if frames.ndim == 3 else 1
 
 
-@isolated("h5py")
+@isolated("h5py", "hdf5plugin")  # the second, where it is installed, adds filters to the first
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
     """Return one frame (row, col) of a stack whose name `find_stack` returned."""
     frames = _open(path, name)[name]
@@ -46,7 +50,25 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
     try:
         return frames[number] if frames.ndim == 3 else frames[()]
     except OSError as error:
+        if filters := missing_filters(frames):
+            raise InputFileError(
+                f"{path}: {frames.name} is compressed by {' and '.join(filters)}, which HDF5 has not; install it with: "
+                "pip install hdf5plugin"
+            ) from error
         raise InputFileError(f"{path}: frame {number} of {frames.name} is damaged; copy the file again") from error
+
+
+def missing_filters(dataset: Any) -> list[str]:
+    """Return the names of the filters that a dataset's chunks have passed through and that are not installed."""
+    import h5py
+
+    created = dataset.id.get_create_plist()
+    used = [created.get_filter(index) for index in range(created.get_nfilters())]
+    return [
+        f"{FILTERS.get(number) or name.decode(errors='replace') or 'a filter'} (HDF5 filter {number})"
+        for number, _, _, name in used
+        if not h5py.h5z.filter_avail(number)
+    ]
 
 
 def _open(path: Path, stack: str | None = None) -> Any:
