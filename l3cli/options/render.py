@@ -138,6 +138,10 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         ExposureReader(),
         metavar="auto|camera|VALUE|±NEV",
     )
+    deflicker: bool = option(
+        False,
+        "Sequences only: take off the flicker of light on mains of 50 or 60 Hz. The rate (‹fps›) must be the camera's.",
+    )
     tone: Literal["aces"] | None = option(
         None,
         "Tone curve: aces, Narkowicz's fit (2016) of the ACES film curve, to 2.9 EV above white [default: linear to white].",

@@ -33,6 +33,25 @@ class SpreadSamples:
         """Return patches (patch, tap) of a frame with the gains (channel) of a white balance, shading that of each patch;
         the CFA site of them all, that of the frame's first pixel; and their classes (patch) within the site."""
         table, rule = self._table, self._table.first.rule
+        cut, site = self._cut(frame), frame.phase[0] * table.cfa.shape[1] + frame.phase[1]
+        if gains is not None:
+            cut = balanced_patches(cut, window_channels(table.cfa, rule.patch)[site], gains)
+        if site not in self._orders:
+            self._orders[site] = tap_order(rule, self._neighbours, site)
+        cut = self._at_levels(cut)
+        return cut, site, label_patches(cut.values, rule, self._neighbours, site, self._orders[site])
+
+    def patches(self, frame: RawFrame) -> RawFrame:
+        """Return the same patches (patch, tap) of a frame without a white balance."""
+        return self._at_levels(self._cut(frame))
+
+    def _at_levels(self, cut: RawFrame) -> RawFrame:
+        """Return patches at the table's levels."""
+        table = self._table
+        return cut.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
+
+    def _cut(self, frame: RawFrame) -> RawFrame:
+        """Return patches (patch, tap) at the levels of their frame."""
         down, across = self._geometry(frame)
         patches = frame.values.reshape(-1).take(_places(down, across))
         shading = None
@@ -40,13 +59,7 @@ class SpreadSamples:
             (row, row_source), (col, col_source) = _windows(*down), _windows(*across)
             taken = (row_source[:, None, :, None], col_source[None, :, None, :])
             shading = frame.shading.of_patches(taken, row[:, 0], col[:, 0])
-        cut, site = replace(frame, values=patches, shading=shading), frame.phase[0] * table.cfa.shape[1] + frame.phase[1]
-        if gains is not None:
-            cut = balanced_patches(cut, window_channels(table.cfa, rule.patch)[site], gains)
-        if site not in self._orders:
-            self._orders[site] = tap_order(rule, self._neighbours, site)
-        cut = cut.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
-        return cut, site, label_patches(cut.values, rule, self._neighbours, site, self._orders[site])
+        return replace(frame, values=patches, shading=shading)
 
     def shape(self, frame: RawFrame) -> tuple[int, int]:
         """Return rows and columns of the grid in which the patches of a frame lie, row by row."""

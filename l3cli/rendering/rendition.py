@@ -1,6 +1,7 @@
 """Rendition of frames as pictures: colour space, bits, exposure and white, as given or as they follow what is measured."""
 
 import itertools
+import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from numbers import Real
@@ -147,11 +148,32 @@ class FrameMeter:
     def measured(self, frame: RawFrame) -> tuple[float, WhiteBalance | None, SceneWhite | None]:
         """Return the scale of the next frame (0: automatic), its balance (None: the rendition's), and the white that was
         found, None where there is nothing to tell it by; InputFileError if it cannot be taken."""
+        brightness, balance, white = self.looked_at(frame)
+        return self.scale(frame, brightness), balance, white
+
+    def looked_at(self, frame: RawFrame) -> tuple[float, WhiteBalance | None, SceneWhite | None]:
+        """Return the brightness of the next frame (0: not measured), its balance and the white that was found, as
+        `measured`, which also takes the exposure on to the frame."""
         white = self._measured_white(frame) if self._source else None
+        return self._light.brightness(frame, self._balance) if self._light else 0.0, self._balance, white
+
+    def scale(self, frame: RawFrame, brightness: float, flicker: float = 0.0) -> float:
+        """Return the scale of a frame by its brightness (0: automatic); frames come in their order.
+
+        Parameters
+        ----------
+        frame : RawFrame
+            The frame.
+        brightness : float
+            Of the frame, as `looked_at` returns it.
+        flicker : float
+            Log of the factor by which flicker makes the frame brighter; the scale takes it off.
+        """
+        steady = math.exp(-flicker)
         if self._light and self._exposure:
-            return self._exposure.scale(self._light.brightness(frame, self._balance), frame.gain), self._balance, white
+            return self._exposure.scale(brightness * steady, frame.gain) * steady
         stated = 2**frame.baseline_exposure if self._stated else 1.0
-        return self._fixed * stated, self._balance, white
+        return self._fixed * stated * steady
 
     def _measured_white(self, frame: RawFrame) -> SceneWhite | None:
         assert self._source is not None

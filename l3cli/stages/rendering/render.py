@@ -88,6 +88,8 @@ def render(
             if sequence.count == 1 and not (inputs[0].exists() or set("%#*?[") & set(str(inputs[0]))):
                 raise InputFileError(f"{inputs[0]} does not exist; give a folder, a pattern or a stack")
             sequence = replace(sequence, part=part_of(sequence, options.shard, options.temporal))
+        if options.deflicker and sequence.stills and destination.pictures:
+            raise RecipeError(f"‹deflicker› is for frames that follow one another; {sequence.what} is no sequence")
         if options.uncertainty is not None and sequence.count != 1:
             raise RecipeError("‹uncertainty› is of one frame; name one, or leave it out")
         if options.uncertainty is not None:
@@ -123,6 +125,8 @@ def render(
         )
         chunks = _chunks(options.backend, engine, transforms, scheduler, sequence, console) if options.temporal else None
         key = options.run_key(digest, os.environ.get("L3_DEVICE"), choice, mix and astuple(mix), known.unlabelled_gain)
+        if options.deflicker:  # the last frames are rendered as those after them are known
+            key = f"{key} {sequence.count}"
         job = SequenceJob(sequence, destination, transforms, rendition, source, choice, pacing, chunks, options)
         digests = functools.partial(FrameDigests, inputs[0], job.follows)
         with (
@@ -165,6 +169,10 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
     if destination.linear and space is None and (exposure.factor is not None or exposure.stops or options.white is not None):
         raise RecipeError(
             "files of floating point hold the outputs as they are; ‹exposure› and ‹white› are for those of a ‹space›"
+        )
+    if destination.linear and space is None and options.deflicker:
+        raise RecipeError(
+            "‹deflicker› changes exposures, and files of floating point hold the outputs as they are; name a ‹space›"
         )
     if options.tone is not None and (destination.linear or destination.raw):
         raise RecipeError("‹tone› is for pictures of codes, and values are linear here; leave it out, or name a .png")

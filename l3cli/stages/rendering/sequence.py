@@ -6,9 +6,11 @@ length; the libraries let go of Python's lock in their long calls.
 
 import hashlib
 import itertools
+import math
 import time
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from l3cli.errors import InputFileError, L3Error
@@ -19,6 +21,7 @@ from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.io.video import Pacing, VideoChoice
 from l3cli.options.render import RenderOptions
 from l3cli.parallel.threads import WriteBehind, prefetched
+from l3cli.rendering.flicker import LOOKAHEAD, BrightnessRatio, flicker_at
 from l3cli.rendering.raw_checks import FrameWarnings
 from l3cli.rendering.rendition import FrameMeter, Rendition
 from l3cli.rendering.temporal.chunks import Chunks, needed
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
 
 EVEN, KEPT, LOST = "even", "kept", "lost"  # of the frames' times: evenly spaced, or not and kept in the video or lost
+LEAST_FLICKER = 0.0005  # RMS of the log brightness, that is worth a line
 DEPTH = 3  # frames that wait at most between reading and rendering, and between rendering and writing
 
 
@@ -59,8 +63,14 @@ class SequenceJob:
     @property
     def follows(self) -> bool:
         """Return whether what a frame is shown with depends on those before it."""
-        measures = self.rendition.measures_exposure or self.source is not None
+        measures = self.rendition.measures_exposure or self.source is not None or self.options.deflicker
         return (self.in_order and measures) or self.temporal is not None
+
+    @property
+    def last_read(self) -> int | None:
+        """Return how many frames are read from the first on; None: all. Flicker is known by the frames after it, too."""
+        part = self.sequence.part
+        return None if part is None else part.stop + (LOOKAHEAD if self.options.deflicker else 0)
 
 
 @dataclass(frozen=True)
@@ -74,6 +84,8 @@ class _Read:
     balance: WhiteBalance | None = None  # what it is shown with, if not the rendition's
     error: L3Error | None = None
     is_finished: bool = False  # its picture is there already, or not to be made
+    brightness: float = 0.0  # as FrameMeter.looked_at returns it; with `ratio`, of a frame whose scale is not known yet
+    ratio: float = 0.0  # log, of its brightness to that of the frame before
     counted: bool = True  # whether it is among those to be rendered
     lost: int = 1  # number of missing frames, if there is an error
     place: int | None = None  # in the sequence, if it is to be filtered
@@ -149,10 +161,12 @@ def render_frames(
     made = checkpoint.made if checkpoint else None
     sink = sink_of(job.destination, sequence, job.choice, job.pacing, made)
     with sink as (write, threads), WriteBehind(write, DEPTH, threads) as writing:
-        reading = prefetched(_Reading(job, meter, checkpoint, digests, executor.by_path).frames(), DEPTH)
+        reading = _Reading(job, meter, checkpoint, digests, executor.by_path).frames()
+        flicker = FlickerTally()
+        reading = prefetched(_deflickered(reading, job, meter, flicker) if options.deflicker else reading, DEPTH)
         if job.temporal:
             reading = prefetched(_filtered(reading, job.temporal), DEPTH)
-        total = sequence.part.stop if sequence.part else sequence.count and sequence.count - sequence.lost
+        total = job.last_read if sequence.part else sequence.count and sequence.count - sequence.lost
         exposed = _exposed(console.progress(reading, total, "frames"), job, tally, white_report)
         for reference, picture in executor.render(warnings.watched(exposed, sequence.stills)):
             if isinstance(picture, L3Error):
@@ -167,6 +181,8 @@ def render_frames(
     for text in warnings.lines():
         console.warn(text)
     white_report.report()
+    if options.deflicker:
+        console.info(flicker.line())
     report_times(job, tally)
     tally.seconds = max(time.monotonic() - start, 1e-9)
     if not sequence.stills:
@@ -213,13 +229,17 @@ class _Reading:
     checkpoint: PictureCheckpoint | None
     digests: FrameDigests
     by_path: bool
+    ratio: BrightnessRatio = field(init=False)
     _size: tuple[int, ...] | None = None  # of all frames that become one file
     _is_first: bool = True
+
+    def __post_init__(self) -> None:
+        self.ratio = BrightnessRatio(self.job.table)
 
     def _asked(self) -> Iterator[tuple[int, FrameReference, bool]]:
         """Yield each frame with its place, and whether its picture is known to be there already, before it is read."""
         sequence, destination = self.job.sequence, self.job.destination
-        for place, reference in enumerate(itertools.islice(sequence.frames, sequence.part.stop if sequence.part else None)):
+        for place, reference in enumerate(itertools.islice(sequence.frames, self.job.last_read)):
             is_finished = not sequence.renders(place)
             if self.checkpoint:
                 reference = self.digests.of(reference)
@@ -249,7 +269,8 @@ class _Reading:
     def _read(self, reference: FrameReference, is_finished: bool, need: bool) -> _Read | None:
         """Read a frame; None at the end of a stream."""
         job, destination = self.job, self.job.destination
-        if not need and not (self.meter and job.in_order) and not job.sequence.is_stream:
+        measures = (self.meter or job.options.deflicker) and job.in_order
+        if not need and not measures and not job.sequence.is_stream:
             return _Read(reference, None, is_finished=True)
         leaves = self.by_path and destination.one_by_one and not (self.meter or job.temporal)
         try:
@@ -262,7 +283,11 @@ class _Reading:
                 return None
             if not destination.one_by_one:
                 self._require_size(frame)
-            scale, balance, white = self.meter.measured(frame)
+            brightness, balance, white = self.meter.looked_at(frame)
+            if job.options.deflicker:
+                scale, ratio = 0.0, self.ratio.of(frame)
+            else:
+                scale, ratio = self.meter.scale(frame, brightness), 0.0
         except (L3Error, OSError) as error:
             return _Read(reference, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
         if self.checkpoint and reference.origin is None:
@@ -270,7 +295,7 @@ class _Reading:
             is_finished = is_finished or self.checkpoint.has(destination.file(reference.number, reference.stem), reference)
         if destination.pictures and not is_finished:
             reference = replace(reference, identity=_identity(reference, frame))
-        return _Read(reference, frame, scale, white, balance, is_finished=is_finished)
+        return _Read(reference, frame, scale, white, balance, is_finished=is_finished, brightness=brightness, ratio=ratio)
 
     def _require_size(self, frame: RawFrame) -> None:
         """Raise InputFileError unless a frame has the size of the first."""
@@ -281,6 +306,60 @@ class _Reading:
             raise InputFileError(
                 f"{frame.name} has {shape[0]}×{shape[1]} pixels, the {of} {size[0]}×{size[1]}; give frames of one size"
             )
+
+
+@dataclass
+class FlickerTally:
+    """The flicker that was taken off a sequence."""
+
+    frames: int = 0
+    squares: float = 0.0  # sum of the squares of its logs
+    mains: Counter[int | None] = field(default_factory=Counter)
+
+    def line(self) -> str:
+        """Return one line on it."""
+        mains = self.mains.most_common(1)[0][0] if self.mains else None
+        strength = math.sqrt(self.squares / max(self.frames, 1))
+        if mains is None or strength < LEAST_FLICKER:
+            return "no flicker of 100 or 120 Hz was found; if the pictures flicker, give the camera's rate as ‹fps›"
+        return f"flicker of {2 * mains} Hz taken off: {strength:.1%} RMS"
+
+
+def _deflickered(reading: Iterator[_Read], job: SequenceJob, meter: FrameMeter, tally: FlickerTally) -> Iterator[_Read]:
+    """Yield the same frames with their scale, of which flicker is taken off. It is fitted to LOOKAHEAD frames before and
+    after each, which are held meanwhile."""
+    rate, unit = job.choice.rate, job.sequence.unit
+    window: deque[tuple[float, float]] = deque()  # time in frames, and ratio, of frames around the next one
+    held: deque[tuple[float | None, _Read]] = deque()
+    ahead = 0  # frames that are held
+
+    def released() -> _Read:
+        nonlocal ahead
+        time_of, each = held.popleft()
+        if time_of is None or not isinstance(each.frame, RawFrame):
+            return each
+        ahead -= 1
+        while window[0][0] < time_of - LOOKAHEAD:
+            window.popleft()
+        times, ratios = zip(*(point for point in window if point[0] <= time_of + LOOKAHEAD), strict=True)
+        flicker = flicker_at(time_of, times, ratios, rate)
+        if each.counted:
+            tally.frames += 1
+            tally.squares += flicker.log**2
+            tally.mains[flicker.mains] += 1
+        return replace(each, scale=meter.scale(each.frame, each.brightness, flicker.log))
+
+    for place, each in enumerate(reading):
+        time_of = None
+        if isinstance(each.frame, RawFrame):
+            time_of = each.reference.number / unit if unit else float(place)
+            window.append((time_of, each.ratio))
+            ahead += 1
+        held.append((time_of, each))
+        while ahead > LOOKAHEAD:
+            yield released()
+    while held:
+        yield released()
 
 
 def _filtered(reading: Iterator[_Read], temporal: Chunks) -> Iterator[_Read]:
