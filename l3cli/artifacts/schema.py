@@ -144,8 +144,6 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str,
             for place, each in instances(name, value).items():
                 _check(each, dict(lengths) if spec.several else lengths, scopes, f"{prefix}{place}/")
             continue
-        if value is None:  # an optional one
-            continue
         array = np.asarray(value)
         label = f"{prefix}{name} ({', '.join(spec.axes)})"
         if array.ndim != len(spec.axes):

@@ -47,8 +47,6 @@ def write_fields(group: h5py.Group, instance: Any, compressed: bool = True) -> N
     hardly shrinks, and shrinking it takes longer than simulating it."""
     for name, spec, _ in declared(type(instance)):
         value = getattr(instance, name)
-        if isinstance(spec, Spec) and value is None:
-            continue  # an optional one
         if isinstance(spec, Spec):
             _write_dataset(group, name, spec, value, compressed)
         else:

@@ -86,6 +86,16 @@ class Shown:
 
 
 @dataclass(frozen=True)
+class IgnoredPixels:
+    """Pixels for which the scene's file holds no data. They show what is beside them, and are left out of training."""
+
+    mask: NDArray[np.uint8] = data("uint8", "row", "col", doc="1: ignored")
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
 class TrainingFrame(TrainingPair):
     """A pair that was simulated: the noise-free electrons are known too.
 
@@ -98,9 +108,7 @@ class TrainingFrame(TrainingPair):
     )
     seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
     shown: Shown | None = group(default=None)  # None: an older file
-    ignored: NDArray[np.uint8] | None = data(
-        "uint8", "row", "col", doc="1: the scene's file holds no data there; left out of training", default=None
-    )
+    ignored: IgnoredPixels | None = group(default=None)  # None: there are none
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, Optics
-from l3cli.artifacts.training_set import LightSpectrum, Shown, TrainingFrame, TrainingPair, TrainingSet, TrainingSetReader
+from l3cli.artifacts.training_set import (
+    IgnoredPixels,
+    LightSpectrum,
+    Shown,
+    TrainingFrame,
+    TrainingPair,
+    TrainingSet,
+    TrainingSetReader,
+)
 from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.frame import RawFrame, as_taken
 from l3cli.frames.scene import ChannelPicture, Scene
@@ -80,8 +88,13 @@ def simulate(
         light=light.spectrum,
         seed=seed,
         shown=Shown(scene.fingerprint, light.measured),
-        ignored=scene.ignored.astype(np.uint8) if isinstance(scene, Scene) and scene.ignored is not None else None,
+        ignored=_ignored(scene),
     )
+
+
+def _ignored(scene: Scene | ChannelPicture) -> IgnoredPixels | None:
+    mask = scene.ignored if isinstance(scene, Scene) else None
+    return None if mask is None else IgnoredPixels(mask.astype(np.uint8))
 
 
 def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> TrainingFrame:

@@ -183,7 +183,7 @@ def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generat
         return (even_places(count, 2, rng) * (rows, cols)).astype(np.int64).T + side // 2
     from scipy.ndimage import maximum_filter  # only sets with ignored pixels need it
 
-    free = maximum_filter(frame.ignored, side, mode="nearest")[side // 2 :, side // 2 :][:rows, :cols] == 0
+    free = maximum_filter(frame.ignored.mask, side, mode="nearest")[side // 2 :, side // 2 :][:rows, :cols] == 0
     if not free.any():
         raise InputFileError(
             f"frame of scene {frame.scene} has no {side}×{side} pixels without an ignored one; leave the scene out"

@@ -316,7 +316,7 @@ def test_no_patch_touches_a_marked_pixel(tmp_path: Path, simulated: Callable[[st
         frame, head = reader.frame(0), reader.head
     assert isinstance(frame, TrainingFrame)
     assert frame.ignored is not None
-    places = np.argwhere(frame.ignored)
+    places = np.argwhere(frame.ignored.mask)
     assert places.min(axis=0).tolist() == [7, 33]  # samples 4 and 24 - 1 - 6 at 2 pixels each, and those beside them
     assert places.max(axis=0).tolist() == [10, 36]
     luminance = frame.target[1] / frame.white[1]
@@ -430,6 +430,12 @@ def labelled(path: Path, how: str) -> None:
         )
     elif how == "tifffile":
         tifffile.imwrite(path, stored, photometric="minisblack", metadata={"wavelengths": NM.tolist()})
+    elif how == "GDAL":
+        items = "".join(
+            f'<Item name="DESCRIPTION" sample="{band}" role="description">{name}</Item>' for band, name in enumerate(names)
+        )
+        tags = [(42112, 2, 0, f"<GDALMetadata>{items}</GDALMetadata>", True)]
+        tifffile.imwrite(path, TRUTH.astype("f4"), photometric="minisblack", planarconfig="contig", extratags=tags)
     else:
         with tifffile.TiffWriter(path) as sink:
             for name, page in zip(names, stored, strict=True):
@@ -438,7 +444,7 @@ def labelled(path: Path, how: str) -> None:
                 sink.write(page, photometric="minisblack", metadata=None, extratags=tags, description=about)
 
 
-@pytest.mark.parametrize("how", ["ImageJ", "OME", "tifffile", "page names", "descriptions"])
+@pytest.mark.parametrize("how", ["ImageJ", "OME", "tifffile", "GDAL", "page names", "descriptions"])
 def test_pages_state_their_wavelengths(tmp_path: Path, how: str) -> None:
     labelled(tmp_path / "a.tif", how)
     found = scene(bands.read(tmp_path / "a.tif"))

@@ -101,6 +101,7 @@ def _of_tiff(values: NDArray, names: list[str], said: dict[str, Any]) -> Spectra
     if said["wavelengths"]:
         wanted, wavelength = list(range(values.shape[2])), in_nm(said["wavelengths"], "")
     else:
+        names = said["DESCRIPTION"] or names
         wanted, wavelength = _named(names) if len(names) == values.shape[2] else (list(range(values.shape[2])), None)
     values = values[..., wanted]
     ignored = None if said["nodata"] is None else missing(values, said["nodata"])
@@ -176,7 +177,7 @@ def _bands_of(path: Path, file: Any) -> Any:
 
 def _said(file: Any, page: Any, bands: int) -> dict[str, Any]:
     """Return what the tags say of the values of the bands."""
-    said: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": []}
+    said: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": [], "DESCRIPTION": []}
     for metadata in file.shaped_metadata or ():
         for name, value in metadata.items():
             if name.lower() in NAMES and isinstance(value, list | tuple) and len(value) == bands:
@@ -194,7 +195,7 @@ def _said(file: Any, page: Any, bands: int) -> dict[str, Any]:
         if len(items.get(name, ())) == bands:
             said["wavelengths"] = [float(items[name][band]) * nm for band in range(bands)]
     if "DESCRIPTION" in items:
-        said["names"] = [items["DESCRIPTION"].get(band, "") for band in range(bands)]
+        said["DESCRIPTION"] = [items["DESCRIPTION"].get(band, "") for band in range(bands)]
     return said
 
 

@@ -118,7 +118,7 @@ def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
         return None
     from scipy.ndimage import maximum_filter  # only sets with ignored pixels need it
 
-    return np.asarray(maximum_filter(frame.ignored, 2 * margin + 1, mode="nearest") == 0)[None]
+    return np.asarray(maximum_filter(frame.ignored.mask, 2 * margin + 1, mode="nearest") == 0)[None]
 
 
 def sheets_of(mosaics: Iterable[Mosaics], period: int) -> Iterator[Mosaics]:
