@@ -379,7 +379,7 @@ def _resampling(length: int, scale: float, most: int) -> Any:
 AXES = ("row", "col", "band")
 BRIGHT = 0.999  # fraction of the pixels that are at most a perfect white, where radiance came without its light
 BRIGHTEST_USUAL = 2.0  # median reflectance of a scene: more is percent, counts or radiance
-FULL_RANGE = 0.5  # fraction of 16 bits that the brightest pixels of a cube reach whose white is the top of its type
+FULL_RANGE = 0.75  # fraction of 16 bits that the brightest pixels of a cube reach whose white is the top of its type
 SPARSE = 8  # samples apart that tell the median
 STRIP = 128  # rows converted at once
 

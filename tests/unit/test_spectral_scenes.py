@@ -1,6 +1,7 @@
 """Spectral cubes of every storage: what their files state about values, wavelengths and missing data is read, or refused by
 the name of what states it."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -358,7 +359,7 @@ def test_a_table_is_learned_beside_marked_pixels(simulated: Callable[[str], Path
     stored[20:23, 20:24] = np.nan
     written(tmp_path, stored, "data ignore value = nan")
     path = simulated('source = "envi"\nfile = "scene.hdr"\n')
-    (tmp_path / "few.toml").write_text(FEW_CLASSES)
+    (tmp_path / "few.toml").write_text(f"{FEW_CLASSES}[[layer]]\nside = 3\nmosaics = 4\nrows = 200\n")
     code, _, err = l3("train", path, "--classes", tmp_path / "few.toml", "-o", tmp_path / "table.h5")
     assert code == 0, err
 
@@ -593,18 +594,24 @@ def test_structs_of_matlab_state_wavelengths(tmp_path: Path, version: str) -> No
     from scipy.io import savemat
 
     if version == "5":
-        savemat(tmp_path / "a.mat", {"hsi": {"data": {"cube": TRUTH}, "info": {"Wavelengths": NM[:, None]}}, "n": 3})
+        savemat(tmp_path / "a.MAT", {"hsi": {"data": {"cube": TRUTH}, "info": {"Wavelengths": NM[:, None]}}, "n": 3})
     else:
-        with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as root:
+        with h5py.File(tmp_path / "a.MAT", "w", userblock_size=512) as root:
             root["hsi/data/cube"], root["hsi/info/Wavelengths"] = TRUTH.T, NM[None]
-        with open(tmp_path / "a.mat", "r+b") as stream:
+        with open(tmp_path / "a.MAT", "r+b") as stream:
             stream.write(b"MATLAB 7.3 MAT-file")
-    found = scene(cube.read(tmp_path / "a.mat", "hsi.data.cube", "row col band"))
+    found = scene(cube.read(tmp_path / "a.MAT", "hsi.data.cube", "row col band"))
     assert np.array_equal(found.wavelength, NM)
     assert np.allclose(found.reflectance, TRUTH, atol=1e-6)
 
 
 # ------------------------------------------------------------------------------------------------------- the commands
+
+
+def make_large(path: Path) -> None:
+    """Write zeros, as data may begin, more than a text may be."""
+    path.write_bytes(b"")
+    os.truncate(path, 1 << 27)
 
 
 @pytest.mark.parametrize(
@@ -613,6 +620,10 @@ def test_structs_of_matlab_state_wavelengths(tmp_path: Path, version: str) -> No
         (lambda folder: (folder / "scene.img").unlink(), "beside the header"),
         (lambda folder: (folder / "scene.img").write_bytes(b"x"), "give the whole file"),
         (lambda folder: (folder / "scene.hdr").write_text("#?RADIANCE"), "give the .hdr file"),
+        (
+            lambda folder: os.truncate(folder / "scene.hdr", 0) or os.truncate(folder / "scene.hdr", 1 << 27),
+            "give the .hdr file",
+        ),
         (lambda folder: written(folder, TRUTH.astype("<f4"), drop="lines"), "give a whole ENVI header"),
     ],
 )

@@ -148,7 +148,7 @@ def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
 def read_content(path: Path) -> Content:
     """Return all numbers and texts of a file, MATLAB's by its suffix, HDF5's by any other: groups and structs as
     dictionaries; what MATLAB wrote in its axis order, axes of length 1 dropped. InputFileError if the file is none."""
-    return read_matlab(path) if path.suffix == MATLAB else _read_hdf5(path)
+    return read_matlab(path) if path.suffix.lower() == MATLAB else _read_hdf5(path)
 
 
 @isolated("h5py", "scipy.io")
@@ -170,8 +170,8 @@ def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     They are taken from headers; only structs of MATLAB files before 7.3 must be read for theirs."""
     import h5py
 
-    if path.suffix != MATLAB or h5py.is_hdf5(path):
-        reverse = path.suffix == MATLAB or _is_matlab(path)
+    if path.suffix.lower() != MATLAB or h5py.is_hdf5(path):
+        reverse = path.suffix.lower() == MATLAB or _is_matlab(path)
         with h5py.File(path, "r") as root:
             stored = {name: data.shape for name, data in datasets(root) if data.dtype.kind in "fiu" and name[0] != "#"}
         return {name: _squeezed(shape[::-1]) if reverse else shape for name, shape in stored.items()}

@@ -17,6 +17,7 @@ from l3cli.errors import InputFileError
 from l3cli.frames.marks import missing, scaled
 from l3cli.frames.scene import SpectralCube
 from l3cli.io.scenes.wavelengths import UNSTATED, in_nm, of_names
+from l3cli.system.files import open_regular
 from l3cli.system.limits import read_bounded, require_picture
 
 TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
@@ -203,6 +204,9 @@ def files(path: Path) -> list[Path]:
 
 def _fields(path: Path) -> dict[str, str]:
     """Return the names in lower case and the values, without braces and comments."""
+    with open_regular(path, "give the .hdr file") as stream:  # data may be larger than a text may be
+        if b"ENVI" not in stream.read(64):
+            raise InputFileError(f"{path} is not an ENVI header; give the .hdr file")
     content = read_bounded(path)
     try:
         text = content.decode("utf-8-sig")
