@@ -620,10 +620,7 @@ def make_large(path: Path) -> None:
         (lambda folder: (folder / "scene.img").unlink(), "beside the header"),
         (lambda folder: (folder / "scene.img").write_bytes(b"x"), "give the whole file"),
         (lambda folder: (folder / "scene.hdr").write_text("#?RADIANCE"), "give the .hdr file"),
-        (
-            lambda folder: os.truncate(folder / "scene.hdr", 0) or os.truncate(folder / "scene.hdr", 1 << 27),
-            "give the .hdr file",
-        ),
+        (lambda folder: make_large(folder / "scene.hdr"), "give the .hdr file"),
         (lambda folder: written(folder, TRUTH.astype("<f4"), drop="lines"), "give a whole ENVI header"),
     ],
 )
