@@ -151,6 +151,7 @@ class FrameLight:
 
     illuminant: str = data("str", doc="name of the illuminant")
     white: NDArray[np.float64] = data("float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white")
+    luminance: float = data("float64", unit="cd/m^2", doc="luminance of a perfect white under the light")
 
 
 GROUPS: dict[str, type[TrainingPair]] = {"frames": TrainingFrame, "pairs": TrainingPair}

@@ -1,9 +1,10 @@
 """Options of the commands but l3 render: those from measurements to figures, then those beside the pipeline."""
 
+import math
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from l3cli.errors import shortened
 from l3cli.options.option import (
@@ -168,9 +169,33 @@ class SequenceOptions(EvaluateOptions):
 ONNX = "ONNX graphs are no longer written; give ‹to› c (C99 source, with a test) or ‹to› folder (plain arrays)"
 
 
+class Brightness(Reader):
+    """An illuminance or luminance with its unit, held as the luminance of a perfect white in cd/m².
+
+    A Python number is a luminance in cd/m².
+    """
+
+    number = Number(1e-9, 1e9)
+    units: ClassVar = {"lux": 1 / math.pi, "lx": 1 / math.pi, "cd/m2": 1.0, "cd/m²": 1.0}
+
+    def read(self, given: Any) -> float:
+        text = given.strip() if isinstance(given, str) else f"{given} cd/m2"
+        unit = next((unit for unit in self.units if text.endswith(unit)), None)
+        if unit is None:
+            raise ValueError(f'"{shortened(text)}" has no unit; give it in lux or cd/m2, such as "5 lux"')
+        return float(self.number.read(text.removesuffix(unit).strip())) * self.units[unit]
+
+
 @options
 class ReportOptions(ForceOptions, BackendOptions):
     """Options of l3 report."""
+
+    at: Given[str | float | None, float | None] = option(
+        None,
+        'Show pictures of frames at this illuminance or luminance of a perfect white: "5 lux", "20 cd/m2".',
+        Brightness(),
+        metavar="LIGHT",
+    )
 
 
 @options

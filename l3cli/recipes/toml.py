@@ -48,7 +48,7 @@ KIND_KEYS = {  # keys at the top of a file by which its kind is known: no other 
     "a camera recipe": ("responsivity", "noise"),
     "a lab recipe": ("defects", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
     "a scene recipe": (
-        "scene", "pair", "illuminants", "luminances_cd_m2", "exposure_share", "exposure_saturated", "exposure_mean",
+        "scene", "pair", "illuminants", "luminances_cd_m2", "lux", "exposure_share", "exposure_saturated", "exposure_mean",
         "exposure_s", "lens", "target",
     ),
     "a class recipe": ("classes", "learning", "layer"),

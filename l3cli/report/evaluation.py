@@ -128,6 +128,7 @@ ERROR_KEY = (  # of the error map's colours, as evaluation draws them
     Key("7.5", "#f58c1e", "box"),
     Key("10 and more", "#ffffff", "box"),
 )
+SAME_LUMINANCE = 0.01  # largest relative difference of luminances that are taken for one: users round lux
 SEEN = 3  # frames shown of an evaluation: the middle, the worst, the best
 Pictures = dict[int, dict[str, Pixels]]  # of some frames by index
 
@@ -320,23 +321,40 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 # ------------------------------------------------------------------------------------------------ beginning of a page
 
 
-def shown_frames(document: dict[str, Any]) -> list[int]:
-    """Return the indices of the frames worth showing, by the main figure of ours: the middle one first, then the others of a
-    few, else the worst and the best."""
-    frames = document["frames"]
+def lit_as(luminance: float, at: float | None) -> bool:
+    """Return whether a frame of some luminance (cd/m²) is among those that are asked for: all without `at`."""
+    return at is None or abs(luminance / at - 1) < SAME_LUMINANCE
+
+
+def brightness(frame: dict[str, Any]) -> str:
+    """Return the light on the scene of a frame of an evaluation, in words; nothing where it is not known."""
+    if frame["shown"] is None:
+        return ""
+    return f", {tidy(frame['luminance'])} cd/m² ({tidy(np.pi * frame['luminance'])} lux)"
+
+
+def shown_frames(document: dict[str, Any], at: float | None = None) -> list[int]:
+    """Return the indices of the frames worth showing.
+
+    The frame of median quality, by the main figure of ours, comes first. After it come the others if there are few, else the
+    worst and the best. Only frames `at` a luminance in cd/m² count, if one is given.
+    """
     figure = main_of(document)
-    order = np.argsort([-frame[OURS][figure] for frame in frames], kind="stable").tolist()
+    among = [number for number, frame in enumerate(document["frames"]) if lit_as(frame["luminance"], at)]
+    order = sorted(among, key=lambda number: -document["frames"][number][OURS][figure])
     middle = order.pop(len(order) // 2)
     return [middle, *(order if len(order) < SEEN else (order[0], order[-1]))]
 
 
 def front_section(
     document: dict[str, Any], pictures: Pictures, title: str, anchor: str, limit: int, jpeg: Jpeg,
-    below: tuple[Subsection, ...],
+    below: tuple[Subsection, ...], at: float | None = None,
 ) -> Section:  # fmt: skip
     """Return the first section of a page. `document` is that of `l3 evaluate --json`, `pictures` those of the frames of
-    `shown_frames` in that order, of which `limit` bytes is what they may take; `below` is shown after the first of them."""
+    `shown_frames` in that order, of which `limit` bytes is what they may take; `below` is shown after the first of them.
+    `at`: the luminance (cd/m²) that they were chosen by."""
     count, figure = len(document["frames"]), main_of(document)
+    among = sum(lit_as(frame["luminance"], at) for frame in document["frames"])
     each = limit // sum(len(frame) for frame in pictures.values())
     comparisons = [_comparison(document, index, names, anchor, each, jpeg) for index, names in pictures.items()]
     over = "" if count == 1 else f", mean over {counted(count, 'frame')}"
@@ -350,9 +368,10 @@ def front_section(
     score = figure_text(figure, document["mean"][OURS][figure])
     parts = [Subsection("Ours beside the ideal", (Front(comparisons[0], score, meaning, verdict(document), table),)), *below]
     if comparisons[1:]:
-        title_of_others = "The worst and the best frame" if count > SEEN else "Other frames"
+        title_of_others = "The worst and the best frame" if among > SEEN else "Other frames"
         parts.append(Subsection(title_of_others, tuple(comparisons[1:])))
-    which = "" if count == 1 else f"The first is, of {count} frames, the one of median {FIGURES[figure].heading}."
+    of = f"{count} frames" if at is None else f"{counted(among, 'frame')} at {tidy(at)} cd/m² ({tidy(np.pi * at)} lux)"
+    which = "" if count == 1 else f"The first is, of {of}, the one of median {FIGURES[figure].heading}."
     return Section(title, which, tuple(parts))
 
 
@@ -383,7 +402,8 @@ def _comparison(
     document: dict[str, Any], index: int, pictures: dict[str, Pixels], anchor: str, limit: int, jpeg: Jpeg
 ) -> Comparison:
     frame = document["frames"][index]
-    title = f"Frame {index + 1}: {frame['scene']}, {frame['illuminant']}, level {frame['level']:.3f}"
+    light = f"{frame['illuminant']}{brightness(frame)}"
+    title = f"Frame {index + 1}: {frame['scene']}, {light}, level {frame['level']:.3f}"
     ordered = sorted(pictures, key=lambda name: (name != OURS, name != "ideal", name == "error"))
     made = tuple(_picture(frame, name, pictures[name], main_of(document), limit, jpeg) for name in ordered)
     size = next(iter(pictures.values())).shape[:2]

@@ -11,7 +11,7 @@ from l3cli.frames.scene import shown_alike
 from l3cli.physics.figures import FIGURES, figure_text, known_mean
 from l3cli.report.camera import array_figure, responsivity_figures
 from l3cli.report.drawing import Plot, spanning
-from l3cli.report.evaluation import OURS, level_middles, main_of
+from l3cli.report.evaluation import OURS, brightness, level_middles, lit_as, main_of
 from l3cli.report.parts import (
     Block,
     Comparison,
@@ -75,25 +75,29 @@ def _one_scene(shown: list[Any]) -> bool:
     return all(shown_alike(known[0], each) for each in known[1:])
 
 
-def shared_frame(sides: list[Side]) -> list[int] | None:
+def shared_frame(sides: list[Side], at: float | None = None) -> list[int]:
     """Return the number in each side of the frame that all sides have, of several the one of median quality in the first
-    side; None if there is none, or if the outputs are no pictures."""
-    figures = {main_of(side.document) for side in sides}
-    places = shared_places(sides)
+    side; none if there is none, or if the outputs are no pictures. Only frames `at` a luminance in cd/m² count, if one is
+    given."""
+    figures, first = {main_of(side.document) for side in sides}, sides[0]
+    places = [
+        place for place in shared_places(sides) if lit_as(first.document["frames"][first.places[place]]["luminance"], at)
+    ]
     if figures != {"mean_delta_e"} or not places:
-        return None
-    first = sides[0]
+        return []
     ordered = sorted(places, key=lambda place: _frames(first, [place])[0][OURS]["mean_delta_e"])
     middle = ordered[len(ordered) // 2]
     return [side.places[middle] for side in sides]
 
 
-def side_by_side_section(sides: list[Side], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Section:
-    """Return the section of several tables. `pictures` are those of `shared_frame` of every side, none if there is none, of
-    which `limit` bytes is what they may take."""
+def side_by_side_section(
+    sides: list[Side], index: list[int], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg
+) -> Section:
+    """Return the section of several tables. `pictures` are those of frame `index` of every side, none if they have none in
+    common, of which `limit` bytes is what they may take."""
     parts = []
     if pictures:
-        parts.append(Subsection("The same frame", (_frame_block(sides, pictures, limit, jpeg),)))
+        parts.append(Subsection("The same frame", (_frame_block(sides, index, pictures, limit, jpeg),)))
     shared = shared_places(sides)
     parts.append(Subsection("Figures", _figure_blocks(sides, shared)))
     if len({side.camera.name for side in sides}) > 1 or len({side.camera.cfa.tobytes() for side in sides}) > 1:
@@ -139,10 +143,8 @@ def _title(side: Side, sides: list[Side]) -> str:
     return side.name if alone else f"{side.name} on {side.frames}"
 
 
-def _frame_block(sides: list[Side], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
+def _frame_block(sides: list[Side], index: list[int], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
     """Show ours of every side and the ideal: one upon another if they are of one size."""
-    index = shared_frame(sides)
-    assert index is not None
     frames = [side.document["frames"][at] for side, at in zip(sides, index, strict=True)]
     shown = [
         (_title(side, sides), of[OURS], f"mean ΔE00 {frame[OURS]['mean_delta_e']:.2f}")
@@ -156,7 +158,8 @@ def _frame_block(sides: list[Side], pictures: list[dict[str, Pixels]], limit: in
     sizes = {pixels.shape[:2] for _, pixels, _ in shown}
     if len(sizes) > 1:
         return Gallery(tuple(made), wide=True)
-    return Comparison("sides", f"{frames[0]['scene']}, {frames[0]['illuminant']}", tuple(made), size=next(iter(sizes)))
+    title = f"{frames[0]['scene']}, {frames[0]['illuminant']}{brightness(frames[0])}"
+    return Comparison("sides", title, tuple(made), size=next(iter(sizes)))
 
 
 def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:

@@ -81,7 +81,13 @@ def survey_of(reader: TrainingSetReader) -> Survey:
             _count_colours(survey, frame)
             if index in chosen:
                 alt = f"Target of {frame.scene} under {frame.illuminant}, {tidy(frame.luminance)} cd/m², as sRGB."
-                survey.pictures.append((f"{frame.scene}, {frame.illuminant}", alt, thumbnail(frame.target, frame.white)))
+                survey.pictures.append(
+                    (
+                        f"{frame.scene}, {frame.illuminant}, {tidy(frame.luminance)} cd/m²",
+                        alt,
+                        thumbnail(frame.target, frame.white),
+                    )
+                )
     return survey
 
 

@@ -68,7 +68,8 @@ class SceneRecipe(Recipe):
     pair: list[Pair] = msgspec.field(default_factory=list)
     # CIE names, "3200K", "D6000K", files of spectra, mixtures "0.7 D65 + 0.3 lamp.csv", or "scene": its own
     illuminants: Annotated[list[str], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["D65"])
-    luminances_cd_m2: Several = msgspec.field(default_factory=lambda: [100.0])  # of a perfect white
+    luminances_cd_m2: Several | None = None  # of a perfect white; default: 100
+    lux: Several | None = None  # on it, instead: π times as much
     exposure_share: Several | None = None  # automatic: share of full scale that white reaches in its brightest channel
     # automatic: share of all pixels that reach full scale
     exposure_saturated: Annotated[list[Annotated[float, msgspec.Meta(gt=0, lt=1)]], msgspec.Meta(min_length=1)] | None = None
@@ -77,6 +78,12 @@ class SceneRecipe(Recipe):
     lens: Lens = msgspec.field(default_factory=Lens)
     sensor: SensorSetting = msgspec.field(default_factory=SensorSetting)
     target: TargetRecipe = msgspec.field(default_factory=TargetRecipe)
+
+    def luminances(self) -> list[float]:
+        """Return the luminances of a perfect white, in cd/m²."""
+        if self.lux is not None:
+            return [each / np.pi for each in self.lux]
+        return self.luminances_cd_m2 or [100.0]
 
     def exposures(self) -> tuple[str, list[float]]:
         """Return the kind of the exposures, as in EXPOSURES, and their values; RecipeError unless exactly one is given."""
@@ -131,6 +138,8 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
     """Yield all that cannot be of a scene recipe, with `camera` if there is one."""
     if not (recipe.scene or recipe.pair):
         yield fault("scene or pair must have an entry", "scene", "pair")
+    if recipe.luminances_cd_m2 is not None and recipe.lux is not None:
+        yield fault("give either luminances_cd_m2 or lux", "lux", "luminances_cd_m2")
     if recipe.scene:
         yield from _exposure_faults(recipe, camera)
     for number, source in enumerate(recipe.scene):
@@ -204,7 +213,7 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[source
     for source, paths in zip(recipe.scene, files, strict=True):
         for scene in sources.wanted_scenes(source, paths):
             moments = range(source.motion.frames if source.motion else 1)
-            settings = itertools.product(recipe.illuminants, recipe.luminances_cd_m2, recipe.exposures()[1], moments)
+            settings = itertools.product(recipe.illuminants, recipe.luminances(), recipe.exposures()[1], moments)
             yield scene, [Shot(next(index), *setting) for setting in settings]
 
 

@@ -100,7 +100,7 @@ def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
         "scenes": len(wanted),
         "clips": sum(scene.source.motion is not None for scene, _ in wanted),
         "illuminants": recipe.illuminants,
-        "luminances_cd_m2": recipe.luminances_cd_m2,
+        "luminances_cd_m2": recipe.luminances(),
         "exposures": dict([recipe.exposures()]) if recipe.scene else {},
         "pairs": len(recipe.pair),
         "frames": sum(len(each) for _, each in wanted) + len(recipe.pair),
@@ -119,7 +119,7 @@ def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> 
     """Return the pixels and bytes of the simulated frames of a camera."""
     sizes = []
     for scene, paths in zip(recipe.scene, files, strict=True):
-        each = len(recipe.illuminants) * len(recipe.luminances_cd_m2) * len(recipe.exposures()[1])
+        each = len(recipe.illuminants) * len(recipe.luminances()) * len(recipe.exposures()[1])
         each *= scene.motion.frames if scene.motion else 1
         sizes += [(size_of(wanted, run), each) for wanted in wanted_scenes(scene, paths)]
     if not sizes:

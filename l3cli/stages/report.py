@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
@@ -26,7 +27,7 @@ from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
 from l3cli.report.design import design_section
-from l3cli.report.evaluation import evaluation_section, front_section, shown_frames
+from l3cli.report.evaluation import evaluation_section, front_section, lit_as, shown_frames
 from l3cli.report.given import Entry, Given, Pair, cameras_within, lead_without_evaluation, role_of
 from l3cli.report.parts import LIMIT, Figures, Pixels, Section, Subsection, history_section, render_page
 from l3cli.report.pixels import crop_of, picker
@@ -42,7 +43,7 @@ from l3cli.stages.evaluation import FrameRenderers, document_of, evaluate_frame,
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import note_places, sha256, write_whole
 from l3cli.system.outputs import Made, OutputGuard, before_work
-from l3cli.system.text import a, short_names
+from l3cli.system.text import a, short_names, tidy
 
 # of all evaluated frames, of all pixels that can be looked into, of classes elsewhere, of all training sets: see page.LIMIT
 PICTURE_BYTES, PIXEL_BYTES, CLASS_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 300_000, 2_000_000
@@ -62,7 +63,8 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
         guard.guard_file(output, options.force)
         given = _read(artifacts)
         before_work({"artifacts": artifacts}, Made(output, "page"))
-        title, lead, sections = _compose(given, options.backend, console)
+        _require_luminance(given, options.at)
+        title, lead, sections = _compose(given, options, console)
         page = render_page(title, lead, sections).encode()
         write_whole(output, page)
         if reason := cache_warning():
@@ -108,7 +110,17 @@ def _artifact(path: Path) -> Artifact:
 # ------------------------------------------------------------------------------------------------------- the page
 
 
-def _compose(given: Given, backend: str, console: Console) -> tuple[str, str, list[Section]]:
+def _require_luminance(given: Given, at: float | None) -> None:
+    """Raise RecipeError if frames that tables are judged on lack the luminance (cd/m²) at which pictures are wanted."""
+    for path in {pair.frames.path: pair for pair in given.pairs} if at is not None else ():
+        with open_training_set(path, unchanged=True) as reader:
+            known = sorted({reader.light(index).luminance for index in range(len(reader))})
+        if not any(lit_as(luminance, at) for luminance in known):
+            held = ", ".join(tidy(np.pi * luminance) for luminance in known)
+            raise RecipeError(f"‹at›: {path} has no frame at {tidy(np.pi * at)} lux; its frames are at {held} lux")
+
+
+def _compose(given: Given, options: ReportOptions, console: Console) -> tuple[str, str, list[Section]]:
     """Return title, lead and sections of the page: pictures first, then what was given, array by array."""
     arrays, tables = given.arrays, given.of(TransformTable)
     _warn_of_arrays(given, console)
@@ -124,14 +136,14 @@ def _compose(given: Given, backend: str, console: Console) -> tuple[str, str, li
     for array, held in zip(arrays, cameras_of, strict=True):
         _warn_of_cameras(array, console)
         judged_pairs = [
-            _judge(pair, str(len(judged) + number), shares, backend, console) for number, pair in enumerate(array.pairs)
+            _judge(pair, str(len(judged) + number), shares, options, console) for number, pair in enumerate(array.pairs)
         ]
         sections += _array_sections(array, held, called, THUMBNAIL_BYTES // max(len(given.of(TrainingSet)), 1))
         sections += [each.section for each in judged_pairs]
         judged += judged_pairs
     first = [each.front for each in judged if each.front is not None]
     if len(judged) > 1:
-        first.insert(0, _side_by_side(judged, shares[0], backend))
+        first.insert(0, _side_by_side(judged, shares[0], options))
     files = [(entry.name, entry.artifact.kind, entry.sha256, entry.artifact.history) for entry in given.entries]
     if given.sequences:
         sections.append(sequence_section(given.sequences))
@@ -220,11 +232,11 @@ class Judged:
         return replace(section, lead=f"{section.lead} But {self.warning}.") if self.warning else section
 
 
-def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], backend: str, console: Console) -> Judged:
+def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], options: ReportOptions, console: Console) -> Judged:
     """Evaluate a table; `limits` in bytes are those of its pictures, of pixels that can be looked into, of other classes."""
     table = (pair.table.name, pair.transforms)
     transforms, warning = for_frames(table, (pair.frames.name, pair.head.camera), console)
-    renderers = FrameRenderers(backend, transforms, console)
+    renderers = FrameRenderers(options.backend, transforms, console)
     with open_training_set(pair.frames.path, unchanged=True) as reader:
         judgement = Evaluation(transforms, reader.head, drawn=frames_like(reader.head))
         pictures, chart, front = transforms.outputs == XYZ, None, None
@@ -232,18 +244,18 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], backend: str, 
             frame, planes = evaluate_frame(judgement, renderers, reader, index)
             if pictures and chart is None:
                 chart = chart_subsection(frame, index, planes, pair.head)
-        by_gain = figures_by_gain(pair.transforms, reader, backend, console)
+        by_gain = figures_by_gain(pair.transforms, reader, options.backend, console)
         figures = document_of(judgement, renderers, reader.head, by_gain)
         if pictures:
             last = {len(reader) - 1: frame_pictures(frame, planes)}
             shown = {
                 index: last[index] if index in last else _pictures(judgement, renderers, reader, index)
-                for index in shown_frames(figures)
+                for index in shown_frames(figures, options.at)
             }
             pixels = _pixels(reader, renderers, anchor, *next(iter(shown.items())), limits)
             below = (*([chart] if chart else []), pixels)
             title = f"Pictures: {pair.table.name} on {pair.frames.name}"
-            front = front_section(figures, shown, title, anchor, limits[0], jpeg, below)
+            front = front_section(figures, shown, title, anchor, limits[0], jpeg, below, options.at)
     return Judged(pair._replace(transforms=transforms), figures, front, warning)
 
 
@@ -279,20 +291,21 @@ def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray
         return None
     colours = patch_colours(frame, planes, regions)
     ours = next(iter(planes))
-    title = f"Patches in frame {number + 1}, {frame.scene}, {frame.illuminant}"
+    luminance = f", {tidy(frame.luminance)} cd/m²" if frame.shown else ""
+    title = f"Patches in frame {number + 1}, {frame.scene}, {frame.illuminant}{luminance}"
     figure = patches_figure(title, ("ideal", ours), (colours.ideal, colours.shown[ours]), colours.delta_e)
     return Subsection("Colour chart", (Figures((figure,)), patches_table(colours.delta_e)))
 
 
-def _side_by_side(judged: list[Judged], limit: int, backend: str) -> Section:
+def _side_by_side(judged: list[Judged], limit: int, options: ReportOptions) -> Section:
     """Return all judged tables in one section, whose pictures may take `limit` bytes."""
     sides = [Side(each.pair.table.name, each.pair.frames.name, each.pair.head.camera, each.document) for each in judged]
-    pictures = []
-    for each, index in zip(judged, shared_frame(sides) or (), strict=False):
+    pictures, chosen = [], shared_frame(sides, options.at)
+    for each, index in zip(judged, chosen, strict=False):
         with open_training_set(each.pair.frames.path, unchanged=True) as reader:
-            renderers = FrameRenderers(backend, each.pair.transforms, Silent())  # each has been judged before
+            renderers = FrameRenderers(options.backend, each.pair.transforms, Silent())  # each has been judged before
             pictures.append(_pictures(Evaluation(each.pair.transforms, reader.head), renderers, reader, index))
-    return side_by_side_section(sides, pictures, limit, jpeg)
+    return side_by_side_section(sides, chosen, pictures, limit, jpeg)
 
 
 # ----------------------------------------------------------------------------------- cameras that recipes describe

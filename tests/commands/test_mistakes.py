@@ -171,6 +171,12 @@ MISTAKES = """
         raw.tif is a file, not a folder
     1 lab camera.toml -o lab
         MEASUREMENTS.toml exists; add --force
+    2 report table.h5 unseen.h5 --at "5 lux" -o new.html
+        unseen.h5 has no frame at 5 lux; its frames are at 314 lux
+    2 report table.h5 unseen.h5 --at 5 -o new.html
+        "5" has no unit; give it in lux or cd/m2, such as "5 lux"
+    2 report table.h5 unseen.h5 --at "dim lux" -o new.html
+        "dim" is not a number; give one within
     2 init byer new
         no recipe "byer"; did you mean "bayer"?
     1 init bayer raw.tif

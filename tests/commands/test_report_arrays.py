@@ -134,6 +134,31 @@ def test_figures_are_means_over_the_frames_that_both_have(both: Path, files: lis
     assert [re.findall(r"<td[^>]*>([^<]*)", row)[2] for row in rows] == means
 
 
+def test_pictures_name_the_light_on_the_scene_and_are_chosen_by_it(
+    bayer: CameraModel, quad: CameraModel, tmp_path: Path, l3: L3
+) -> None:
+    """One scene at three luminances: the picture that stands side by side is the one at the illuminance that is wanted."""
+    files = []
+    for name, camera in (("bayer", bayer), ("quad", quad)):
+        table = colorimetric_table(camera)
+        files += [tmp_path / f"{name}.h5", tmp_path / f"{name} unseen.h5"]
+        save(table, files[-2])
+        head = TrainingSet(camera=camera, outputs=table.outputs, target_description="")
+        with write_training_set(files[-1], head) as writer:
+            for number, lux in enumerate((5.0, 50.0, 500.0)):
+                raw = frame_of_all_levels(table, np.random.default_rng(number), SIZE)
+                frame = a_frame(camera, number, smooth=False, size=SIZE)
+                frame = dataclasses.replace(frame, raw=raw.values, scene="one", luminance=lux / np.pi)
+                writer.append(dataclasses.replace(frame, shown=Shown(np.ones(8), "")))
+    out = tmp_path / "report.html"
+    for lux in ("5", "500"):
+        code, _, err = l3("report", *files, "--at", f"{lux} lux", "-o", out, "--force", "--backend", "reference")
+        assert code == 0, err
+        shown = re.findall(r"one, [^<,]*, [^<,]* cd/m² \((\d+) lux\)", side_by_side(out.read_text()))
+        assert set(shown) == {lux}
+        assert len(re.findall(rf"Frame \d: one, [^<,]*, [^<,]* cd/m² \({lux} lux\)", out.read_text())) >= 2
+
+
 def test_without_common_frames_nothing_is_compared(
     one: list[Path], quad: CameraModel, page: Callable, tmp_path: Path
 ) -> None:

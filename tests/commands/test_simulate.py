@@ -46,6 +46,19 @@ def test_frames_are_scenes_times_lights_times_exposures(l3: L3, bayer_recipe: Pa
     assert len(list(pictures.glob("*_raw.tif"))) == len(list(pictures.glob("*_ideal.png"))) == len(frames)
 
 
+def test_a_scene_recipe_takes_illuminances(l3: L3, refused: Refused, bayer_recipe: Path, tmp_path: Path) -> None:
+    """A perfect white has a luminance of its illuminance over π."""
+    recipe, output = tmp_path / "scenes.toml", tmp_path / "training.h5"
+    scene = '[[scene]]\nsource = "dead leaves"\nsize = [32, 48]\n'
+    recipe.write_text(f"lux = [5, 100]\nexposure_s = [0.02]\n{scene}")
+    assert l3("simulate", recipe, "--camera", bayer_recipe, "-o", output)[0] == 0
+    with open_training_set(output) as reader:
+        assert [frame.luminance for frame in reader] == pytest.approx([5 / np.pi, 100 / np.pi])
+        assert [frame.white[1] for frame in reader] == pytest.approx([5 / np.pi, 100 / np.pi])
+    recipe.write_text(f"lux = [5]\nluminances_cd_m2 = [1]\nexposure_s = [0.02]\n{scene}")
+    refused(2, "simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "other.h5")
+
+
 def test_frames_state_what_they_show_whatever_the_camera_sees(l3: L3, bayer_recipe: Path, tmp_path: Path) -> None:
     (tmp_path / "uv.toml").write_text(bayer_camera().replace("[400, 700, 10]", "[350, 830, 10]"))
     (tmp_path / "lamp.csv").write_text("nm,power\n" + "".join(f"{nm},{nm}\n" for nm in range(380, 781, 10)))
