@@ -19,6 +19,8 @@ LIGHT_SPEED = 299792458.0  # m/s
 LUMINOUS_EFFICACY = 683.0  # lm/W
 BLACK_BODY = Quantity(500, 100_000, "K")  # below, nothing is seen by it
 DAYLIGHT = Quantity(4000, 25_000, "K")  # as far as CIE daylight goes
+# Correlated colour temperatures of the CIE's daylights in K, by the second radiation constant of today (CIE 15)
+DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
 UNSEEN = 1e-9  # luminous efficiency below which light is taken for invisible: less than rounding leaves beyond 830 nm
 SPRAGUE_STEP = 20.0  # nm between bands up to which a reflectance is taken as smooth
 Array = NDArray[np.floating]
@@ -222,9 +224,23 @@ def illuminant(name: str, wavelength: Array) -> Array:
         metres = wavelength * 1e-9
         exponent = PLANCK * LIGHT_SPEED / (metres * 1.380649e-23 * kelvin)
         photons = 1.0 / (metres**4 * np.expm1(exponent))
+    elif name == "A":
+        photons = photons_from_energy(wavelength, _illuminant_a(wavelength))
     else:
         photons = photons_from_energy(wavelength, _tabulated(name, wavelength))
     return photons / photons.mean()
+
+
+def known_range(name: str) -> tuple[float, float]:
+    """Return the wavelengths in nm between which a named light is known: all of a light that a formula defines.
+
+    Beyond them `illuminant` holds the ends of the light's table.
+    """
+    if name in ("A", "E") or re.fullmatch(r"\d+(?:\.\d+)? ?K", name, re.ASCII):
+        return 0.0, np.inf
+    daylight = re.fullmatch(r"D(\d+(?:\.\d+)?) ?K", name, re.ASCII)
+    wavelengths, _ = _daylight_table(float(daylight[1])) if daylight else _illuminant_table(name)
+    return float(wavelengths[0]), float(wavelengths[-1])
 
 
 @functools.lru_cache(1000)
@@ -233,24 +249,51 @@ def require_illuminant(name: str) -> None:
     illuminant(name, SAMPLED)
 
 
+def _illuminant_a(wavelength: Array) -> Array:
+    """Return energy (wavelength) of CIE illuminant A, by the formula that defines it (ISO/CIE 11664-2)."""
+    return 100.0 * (560.0 / wavelength) ** 5 * np.expm1(1.435e7 / (2848 * 560)) / np.expm1(1.435e7 / (2848 * wavelength))
+
+
 def _tabulated(name: str, wavelength: Array) -> Array:
     """Return energy (wavelength) of a CIE illuminant, linear between its samples and held beyond them."""
+    source, values = _illuminant_table(name)
+    return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
+
+
+def _illuminant_table(name: str) -> tuple[Array, Array]:
+    """Return wavelengths and energy of a CIE illuminant; RecipeError if it has no table.
+
+    Tables of colour-science end at 780 nm, those of the CIE's daylights at 830 nm: the rest is from the components of
+    daylight.
+    """
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
         close = nearest(name, illuminant_names()) or f"usual ones are {USUAL_LIGHTS};"
         every = f'documentation, "Lights", lists all {len(illuminant_names())}'
         raise RecipeError(f'illuminant "{shortened(name)}" is unknown; {close} {every}')
     table = colour_science().SDS_ILLUMINANTS[key]
-    return table.values @ _step_matrix(table.wavelengths, wavelength, extended=True).T
+    wavelengths, values = np.asarray(table.wavelengths), np.asarray(table.values)
+    if key in DAYLIGHT_KELVIN:
+        grid, energy = _daylight_table(DAYLIGHT_KELVIN[key])
+        infrared = grid > wavelengths[-1]
+        joined = values[-1] / np.interp(wavelengths[-1], grid, energy)
+        wavelengths, values = np.append(wavelengths, grid[infrared]), np.append(values, energy[infrared] * joined)
+    return wavelengths, values
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
     """Return energy (wavelength) of CIE daylight of a correlated colour temperature in K, one of DAYLIGHT (CIE 15)."""
+    source, values = _daylight_table(temperature)
+    return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
+
+
+def _daylight_table(temperature: float) -> tuple[Array, Array]:
+    """Return wavelengths and energy of CIE daylight of a correlated colour temperature in K."""
     colour = colour_science()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         table = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(temperature))
-    return table.values @ _step_matrix(table.wavelengths, wavelength, extended=True).T
+    return np.asarray(table.wavelengths), np.asarray(table.values)
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
@@ -293,6 +336,9 @@ def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
     for sets in (SDS_TCS["CIE 2024"], SDS_VS["NIST CQS 9.0"]):
         tables += [(sample.wavelengths, sample.values[None]) for sample in sets.values()]
     return tuple(tables)
+
+
+SURFACES_MEASURED = 380.0, 780.0  # nm, between which all reflectances of the library are measured; held beyond
 
 
 def reflectance_library(wavelength: Array) -> Array:

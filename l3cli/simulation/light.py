@@ -35,6 +35,7 @@ OUTPUTS = {
     "radiance 31": spectra.RADIANCES,
 }
 UNLIT = "reflectance 31"  # the same under every light
+NOTICEABLE = 0.01  # share of a channel's electrons from wavelengths at which a light or surfaces are not known
 CAMERA = "camera"  # the camera's own bands at full resolution
 
 
@@ -95,6 +96,68 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
         raise RecipeError(f'illuminant "{text}" gives no light that can be seen')
     digest = _digest(*itertools.chain(*(measured[name] for _, name in names if name in measured)))
     return Light(text, 1.0, wavelength, radiance / sum(share for share, _ in names), digest)
+
+
+def beyond_known(light: Light, measured: Mapping[str, Curve], camera: CameraModel) -> str:
+    """Say which light is not known at wavelengths that a channel collects a hundredth or more of its electrons at.
+
+    A named light is held constant beyond its table. A measured light counts as dark there; what it would give if it went on
+    as it ends is compared with what the channel collects.
+
+    Returns
+    -------
+    str
+        A warning; "" if no light needs one.
+    """
+    found = (0.0, "")
+    parts = mixture(light.name)
+    total = sum(share for share, _ in parts)
+    for share, name in parts:
+        if name in measured:
+            grid, power = measured[name]
+            ends, wavelength = (grid.min(), grid.max()), light.wavelength
+            order = np.argsort(grid)
+            held = spectra.photons_from_energy(wavelength, np.interp(wavelength, grid[order], power[0][order]))
+            what = "and counts as dark beyond; as bright as at its ends"
+        else:
+            ends, held = spectra.known_range(name), spectra.illuminant(name, light.wavelength)
+            what = "and is held constant beyond"
+        one = spectra.at_luminance(held, light.wavelength, light.luminance * share / total)
+        taken, channel = share_beyond(camera, replace(light, radiance=one), light, ends)
+        if taken > max(found[0], NOTICEABLE):
+            where = f"{ends[0]:g}…{ends[1]:g} nm"
+            text = f"light {name} is known at {where} {what}, where channel {channel} collects {taken:.0%} of its electrons"
+            found = taken, f"{text}; give a light that is measured at {span_of(camera)}"
+    return found[1]
+
+
+def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
+    """Return a warning if a channel collects a hundredth or more of its electrons where measured surfaces are held constant,
+    else ""."""
+    taken, channel = share_beyond(camera, light, light, spectra.SURFACES_MEASURED)
+    if taken <= NOTICEABLE:
+        return ""
+    first, last = spectra.SURFACES_MEASURED
+    return (
+        f"surfaces of the scenes are measured at {first:g}…{last:g} nm and held constant beyond, where channel {channel} "
+        f"collects {taken:.0%} of its electrons under {light.name}; give scenes that are measured at {span_of(camera)}"
+    )
+
+
+def share_beyond(camera: CameraModel, part: Light, whole: Light, ends: tuple[float, float]) -> tuple[float, str]:
+    """Return the largest share of a channel's electrons from white under a light, that a part of it gives beyond two
+    wavelengths in nm, and the channel."""
+    outside = (part.wavelength < ends[0]) | (part.wavelength > ends[1])
+    given = electron_weights(camera, part, part.wavelength)[:, outside].sum(axis=1)
+    every = white_rates(camera, whole)
+    shares = given / np.where(every > 0, every, np.inf)
+    channel = int(shares.argmax())
+    return float(shares[channel]), camera.channels[channel]
+
+
+def span_of(camera: CameraModel) -> str:
+    """Return the wavelengths that a camera sees."""
+    return f"{camera.wavelength[0]:g}…{camera.wavelength[-1]:g} nm"
 
 
 def recorded_under(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:

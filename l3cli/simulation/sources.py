@@ -247,6 +247,13 @@ def has_light(source: Source) -> bool:
     return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
 
 
+def of_measured_surfaces(source: Source) -> bool:
+    """Return whether scenes of `source` are made of the measured reflectances that come with l3: neither greys nor cubes."""
+    if isinstance(source, Synthetic):
+        return not isinstance(source, SlantedEdge | ZonePlate | Frequencies | GreyRamp)
+    return isinstance(source, RgbPictures) and not holds_codes(source)
+
+
 def holds_codes(source: Source) -> bool:
     """Return whether scenes of `source` are channel signals, without light and spectra."""
     return isinstance(source, RgbPictures) and source.holds == "codes"

@@ -1,6 +1,7 @@
 """Spectra on other grids: what a table holds between the samples of another is neither lost nor counted twice."""
 
 import dataclasses
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +24,8 @@ from l3cli.simulation import light, recipe
 from l3cli.simulation.light import make_target, output_weights
 from l3cli.simulation.sources import Cube, scene_of, source_faults
 from l3cli.spectra.file import read_table
+from tests.helpers.calls import L3
+from tests.helpers.cameras import bayer_camera
 
 HALVES = np.arange(380.0, 780.1, 0.5)
 SEEN = np.arange(400.0, 701.0, 10.0)
@@ -274,3 +277,48 @@ def test_a_prior_takes_red_green_and_blue(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("nm,Red,Green,Blue\n400,1,2,3\n500,2,4,6\n600,3,6,9\n")
     (curves,) = read_cameras([tmp_path / "a.csv"])
     np.testing.assert_allclose(curves.responsivity[:, 0] * 400, [1, 2, 3])
+
+
+def test_lights_that_formulas_define_are_computed_beyond_their_tables() -> None:
+    """CIE A by its formula, D65 by the CIE's own values up to 830 nm (CIE 15), E is equal everywhere."""
+    grid = np.array([560.0, 800.0, 830.0, 1000.0])
+
+    def energy(name: str) -> np.ndarray:
+        power = spectra.illuminant(name, grid) / grid  # photons → energy
+        return power / power[0]
+
+    formula = grid**-5 / (np.exp(1.435e7 / (2848 * grid)) - 1)
+    np.testing.assert_allclose(energy("A"), formula / formula[0], rtol=1e-9)
+    fine = np.arange(300.0, 831.0)
+    daylight = spectra.illuminant("D65", fine) / fine
+    np.testing.assert_allclose(daylight[[500, 530]] / daylight[260], [0.594519, 0.603125], rtol=1e-4)
+    np.testing.assert_allclose(energy("E"), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("light", "source", "warned"), [("A", "grey ramp", False), ("F2", "grey ramp", True), ("A", "skin", True)]
+)
+def test_what_is_held_constant_where_a_channel_sees_it_is_said(
+    light: str, source: str, warned: bool, tmp_path: Path, l3: L3
+) -> None:
+    """The share of the channel's electrons is that of a sum of its own."""
+    text = bayer_camera().replace("[400, 700, 10]", "[400, 900, 10]").replace("centre_nm = 600", "centre_nm = 760")
+    (tmp_path / "camera.toml").write_text(text)
+    (tmp_path / "scenes.toml").write_text(
+        f'illuminants = ["{light}"]\nexposure_share = [0.9]\n[[scene]]\nsource = "{source}"\nsize = [32, 48]\n'
+    )
+    call = ("simulate", tmp_path / "scenes.toml", "--camera", tmp_path / "camera.toml", "-o", tmp_path / "set.h5")
+    code, _, err = l3(*call)
+    assert code == 0
+    warnings = [line for line in err.splitlines() if line.startswith("warning")]
+    assert len(warnings) == warned
+    if warned:
+        camera, grid = load_camera(tmp_path / "camera.toml"), np.arange(400.0, 901.0)
+        seen = np.array([np.interp(grid, camera.wavelength, each) for each in camera.responsivity])
+        seen = seen * spectra.illuminant(light, grid)
+        shares = seen[:, grid > 780].sum(axis=1) / seen.sum(axis=1)
+        channel = int(shares.argmax())
+        stated = re.search(r"channel (\w+) collects (\d+)% of its electrons", warnings[0])
+        assert stated is not None
+        assert stated[1] == camera.channels[channel]
+        assert int(stated[2]) == pytest.approx(100 * shares[channel], abs=2)

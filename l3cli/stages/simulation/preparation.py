@@ -20,12 +20,14 @@ from l3cli.simulation import sources
 from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.light import (
     SCENE_LIGHT,
+    beyond_known,
     column_names,
     make_light,
     make_target,
     read_curve,
     recorded_under,
     require_seen,
+    surfaces_beyond_known,
 )
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.simulation.sensor import noise_plugin
@@ -164,6 +166,18 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
     files = [scene_files(source, path) for source in recipe.scene]
     return SimulationRun(recipe, fitted, target, lights, recorded, seed, path.parent), files
+
+
+def warn_of_unknown(run: SimulationRun, console: Console) -> None:
+    """Warn if channels collect electrons at wavelengths at which a light, the surfaces or the lens are not known."""
+    named = asked.curve_files(run.recipe)
+    curves = {name: read_curve(run.base / name, role) for name, role in named.items() if role != "functions"}
+    warnings = [beyond_known(light, curves, run.camera) for light in run.lights.values()]
+    if any(map(sources.of_measured_surfaces, run.recipe.scene)):
+        surfaces = (surfaces_beyond_known(light, run.camera) for light in run.lights.values())
+        warnings.append(next(filter(None, surfaces), ""))
+    for text in filter(None, warnings):
+        console.warn(text)
 
 
 def fitting(

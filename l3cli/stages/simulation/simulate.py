@@ -21,7 +21,7 @@ from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.recipe import SceneRecipe, shots
-from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
+from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare, warn_of_unknown
 from l3cli.stages.simulation.units import StoredFrames, is_of_run, key_of, received, remove_finished, simulate_unit, units_of
 from l3cli.system.checkpoint import incomplete_folder, parts_folder, refuse_other_run
 from l3cli.system.console import Console
@@ -67,6 +67,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
             _plan(run, files, (scenes, camera), [] if stands else [output], folders, going_on)
         if note := columns_left_out(camera):
             console.info(note)
+        warn_of_unknown(run, console)
         note_inputs({"scene recipe": [scenes], **inputs})
         note_places((output, *folders))
         with contextlib.ExitStack() as unfinished:
