@@ -129,14 +129,12 @@ def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
 
     with tifffile.TiffFile(path) as file:
         series = _bands_of(path, file)
-        page, bands = (
-            series.keyframe,
-            int(np.prod(series.shape)) // (series.keyframe.imagelength * series.keyframe.imagewidth),
-        )
+        page = series.keyframe
+        bands = int(np.prod(series.shape)) // (page.imagelength * page.imagewidth)
         said, names = _said(file, page, bands), _page_names(file, series, bands)
         pages = [each.index for each in series.pages if each is not None]
-        is_one_frame_of_many = len(pages) * page.samplesperpixel != bands  # ImageJ and tifffile: the others lie behind it
-        values = series.asarray() if is_one_frame_of_many else None
+        has_all_pages = len(pages) * page.samplesperpixel == bands  # else ImageJ or tifffile stored frames behind the page
+        values = None if has_all_pages else series.asarray()
         axes = series.axes
     if values is not None:
         order = sorted(range(values.ndim), key=lambda axis: {"Y": 0, "X": 1}.get(axes[axis], 2))
@@ -145,7 +143,8 @@ def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         source = open_image(path, name)
         planes = []
         for index in pages:
-            source.seek_subimage(index, 0)
+            if not source.seek_subimage(index, 0):
+                raise InputFileError(f"{path}: page {index + 1} is damaged; copy the file again")
             spec = source.spec()
             require_bearable(path, spec)
             pixels = pixels_of(path, source, spec)
