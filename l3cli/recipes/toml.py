@@ -273,7 +273,7 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     # An entry of a list of words has the number of the entry at the end of its path.
     *outer, key = path if isinstance(path[-1], str) else path[:-1]
     tables = _tables(recipe, content, tuple(outer))
-    known = _keys(tables) if wrong[1] == "unknown key" else _values(tables, key)
+    known = _keys(tables) if wrong[1] == "unknown key" else _values(tables, str(key))
     tag = tables[0].__struct_config__ if len(tables) == 1 else None
     kind = f' with {tag.tag_field} = "{tag.tag}"' if tag and tag.tag_field else ""
     line = f"{wrong[1]} {wrong[2]}{name}{wrong[2]} {where}{kind}"

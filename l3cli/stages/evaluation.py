@@ -22,9 +22,9 @@ from l3cli.artifacts.training_set import (
     frame_name,
     open_training_set,
 )
-from l3cli.errors import InputFileError, RecipeError, raised_as
+from l3cli.errors import InputFileError, RecipeError, listed, raised_as
 from l3cli.evaluation import standards
-from l3cli.evaluation.evaluation import Evaluation, raw_of, white_of
+from l3cli.evaluation.evaluation import OURS, Evaluation, raw_of, white_of
 from l3cli.evaluation.likeness import unlike
 from l3cli.evaluation.pictures import frame_pictures, planes_of
 from l3cli.evaluation.quality import VIEWING
@@ -35,6 +35,7 @@ from l3cli.io.scenes import rgb
 from l3cli.io.sequences import find_pictures, paired, picture_files, require_alike
 from l3cli.options.commands import EvaluateOptions, SequenceOptions
 from l3cli.physics import spectra
+from l3cli.physics.correlated_lights import uv
 from l3cli.physics.display import XYZ
 from l3cli.rendering.conditions import Mix, at_gain, described, gain_of_frames, known_gains, mix_for, mixed
 from l3cli.rendering.display import require_xyz
@@ -148,6 +149,9 @@ def _greys(
 
 FEW = 2  # frames under each light, that are judged at every gain
 MOST_KEPT = 8  # renderers: frames of one scene under several lights follow one another
+DECIDES = "mean_delta_e"
+OTHER_LIGHT = 0.005  # distance in CIE 1960 uv of whites from which on they are of two lights
+ONE_LIGHT = 0.001  # spread of the lights of a training that are one
 UNLIKE = 1.05  # times as bright: figures of lightness would compare two exposures
 
 
@@ -198,6 +202,8 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
                         write_picture(pictures / f"{frame_name(index, frame.scene)}_{name}.png", picture)
             by_gain = figures_by_gain(transforms, reader, options.backend, console, options.viewing, options.border)
             document = document_of(evaluation, renderers, reader.head, by_gain)
+            frames_lights = map(reader.light, range(len(reader)))
+            warn_of_other_lights(at_own, document, {each.illuminant: each.white for each in frames_lights}, console)
         if reason := cache_warning():
             console.warn(reason)
         return document
@@ -212,6 +218,41 @@ def document_of(
         return evaluation.developed(frame, renderers.of(frame).outputs(raw_of(frame, 0, head.camera)))
 
     return evaluation.document(by_gain) | {"standards": standard_figures(head, planes)}
+
+
+def warn_of_other_lights(
+    table: TransformTable, document: dict[str, Any], whites: Mapping[str, NDArray[np.float64]], console: Console
+) -> None:
+    """Warn if a baseline is better than a table under lights that the table was not trained under.
+
+    A table that was trained under several lights, without transforms for each, does not tell which. Nothing is said of it.
+
+    Parameters
+    ----------
+    table : TransformTable
+        The table. Only pictures are compared.
+    document : dict
+        The document of `l3 evaluate`. Of its figures the mean ΔE00 decides.
+    whites : mapping
+        White (output) under each light of the frames, by the name of the light.
+    console : Console
+        Where the warning goes.
+    """
+    several = table.light is not None and table.light.spread > ONE_LIGHT
+    if table.outputs != XYZ or (several and not table.lights):
+        return
+    trained = [light.white_point for light in table.lights] or [table.white_point]
+    lost: list[str] = []
+    for group in document["by_illuminant"]:
+        white = uv(whites[group["illuminant"]])
+        better = [name for name in document["pipelines"][1:] if group[name][DECIDES] < group[OURS][DECIDES]]
+        if better and all(np.hypot(*(uv(each) - white)) > OTHER_LIGHT for each in trained):
+            lost.append(f"{', '.join(better)} under {group['illuminant']}")
+    if lost:
+        console.warn(
+            f"better than the table: {listed(lost)}, which it was not trained for; name the lights as illuminants in "
+            "SCENES.toml and as learning.lights in CLASSES.toml"
+        )
 
 
 GAINS = (1.0, 4.0, 16.0, 64.0)  # analog gains that a table is judged at

@@ -112,7 +112,9 @@ def _artifact(path: Path) -> Artifact:
 
 def _require_luminance(given: Given, at: float | None) -> None:
     """Raise RecipeError if frames that tables are judged on lack the luminance (cd/m²) at which pictures are wanted."""
-    for path in {pair.frames.path: pair for pair in given.pairs} if at is not None else ():
+    if at is None:
+        return
+    for path in dict.fromkeys(pair.frames.path for pair in given.pairs):
         with open_training_set(path, unchanged=True) as reader:
             known = sorted({reader.light(index).luminance for index in range(len(reader))})
         if not any(lit_as(luminance, at) for luminance in known):

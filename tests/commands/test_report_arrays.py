@@ -151,12 +151,12 @@ def test_pictures_name_the_light_on_the_scene_and_are_chosen_by_it(
                 frame = dataclasses.replace(frame, raw=raw.values, scene="one", luminance=lux / np.pi)
                 writer.append(dataclasses.replace(frame, shown=Shown(np.ones(8), "")))
     out = tmp_path / "report.html"
-    for lux in ("5", "500"):
-        code, _, err = l3("report", *files, "--at", f"{lux} lux", "-o", out, "--force", "--backend", "reference")
+    for wanted in ("5", "500"):
+        code, _, err = l3("report", *files, "--at", f"{wanted} lux", "-o", out, "--force", "--backend", "reference")
         assert code == 0, err
         shown = re.findall(r"one, [^<,]*, [^<,]* cd/m² \((\d+) lux\)", side_by_side(out.read_text()))
-        assert set(shown) == {lux}
-        assert len(re.findall(rf"Frame \d: one, [^<,]*, [^<,]* cd/m² \({lux} lux\)", out.read_text())) >= 2
+        assert set(shown) == {wanted}
+        assert len(re.findall(rf"Frame \d: one, [^<,]*, [^<,]* cd/m² \({wanted} lux\)", out.read_text())) >= 2
 
 
 def test_without_common_frames_nothing_is_compared(

@@ -17,7 +17,7 @@ from l3cli.physics import spectra
 from l3cli.physics.correlated_lights import mired_of
 from l3cli.rendering.conditions import Mix, described, mix_for, mixed, nearest_for
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.stages.evaluation import FrameRenderers
+from l3cli.stages.evaluation import FrameRenderers, warn_of_other_lights
 from l3cli.system.console import Silent
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER
@@ -200,3 +200,21 @@ def test_frames_are_judged_by_the_transforms_of_their_light(learned: dict[str, P
         for frame in reader:
             own = next(each for each in several.conditions if each.light and each.light.name == frame.illuminant)
             np.testing.assert_allclose(renderers.of(frame).table.first.weights, own.first.weights, atol=1e-3)
+
+
+@pytest.mark.parametrize(("trained", "warned"), [(("D65",), True), (("A", "D65"), False)])
+def test_a_baseline_that_wins_under_a_light_of_no_training_is_named(trained: tuple[str, ...], warned: bool) -> None:
+    table = dataclasses.replace(random_table(BAYER), white_point=white("D65"), light=None)
+    table = with_lights(table, *trained) if len(trained) > 1 else table
+    errors = {"ours": {"mean_delta_e": 7.0}, "basic": {"mean_delta_e": 6.0}}
+    groups = [{"illuminant": light, **errors} for light in ("A", "D65")]
+    document = {"pipelines": ["ours", "basic"], "by_illuminant": groups}
+    said: list[str] = []
+
+    class Listener(Silent):
+        def warn(self, message: str) -> None:
+            said.append(message)
+
+    warn_of_other_lights(table, document, {light: 100 * white(light) for light in ("A", "D65")}, Listener())
+    assert len(said) == warned
+    assert all("basic under A" in line and "D65" not in line for line in said)
