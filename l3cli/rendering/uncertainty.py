@@ -1,10 +1,12 @@
 """Uncertainty of rendered outputs (docs/measurement.md#uncertainty): the noise of the camera through all that a table does,
 the choice of classes included, by the parametric bootstrap.
 
-    σ(p) = G(class) · K(kind) · s(p)      s: standard deviation of a raw value as bright as the output of the pixel p
+    σ(p) = G(class) · K(kind) · E(p) · s(p)      s: standard deviation of a raw value as bright as the output of pixel p
 
 The picture is taken for a scene, which the camera sees again and again with new noise. Gains G of the classes of the last
-layer, and factors K of the kinds of the first, make the mean σ of each the standard deviation of those renderings.
+layer, and factors K of the kinds of the first, make the mean σ of each the standard deviation of those renderings. Windows
+at the border of a frame read some raw values twice, since they are mirrored there, so that noise averages less: factors E of
+the outermost rows and columns make their mean σ right, too.
 """
 
 import math
@@ -20,7 +22,7 @@ from l3cli.artifacts.table import MosaicLayer, TransformTable
 from l3cli.classes.clipping import KEPT, block_means, block_sides, plain_blocks
 from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.errors import RecipeError
-from l3cli.frames.frame import RawFrame, tiled, upright
+from l3cli.frames.frame import RawFrame, shifted_cfa, tiled, upright
 from l3cli.rendering.reference import at_table_levels, mosaic_of
 from l3cli.rendering.renderer import Renderer
 
@@ -34,6 +36,7 @@ SMOOTHED = 0.5  # pixels, of a Gaussian: noise that is left in a picture would c
 FITS = 3  # of signals to outputs, each trusting the less where the last erred: patterns may be finer than is resolved
 ROUNDS = 4  # in which gains and factors settle
 PRIOR = 50  # pixels for which a class follows the classes that it is one of
+EDGE = 4  # pixels, rows and columns at each side that have factors of their own; further in, mirroring adds under 2 %
 TILES = (1, 2, 4, 8, 16)  # pixels, sides of regions whose means are compared; pieces hold whole ones
 FEWEST = 9  # tiles of a frame
 LITTLE = 1e-30  # where noise changes no raw value, as in a black frame of a quiet camera, σ is 0
@@ -48,6 +51,7 @@ class NoiseGains:
 
     by_class: NDArray[np.float32]  # (class of the last layer, output)
     by_kind: NDArray[np.float32]  # (class of the first layer, output) factor of its kind
+    by_edge: NDArray[np.float32]  # (side, distance, output) factor at the top, bottom, left and right; EDGE distances
     area: Array  # (tile, output) variance of the mean over a tile times its pixels, over that of a pixel
     unit: float  # DN of a raw value where the brightness of the outputs is 1
 
@@ -99,6 +103,8 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
             plane *= spread
             if table.later:
                 plane *= of_kind.take(cells[0])
+    for of_side, side in zip(gains.by_edge, _sides(sigma), strict=True):
+        side *= of_side.T[:, :, None]
     turn = frame.orientation
     return Uncertainty(upright(np.moveaxis(sigma, 0, -1), turn), upright(mask, turn), gains)
 
@@ -167,6 +173,13 @@ def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
     return replaced
 
 
+def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return views (…, distance, along) of the EDGE outermost rows and columns of planes (…, row, col), the outermost first:
+    top, bottom, left, right."""
+    turned = planes.swapaxes(-1, -2)
+    return [each[..., :EDGE, :] for each in (planes, planes[..., ::-1, :], turned, turned[..., ::-1, :])]
+
+
 def _raw_sigma(
     table: TransformTable, terms: tuple[Array, Array, float], unit: float, outputs: Array, scale: Array
 ) -> Array:  # fmt: skip
@@ -205,34 +218,57 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
     from scipy.ndimage import gaussian_filter
 
     table = renderer.table
-    # Renderings lie below one another in one frame, alike for all that goes by periods of the array and by blocks.
+    # Pieces begin with whole periods and blocks, and the last ends with the frame: borders are those of the frame.
     units = [math.lcm(side, BLOCK) for side in block_sides(table.cfa)]
     if min(frame.values.shape) < (least := max(LEAST, *units)):
         raise RecipeError(f"the frame is smaller than {least}×{least} pixels; too few to tell what noise does")
     rows, cols = (_sampled(length, unit) for length, unit in zip(frame.values.shape, units, strict=True))
     shown = _cut(outputs, rows, cols) / (_cut(scale, rows, cols) if scale.ndim else scale)
-    matrix, unit = _back(table, at_table_levels(frame, table), (rows, cols), shown)
+    levelled = at_table_levels(frame, table)
+    matrix, unit = _back(table, levelled, (rows, cols), shown)
     scene = gaussian_filter(shown, (0, SMOOTHED, SMOOTHED))
-    channel = tiled(table.cfa, scene.shape[1:])
+    channel = tiled(shifted_cfa(table.cfa, levelled.phase), scene.shape[1:])
     span = table.white_level - table.black_level
     signal = sum(part[channel] * plane for part, plane in zip(matrix.T, scene, strict=True)).clip(0, span)
     constant, linear, quadratic = terms = _noise_terms(table, frame)
     sigma = np.sqrt(np.maximum(constant[channel] + (linear[channel] + quadratic * signal) * signal - QUANTISATION, 0))
     draws = int(np.clip(BUDGET // signal.size, *DRAWS))
-    noise = np.random.default_rng(SEED).standard_normal((draws, *signal.shape), np.float32)
-    values = np.clip(np.rint(table.black_level + signal + sigma * noise), 0, 2**table.bits - 1).astype(np.uint16)
-    again = RawFrame("again", values.reshape(-1, cols.size), table.black_level, table.white_level)
-    inner = np.flatnonzero(_counts(rows)), np.flatnonzero(_counts(cols))
-    made, labels = renderer.classified(again)
-    made = _cut(made.reshape(-1, *values.shape), *inner)
-    first, last = (_cut(each.reshape(values.shape), *inner).reshape(draws, -1) for each in (labels[0], labels[-1]))
+    made = np.empty((len(outputs), draws, *signal.shape), np.float32)
+    first, last = np.empty((2, draws, *signal.shape), np.intp)
+    rng = np.random.default_rng(SEED)
+    for draw in range(draws):
+        noisy = table.black_level + signal + sigma * rng.standard_normal(signal.shape, np.float32)
+        values = np.clip(np.rint(noisy), 0, 2**table.bits - 1).astype(np.uint16)
+        again = RawFrame("again", values, table.black_level, table.white_level, levelled.phase)
+        made[:, draw], labels = renderer.classified(again)
+        first[draw], last[draw] = labels[0], labels[-1]
     spread = _raw_sigma(table, terms, unit, made, np.ones((), np.float32))
     deviations = made - made.mean(axis=1, keepdims=True)
     # Without the bias of a root of few squares.
     chi = math.exp(math.lgamma(draws / 2) - math.lgamma((draws - 1) / 2)) * math.sqrt(2 / draws)
     measured = np.sqrt(np.square(deviations).mean(axis=1)) / chi
-    by_class, by_kind = _raked(table, first, last, spread.reshape(draws, -1), measured)
-    return NoiseGains(by_class.astype(np.float32), by_kind.astype(np.float32), _areas(deviations), unit)
+    inner = np.flatnonzero(_counts(rows)), np.flatnonzero(_counts(cols))
+    by_pixel = (_cut(each, *inner).reshape(draws, -1) for each in (first, last, spread))
+    by_class, by_kind = _raked(table, *by_pixel, _cut(measured, *inner))
+    expected = by_class[last] * spread[..., None]
+    if table.later:
+        expected *= by_kind[first]
+    by_edge = _edge_factors(measured, np.moveaxis(expected.mean(axis=0), -1, 0), inner)
+    areas = _areas(_cut(deviations, *inner))
+    return NoiseGains(*(each.astype(np.float32) for each in (by_class, by_kind, by_edge)), areas, unit)
+
+
+def _edge_factors(measured: Array, expected: Array, inner: tuple[Labels, Labels]) -> Array:
+    """Return the factors (side, distance, output) by which `measured` standard deviations (output, row, col) are larger than
+    `expected` at the sides of a frame, away from corners and seams."""
+    rows, cols = inner
+    pairs = zip((cols, cols, rows, rows), _sides(measured), _sides(expected), strict=True)
+    ratios = [_along(seen, along) / np.maximum(_along(wanted, along), LITTLE) for along, seen, wanted in pairs]
+    return np.moveaxis(np.array(ratios), 1, 2)
+
+
+def _along(planes: Array, along: Labels) -> Array:
+    return planes[..., along].mean(axis=-1)
 
 
 def _cut(planes: NDArray[Any], rows: Labels, cols: Labels) -> NDArray[Any]:
@@ -245,9 +281,11 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
     blocks of the `sampled` rows and columns of a frame at the table's levels, relative to their brightness; and mean DN over
     mean brightness."""
     sides = block_sides(table.cfa)
+    rows, cols = (length // side for length, side in zip(outputs.shape[1:], sides, strict=True))
 
     def means(planes: Array) -> Array:
-        parts = planes.reshape(len(planes), outputs.shape[1] // sides[0], sides[0], -1, sides[1])
+        whole = planes[:, : rows * sides[0], : cols * sides[1]]
+        parts = whole.reshape(len(planes), rows, sides[0], cols, sides[1])
         return parts.mean(axis=(2, 4)).reshape(len(planes), -1)
 
     sites = [(at + offset) % period for at, offset, period in zip(sampled, levelled.phase, table.cfa.shape, strict=True)]
@@ -265,17 +303,18 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
 
 
 def _sampled(length: int, unit: int) -> NDArray[np.int64]:
-    """Return indices along a side of a frame, whole units: all, or those of a few pieces spread evenly."""
+    """Return indices along a side of a frame: all, or those of a few pieces spread evenly, which begin with whole units. The
+    first begins and the last ends where the frame does."""
     piece = max(PIECE // unit, 1) * unit
     if length <= piece * PIECES:
-        return np.arange(length // unit * unit)
-    starts = np.linspace(0, length - piece, PIECES).astype(np.int64)
-    return (starts[:, None] + np.arange(piece)).ravel()
+        return np.arange(length)
+    starts = np.linspace(0, length - piece, PIECES).astype(np.int64) // unit * unit
+    lengths = [*[piece] * (PIECES - 1), length - starts[-1]]
+    return np.concatenate([start + np.arange(size) for start, size in zip(starts, lengths, strict=True)])
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which of `_sampled` indices lie away from seams of pieces and from the ends, where mirrored neighbours make
-    noise larger."""
+    """Return which of `_sampled` indices lie away from seams of pieces and from the ends, where neighbours are mirrored."""
     seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
     return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM)
 

@@ -1,5 +1,6 @@
 """Uncertainty of outputs beside what many noisy frames give, through one layer and more; regions; masks."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -186,3 +187,26 @@ def test_what_is_not_known_is_refused() -> None:
     for picture, corners, words in ((found.sigma[1:], [(0, 0)], "give one frame's"), (found.sigma, [(0, 0)], "no pixel")):
         with pytest.raises(RecipeError, match=words):
             region(picture, found, corners)
+
+
+def test_sigma_at_borders_and_corners_counts_mirrored_neighbours_once() -> None:
+    """Where windows read a raw value twice, σ is that of its doubled weight: at every side within 7 %, in corners 12 %."""
+    table = even_table(BAYER, 2)
+    renderer = make_renderer("opencl", table)
+    frames = [noisy_frame(table, 0.3, seed) for seed in range(FRAMES)]
+    deviations = np.array([renderer.outputs(frame) for frame in frames]).std(axis=0, ddof=1)
+    predicted = np.moveaxis(np.mean([uncertainty(renderer, frame).sigma for frame in frames[:4]], axis=0), -1, 0)
+
+    def ratio(*place: slice | int) -> NDArray[np.floating]:
+        at = (slice(None), *place)
+        return np.asarray(deviations[at].reshape(3, -1).mean(axis=1) / predicted[at].reshape(3, -1).mean(axis=1))
+
+    along, outermost = slice(8, -8), [*range(3), *range(-3, 0)]
+    for distance in outermost:
+        assert ratio(distance, along) == pytest.approx(1, abs=0.07)
+        assert ratio(along, distance) == pytest.approx(1, abs=0.07)
+    corner = (slice(0, 2), slice(-2, None))
+    for row, col in itertools.product(corner, corner):
+        assert ratio(row, col) == pytest.approx(1, abs=0.12)
+    inner = predicted[:, along, along].mean(axis=(1, 2))
+    assert (predicted[:, 0, along].mean(axis=1) > 1.08 * inner).all()
