@@ -1,11 +1,14 @@
 """Measurements of a camera and how well its model explains them (docs/method.md#calibration): group `fit`."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import data, group
+
+GUESSED_WITHIN, MOST_GUESSES = 0.9, 4  # guessed lights are named up to this probability in all, at most so many
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,30 @@ class SeriesFit:
 
 
 @dataclass(frozen=True)
+class LightGuess:
+    """How probable it is that a photo was taken under each of the usual lights, if it was under one of them."""
+
+    names: tuple[str, ...] = data("str", "usual_light", doc="name of each usual light")
+    probability: NDArray[np.float64] = data("float64", "photo", "usual_light", doc="probability of each usual light")
+
+    def of(self, photo: int) -> dict[str, float]:
+        """Return the probability of each light of a photo, the most probable first."""
+        found = zip(self.names, map(float, self.probability[photo]), strict=True)
+        return dict(sorted(found, key=lambda each: each[1], reverse=True))
+
+
+def guessed_light(probable: Mapping[str, float]) -> str:
+    """Return a guessed light in words: the lights that it may be, the most probable first, with their probabilities."""
+    shown, total = [], 0.0
+    for name, probability in probable.items():
+        shown.append(f"{name} {100 * probability:.0f} %")
+        total += probability
+        if total >= GUESSED_WITHIN or len(shown) == MOST_GUESSES:
+            break
+    return f"guessed: {', '.join(shown)}"
+
+
+@dataclass(frozen=True)
 class PhotoFit:
     """Charts of known reflectances in photographs, and how the responsivities explain them."""
 
@@ -116,7 +143,7 @@ class PhotoFit:
     corners: NDArray[np.float64] = data(
         "float64", "photo", "corner", "coordinate", unit="pixel", doc="col, row of the chart's outer corners, clockwise"
     )
-    prior: str = data("str", doc="what curves were taken to be before: those of measured cameras, or smooth")
+    prior: str = data("str", doc="what curves were taken to be before: like or unlike those of measured cameras, or smooth")
     error: float = data("float64", doc="relative error of a patch that reflectances and model leave, as the misfit shows")
     illumination: NDArray[np.float64] = data(
         "float64", "photo", "term", doc="light over the chart: 1, x, y, x², xy, y² over −1…1, x² and y² without their means"
@@ -138,6 +165,7 @@ class PhotoFit:
         "float64", "photo", "photo_patch", "channel", unit="DN", doc="mean value above black of each patch"
     )
     predicted: NDArray[np.float64] = data("float64", "photo", "photo_patch", "channel", unit="DN", doc="the model's value")
+    likely: LightGuess | None = group(default=None)
 
     @property
     def misfit(self) -> NDArray[np.float64]:

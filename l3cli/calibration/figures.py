@@ -6,7 +6,7 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel, sensitivity_threshold
 from l3cli.artifacts.camera_curves import full_width
-from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, PhotoFit, SeriesFit
+from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, PhotoFit, SeriesFit, guessed_light
 from l3cli.calibration import responsivity
 from l3cli.calibration.captures import corner_falloff
 from l3cli.calibration.photo.estimate import NOTICED, terms
@@ -19,6 +19,7 @@ from l3cli.system.text import columns, figure
 SHOWN = 8  # defects listed in the text; JSON and the artifact hold all
 LEAST_EFFICIENCY = 0.01  # at the peak: below, a unit is more likely than such a camera
 MOST_MISFIT = 0.03  # of the brightest patch: RMS over the patches of a photo
+LARGEST_POWER = 4  # of ten: larger factors are stated as powers
 LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration has failed
 
 
@@ -178,6 +179,7 @@ def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
             "guessed": bool(fit.guessed[index]),
             "nearest": fit.nearest[index],
             "deficit": float(fit.deficit[index]),
+            "probable lights": fit.likely.of(index) if fit.likely else {},
             "chart": fit.charts[index],
             "corners": fit.corners[index].tolist(),
             "uneven %": 100.0 * float(np.ptp(light) / light.max()),
@@ -307,7 +309,7 @@ def _photo_lines(result: dict[str, Any]) -> list[str]:
     """Return lines on the results of photos of charts, and how to read their bands."""
     lines = [""]
     for name, photo in result["photos"].items():
-        light = f"{photo['light']} (guessed)" if photo["guessed"] else photo["light"]
+        light = guessed_light(photo["probable lights"]) if photo["guessed"] else photo["light"]
         nearest = "" if photo["nearest"] == photo["light"] else f", nearest of the usual ones {photo['nearest']}"
         lines.append(
             f"{name}: {photo['chart']}, light {light}{nearest}, uneven by {photo['uneven %']:.0f} %, glare up to "
@@ -319,6 +321,25 @@ def _photo_lines(result: dict[str, Any]) -> list[str]:
         f"prior of the curves: {result['prior']}; the curves stay uncertain, colours do not: compare their bands",
         f"one more photo, under {further['light']}, would leave {further['remaining %']:.0f} % of the colours' error",
     ]
+
+
+def doubts(camera: CameraModel) -> list[str]:
+    """Return a sentence on each photo whose patches contradict the light that was named for it."""
+    fit = camera.fit.photo if camera.fit else None
+    if fit is None:
+        return []
+    return [
+        f"{name}: its patches are {_times(fit.deficit[index])} times more probable under {fit.nearest[index]} than under "
+        f"{fit.lights[index]}, which is used, since it was named; check it"
+        for index, name in enumerate(fit.names)
+        if not fit.guessed[index] and fit.deficit[index] > NOTICED
+    ]
+
+
+def _times(logarithm: float) -> str:
+    """Return a factor by its natural logarithm, in words."""
+    power = logarithm / np.log(10)
+    return f"{float(f'{10**power:.1g}'):.0f}" if power < LARGEST_POWER else f"10^{power:.0f}"
 
 
 def shortfall(camera: CameraModel) -> str | None:
@@ -347,13 +368,8 @@ def shortfall(camera: CameraModel) -> str | None:
 
 
 def _photo_shortfall(fit: PhotoFit, channels: tuple[str, ...]) -> str | None:
-    """Return the reason not to trust photos of charts: a light that is hardly the one named, or patches that do not fit."""
+    """Return the reason not to trust photos of charts: patches that do not fit."""
     for index, name in enumerate(fit.names):
-        if not fit.guessed[index] and fit.deficit[index] > NOTICED:
-            return (
-                f"{name}: its patches are e^{fit.deficit[index]:.0f} times more probable under {fit.nearest[index]} than "
-                f"under {fit.lights[index]}; give its light, or a CSV of its spectrum"
-            )
         worst = int(fit.misfit[index].argmax())
         if fit.misfit[index, worst] > MOST_MISFIT:
             return (

@@ -248,14 +248,15 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
     chi = math.exp(math.lgamma(draws / 2) - math.lgamma((draws - 1) / 2)) * math.sqrt(2 / draws)
     measured = np.sqrt(np.square(deviations).mean(axis=1)) / chi
     inner = np.flatnonzero(_counts(rows)), np.flatnonzero(_counts(cols))
-    by_pixel = (_cut(each, *inner).reshape(draws, -1) for each in (first, last, spread))
-    by_class, by_kind = _raked(table, *by_pixel, _cut(measured, *inner))
+    inside = [_cut(each, *inner).reshape(draws, -1) for each in (first, last)]
+    within = _cut(spread, *inner).reshape(draws, -1)
+    by_class, by_kind = _raked(table, *inside, within, _cut(measured, *inner))
     expected = by_class[last] * spread[..., None]
     if table.later:
         expected *= by_kind[first]
     by_edge = _edge_factors(measured, np.moveaxis(expected.mean(axis=0), -1, 0), inner)
-    areas = _areas(_cut(deviations, *inner))
-    return NoiseGains(*(each.astype(np.float32) for each in (by_class, by_kind, by_edge)), areas, unit)
+    gains, factors, edges = (each.astype(np.float32) for each in (by_class, by_kind, by_edge))
+    return NoiseGains(gains, factors, edges, _areas(_cut(deviations, *inner)), unit)
 
 
 def _edge_factors(measured: Array, expected: Array, inner: tuple[Labels, Labels]) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.fit import ChartFit, Fit, PhotoFit, SweepFit
+from l3cli.artifacts.fit import ChartFit, Fit, PhotoFit, SweepFit, guessed_light
 from l3cli.errors import RecipeError
 from l3cli.frames.measurement import PATCH_NAMES
 from l3cli.physics import spectra
@@ -193,7 +193,7 @@ def _photos(figures: dict[str, Any]) -> Table:
         (
             name,
             photo["chart"],
-            f"{photo['light']}{' (guessed)' if photo['guessed'] else ''}",
+            guessed_light(photo["probable lights"]) if photo["guessed"] else photo["light"],
             tidy(photo["uneven %"], 2),
             tidy(max(photo["glare %"]), 2),
             tidy(max(photo["misfit %"]), 2),
@@ -212,7 +212,8 @@ def _lights(figures: dict[str, Any]) -> Text:
     for name, photo in figures["photos"].items():
         if photo["guessed"]:
             words.append(
-                f"{name}: its light was guessed, of the usual ones the most probable; the bands include what others allow."
+                f"{name}: its light was not named, and is {guessed_light(photo['probable lights'])}; the bands include what "
+                "these lights allow."
             )
         elif photo["deficit"] > 0:
             words.append(
@@ -237,7 +238,7 @@ def _bands(camera: CameraModel, figures: dict[str, Any]) -> Table:
 
 def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
     further = figures["next light"]
-    source = "the curves of measured cameras" if figures["prior"] == "measured cameras" else "smoothness alone"
+    source = "smoothness alone" if figures["prior"] == "smooth" else "the curves of measured cameras"
     return (
         Text(
             "Curves stay uncertain, colours do not: the patches say little of a curve's details, which are filled in from "

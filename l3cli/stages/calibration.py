@@ -109,6 +109,8 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
             result["matrices"] = write(camera, export, console)
             if measured.photos:
                 export_offsets(camera, measured.photos, export)
+        for doubt in figures.doubts(camera):
+            console.warn(doubt)
         if shortfall:
             console.info(f"accepted although {shortfall.partition(';')[0]}")
         if result["saturation reached"] is False:

@@ -11,9 +11,11 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.design import Design
+from l3cli.artifacts.fit import guessed_light
 from l3cli.artifacts.store import load
 from l3cli.calibration import figures, model
 from l3cli.calibration.photo import responsivity
+from l3cli.calibration.photo.estimate import MEASURED
 from l3cli.calibration.photo.recipe import PhotoCamera, SensorNoise, gains_of, noise_of, without_photo
 from l3cli.calibration.photo.responsivity import ColourMatrix
 from l3cli.design.recipe import camera_texts
@@ -38,6 +40,7 @@ ANSWERS = ("black_level", "white_level", "opcodes")  # options that answer what 
 OF_ONE = ("phase", "black_level", "white_level")  # options that hold for one camera
 NEW_FOLDER = "mine"  # as the documentation calls it
 SHOWN = "picture"  # and the photo's suffix: a link to it, for make cannot hold every name
+CHART_WHITE = "chart"  # of l3 render: neutral is what the chart in the photo shows, for its light is only guessed
 SEARCHED = 4  # photos of a camera that a chart is looked for in
 WRITTEN = (*COMMON, "camera.toml", CURVES)  # into a folder
 Taken = Sequence[tuple[Path, Stated]]  # the raw files of a camera, and what each states of it
@@ -174,7 +177,7 @@ def _contents(camera: PhotoCamera) -> dict[str, bytes]:
     makefile = common["Makefile"].decode()
     shown = camera.photo and _shown(camera)
     known = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in camera.overrides.items())
-    for line, value in (("PHOTO ?=\n", shown), ("WHITE ?=\n", camera.light), ("RENDER ?=\n", known)):
+    for line, value in (("PHOTO ?=\n", shown), ("WHITE ?=\n", camera.white), ("RENDER ?=\n", known)):
         assert line in makefile
         makefile = makefile.replace(line, f"{line.rstrip()} {value}\n" if value else line)
     texts = {"camera.toml": camera.recipe(), CURVES: camera.curve_file(), "Makefile": makefile}
@@ -198,7 +201,7 @@ def _shown(camera: PhotoCamera) -> str:
 def _camera_line(place: Path, camera: PhotoCamera) -> str:
     """Return one line on a folder: the camera, what is from where, what is assumed, what comes next."""
     body, array = camera.body, "/".join(array_rows(camera.body.channels, camera.body.cfa, ""))
-    white = f" ‹white› {camera.light}" if camera.light else ""
+    white = f" ‹white› {camera.white}" if camera.white not in (None, CHART_WHITE) else ""
     known = "".join(f" ‹{name}› {value}" for name, value in camera.overrides.items())
     others = f"l3 render {shlex.quote(str(place / 'table.h5'))} RAW{white}{known} -o PICTURE.png"
     levels = f"{camera.black_level:g}…{camera.white_level:g} DN"
@@ -278,14 +281,19 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
         assert found.fit is not None
         assert found.fit.photo is not None
         fit = found.fit.photo
-        light_of = f"{fit.lights[0]}{' (guessed)' if fit.guessed[0] else ''}"
-        origin = f"of the {fit.charts[0]} ColorChecker in {other.name}, under {light_of}"
+        light = white = fit.lights[0]
+        if fit.guessed[0] and fit.likely is not None:
+            light, white = f"a light that is {guessed_light(fit.likely.of(0))}", CHART_WHITE
+            options.console.warn(
+                f"{other.name}: the light of its chart is not named; give ‹light›, since colours are as right as the guess"
+            )
+        origin = f"of the {fit.charts[0]} ColorChecker in {other.name}, under {light}"
         if known.noise is None:
             over = facts.iso / known.iso if facts.iso and known.iso else 1.0  # gain is in proportion to the ISO speed
             noise = SensorNoise(found.gain / over, found.noise.read_noise, "as the patches of the chart show it")
         curves = found.responsivity / found.responsivity.max()
         return PhotoCamera(
-            other, measured.body, *levels, known, found.wavelength, curves, origin, noise, fit.lights[0], gains, overrides
+            other, measured.body, *levels, known, found.wavelength, curves, origin, noise, white, gains, overrides
         )
     curves, origin = _without_chart(path, known, measured)
     return PhotoCamera(
@@ -353,6 +361,8 @@ def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
     wrong = figures.shortfall(camera)
     if wrong:
         console.warn(f"no chart is taken: {wrong}")
+    for doubt in figures.doubts(camera):
+        console.warn(doubt)
     return None if wrong else camera
 
 
@@ -375,7 +385,7 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
         return responsivity.curves_of_matrices(
             stated, prior
         ), f"of {what} for {lights}; a photo of a ColorChecker tells more"
-    if prior.measured:
+    if prior.source == MEASURED:
         return responsivity.usual_curves(
             prior
         ), "assumed: the mean of 52 measured cameras, for the file states no colour matrix"

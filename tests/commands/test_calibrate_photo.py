@@ -85,6 +85,9 @@ def test_a_dng_alone_makes_a_camera(folder: Path, bayer: CameraModel, tmp_path: 
     photo = json.loads(out)["photos"]["chart.dng"]
     assert photo["guessed"]
     assert photo["light"] in ("D50", "D55", "D65", "D75")
+    assert sum(photo["probable lights"].values()) == pytest.approx(1)
+    assert photo["light"] == next(iter(photo["probable lights"]))
+    assert photo["probable lights"]["D65"] > 0.1
     offsets = tifffile.imread(tmp_path / "exported/chart_offsets.tif")
     assert offsets.shape == (2, 600, 800)
     assert abs(float(offsets.mean()) - BLACK) < 100
@@ -119,15 +122,21 @@ def test_two_lights_corners_and_a_data_sheet(folder: Path, tmp_path: Path, l3: L
         assert np.sqrt(np.mean((got * true.sum() / got.sum() - true) ** 2)) < 0.01 * true.max()
 
 
-def test_a_wrong_light_is_refused_unless_accepted(folder: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
+def test_a_light_that_is_named_is_used_and_what_contradicts_it_is_a_warning(folder: Path, tmp_path: Path, l3: L3) -> None:
     path = measured(folder, f'[photo]\nframes = ["a.npy"]\nlight = "D65"\nchart = "classic ISO 17321"\n{CORNERS}')
-    line = refused(1, "calibrate", path, "-o", tmp_path / "camera.h5")
-    assert "times more probable under" in line
-    assert "than under D65" in line
-    assert "--accept" in line
-    code, _, err = l3("calibrate", path, "-o", tmp_path / "camera.h5", "--accept")
-    assert code == 0
-    assert "accepted although a.npy" in err
+    code, out, err = l3("calibrate", path, "-o", tmp_path / "camera.h5", "--json")
+    assert code == 0, err
+    (warning,) = json.loads(out)["run"]["warnings"]
+    assert "a.npy" in warning
+    assert "times more probable under" in warning
+    photo = json.loads(out)["photos"]["a.npy"]
+    assert (photo["light"], photo["guessed"]) == ("D65", False)
+    assert photo["deficit"] > 3
+    assert photo["nearest"] in ("A", "2400K", "3200K")
+    true = path.with_name("true.toml")
+    true.write_text(path.read_text().replace('"D65"', '"A"'))
+    code, out, err = l3("calibrate", true, "-o", tmp_path / "camera.h5", "--json", "--force")
+    assert (code, json.loads(out)["run"]["warnings"]) == (0, [])
 
 
 def test_reflectances_and_light_of_csv_files(folder: Path, tmp_path: Path, l3: L3) -> None:

@@ -264,6 +264,12 @@ def test_a_camera_by_the_chart_in_its_photo(bayer: CameraModel, tmp_path: Path, 
     assert "curves of the classic ColorChecker in b.dng, under D65;" in err
     assert "--white D65" in err
     assert "WHITE ?= D65\n" in (tmp_path / "mine/Makefile").read_text()
+    code, _, err = l3("init", "--from", tmp_path / "taken/b.dng", tmp_path / "unnamed")
+    assert code == 0, err
+    assert re.search(r"under a light that is guessed: [^;]*D65 \d+ %", err)
+    assert "give --light" in err
+    assert "--white" not in err
+    assert "WHITE ?= chart\n" in (tmp_path / "unnamed/Makefile").read_text()
     made, truth = load_camera(tmp_path / "mine/camera.toml"), photos.drawn(1)
     light = spectra.illuminant("A", WAVELENGTH)
     for ours, true in zip(made.responsivity, truth, strict=True):

@@ -20,7 +20,7 @@ from l3cli.calibration.photo import responsivity
 from l3cli.calibration.photo.estimate import WAVELENGTH, Posterior, Prior, camera_prior, estimate, smooth, terms
 from l3cli.frames import chart
 from l3cli.frames.chart import corner_cells, homography, through
-from l3cli.io.curves import shipped_statistics
+from l3cli.io.curves import read_cameras, shipped_statistics
 from l3cli.io.images import read_image
 from l3cli.physics import charts, spectra
 from l3cli.physics.display import delta_e_2000, displayed_xyz, lab, white_point
@@ -122,32 +122,73 @@ def test_a_clipped_patch_is_left_out(prior: Prior) -> None:
 
 LIGHTS = [("A", "D65"), ("LED-B3", "D50"), ("D65", "A"), ("F11", "D65"), ("D65", "F2")]
 WRONG = [(seed, *each) for seed in range(2) for each in LIGHTS]
+FEW = {name: spectra.illuminant(name, WAVELENGTH) for name in ("A", "D50", "D65", "F2", "F11", "LED-B3", "4000K")}
+
+
+@pytest.fixture(scope="module")
+def among() -> list[Prior]:
+    return estimation.plausible(("r", "g", "b"), shipped_statistics())
 
 
 @pytest.mark.parametrize(
     ("seed", "true", "named"),
     [each if at < 2 else pytest.param(*each, marks=pytest.mark.soak) for at, each in enumerate(WRONG)],
 )
-def test_a_wrong_light_is_noticed_and_the_right_one_not(prior: Prior, seed: int, true: str, named: str) -> None:
-    names = ("A", "D50", "D65", "F2", "F11", "LED-B3", "4000K")
-    candidates = {name: spectra.illuminant(name, WAVELENGTH) for name in names}
+def test_a_wrong_light_is_noticed_and_the_right_one_not(among: list[Prior], seed: int, true: str, named: str) -> None:
     camera, rng = photos.drawn(seed), np.random.default_rng(seed)
     wrong = photos.shot(camera, true, rng, uneven=0.2, named=named)
-    assert estimation.compare([wrong], 0, prior, candidates)[1] > estimation.NOTICED
+    assert estimation.compare([wrong], 0, among, FEW)[1] > estimation.NOTICED
     right = photos.shot(camera, true, rng, uneven=0.2)
-    assert estimation.compare([right], 0, prior, candidates)[1] <= estimation.NOTICED
+    assert estimation.compare([right], 0, among, FEW)[1] <= estimation.NOTICED
 
 
-def test_a_light_that_is_only_guessed_widens_the_band(prior: Prior) -> None:
+def curves_of(name: str) -> tuple[tuple[str, ...], np.ndarray]:
+    """Channels and curves of a recipe, or of one of the cameras of ssf-data, which are measured per energy."""
+    if not name.endswith(".csv"):
+        camera = load_camera(ROOT / f"configs/cameras/{name}.toml")
+        return camera.channels, spectra.average(camera.responsivity, camera.wavelength, WAVELENGTH)
+    if not os.environ.get("L3_DATA"):
+        pytest.skip("L3_DATA does not name the folder of real data")
+    (curves,) = read_cameras([Path(os.environ["L3_DATA"]) / "sensitivities/ssf-data" / name])
+    return ("r", "g", "b"), spectra.average(curves.responsivity, curves.wavelength, WAVELENGTH)
+
+
+@pytest.mark.parametrize(("true", "other"), [("D65", "4000K"), ("A", "D50"), ("LED-B3", "A")])
+@pytest.mark.parametrize(
+    "name",
+    ["bayer", "rgbw", "Nokia_N900__camspec.csv", "Point_Grey_Grasshopper_50S5C__camspec.csv"],
+)
+def test_no_true_light_of_a_camera_unlike_the_measured_ones_is_doubted(name: str, true: str, other: str) -> None:
+    """Photographed nearly without noise, when misfits of the prior weigh most."""
+    channels, curves = curves_of(name)
+    shot = photos.shot(curves, true, np.random.default_rng(0), noise=0.001)
+    lights = {each: spectra.illuminant(each, WAVELENGTH) for each in (true, other, "F11")}
+    priors_of = estimation.plausible(channels, shipped_statistics())
+    assert estimation.compare([shot], 0, priors_of, lights)[1] < estimation.NOTICED
+
+
+def test_the_prior_of_channels_in_any_order_and_with_further_ones(prior: Prior) -> None:
+    turned = estimation.placed(prior, [2, 1, 0], 3)
+    assert np.array_equal(turned.mean, prior.mean[::-1])
+    assert turned.covariance[0, 0] == prior.covariance[2 * WAVELENGTH.size, 2 * WAVELENGTH.size]
+    more = estimation.placed(prior, [1, 2, 3], 4)
+    size = WAVELENGTH.size
+    assert np.array_equal(more.covariance[size:, size:], prior.covariance)
+    assert np.array_equal(more.covariance[:size, :size], smooth(1).covariance)
+    assert not more.covariance[:size, size:].any()
+    assert (more.log_peak[1:] == prior.log_peak).all()
+
+
+def test_a_light_that_is_only_guessed_widens_the_band(prior: Prior, among: list[Prior]) -> None:
     candidates = {name: spectra.illuminant(name, WAVELENGTH) for name in ("A", "D50", "D55", "D65", "D75", "F11")}
     camera = photos.drawn(6)
     shot = photos.shot(camera, "D55", np.random.default_rng(6))
-    likely = estimation.probabilities([shot], 0, prior, candidates)
+    likely = estimation.probabilities([shot], 0, among, candidates)
     assert sum(likely.values()) == pytest.approx(1.0)
     assert likely["A"] + likely["F11"] < 0.01
     guessed = replace(shot, light=candidates[max(likely, key=lambda name: likely[name])])
     known = estimate([guessed], prior)
-    unsure = estimation.unsure_of_light(known, [guessed], 0, prior, candidates)
+    unsure = estimation.unsure_of_light(known, [guessed], 0, prior, likely, candidates)
     assert (np.diag(unsure.covariance) >= np.diag(known.covariance)).all()
     assert np.diag(unsure.covariance).mean() > 1.1 * np.diag(known.covariance).mean()
 
@@ -275,7 +316,7 @@ def test_the_chart_its_light_and_its_noise(photo: Path, tmp_path: Path, l3: L3, 
     camera = load(CameraModel, tmp_path / "camera.h5")
     fit = fit_of(camera)
     assert fit.lights[0] in ("A", "2400K", "3200K")  # indoors, by tungsten light
-    assert fit.prior == "measured cameras"
+    assert fit.prior in (estimation.MEASURED, estimation.UNLIKE)
     assert fit.misfit.max() < 0.01
     np.testing.assert_allclose(fit.corners[0], [[664, 578], [1304, 564], [1315, 973], [645, 985]], atol=6)
     assert "colours ± 95 %" in out

@@ -20,6 +20,12 @@ LEAST_SPREAD = 0.01  # of the peak: curves of another make differ at least so mu
 UNKNOWN_MEAN, UNKNOWN_SPREAD, UNKNOWN_NM = 0.3, 0.35, 45.0  # of a dye of which nothing is known
 UNKNOWN_PEAK = 0.7  # natural logarithm, spread of the peak of such a channel
 PEAK_FLOOR = 0.25  # the same added to the spread of known ones: converter gains differ between channels
+MEASURED, UNLIKE, SMOOTH = "measured cameras", "cameras unlike the measured ones", "smooth"  # what a prior is of
+WIDENING = 2.0  # factor of the spread of measured cameras, for a camera unlike them
+UNLIKE_SPREAD, UNLIKE_NM = 0.05, 35.0  # of the peak, and nm: what such a camera has beside it, and over which it is smooth
+# Evidence overstates what it tells of a light, since no prior is quite a camera's: its logarithm is divided by these, which
+# make stated probabilities those with which lights are guessed rightly (tests/studies/test_photo_study.py).
+TEMPERING = {True: 1.5, False: 6.0}  # whether the priors know measured cameras
 JITTER = 1e-6
 STEPS = 4  # expansions of the product; the third changes nothing that can be seen
 SCALE_SPREAD = 0.5  # of a channel's scale about the first guess: next to nothing is assumed of it
@@ -42,7 +48,7 @@ class Prior:
     covariance: Array  # (channel · wavelength, channel · wavelength)
     log_peak: Array  # (channel)
     log_peak_covariance: Array  # (channel, channel)
-    measured: bool  # whether measured cameras say it, or smoothness alone
+    source: str  # MEASURED, UNLIKE or SMOOTH
 
 
 def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
@@ -68,8 +74,39 @@ def camera_prior(known: CurveStatistics) -> Prior:
         np.asarray(covariance, np.float64),
         known.log_peak,
         known.log_peak_covariance + PEAK_FLOOR**2 * np.eye(count),
-        True,
+        MEASURED,
     )
+
+
+def unlike(prior: Prior) -> Prior:
+    """Return the prior of a camera that lies outside of the measured ones: their spread, widened, and smooth deviations that
+    none of them has."""
+    count, size = prior.mean.shape
+    further = np.kron(np.eye(count), _smooth(np.full(size, UNLIKE_SPREAD), UNLIKE_NM))
+    return replace(prior, covariance=WIDENING**2 * prior.covariance + further, source=UNLIKE)
+
+
+def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
+    """Return the prior of a camera with more channels, or in another order: those at `places` are the channels of `prior`,
+    in its order, and nothing is known of the others."""
+    whole, size = smooth(channels), WAVELENGTH.size
+    at = np.array(places)
+    curves = (at[:, None] * size + np.arange(size)).ravel()
+    mean, covariance = whole.mean.copy(), whole.covariance.copy()
+    peak, spread = whole.log_peak.copy(), whole.log_peak_covariance.copy()
+    mean[at], peak[at] = prior.mean, prior.log_peak
+    covariance[np.ix_(curves, curves)], spread[np.ix_(at, at)] = prior.covariance, prior.log_peak_covariance
+    return Prior(mean, covariance, peak, spread, prior.source)
+
+
+def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Prior]:
+    """Return the priors that a camera may be drawn from: one like the measured cameras, one unlike them, and smooth curves.
+    Without channels r, g and b, of which cameras are measured, smooth curves alone."""
+    if known is None or not set(ROLES) <= set(channels):
+        return [smooth(len(channels))]
+    like = camera_prior(known)
+    places = [channels.index(role) for role in ROLES]
+    return [*(placed(each, places, len(channels)) for each in (like, unlike(like))), smooth(len(channels))]
 
 
 def smooth(channels: int) -> Prior:
@@ -78,14 +115,7 @@ def smooth(channels: int) -> Prior:
     one = _smooth(np.full(size, UNKNOWN_SPREAD), UNKNOWN_NM) + JITTER * np.eye(size)
     covariance = np.kron(np.eye(channels), one)
     mean = np.full((channels, size), UNKNOWN_MEAN)
-    return Prior(mean, covariance, np.zeros(channels), np.eye(channels) * UNKNOWN_PEAK**2, False)
-
-
-def turned(known: CurveStatistics, order: Sequence[int]) -> CurveStatistics:
-    """Return the same with the channels in another order."""
-    ours = np.array(order)
-    spread = known.log_peak_covariance[np.ix_(ours, ours)]
-    return CurveStatistics(known.wavelength, known.mean[ours], known.modes[:, ours], known.log_peak[ours], spread)
+    return Prior(mean, covariance, np.zeros(channels), np.eye(channels) * UNKNOWN_PEAK**2, SMOOTH)
 
 
 def _covariance(modes: Array) -> Array:
@@ -158,15 +188,21 @@ def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
 
 
 def evidence(shots: Sequence[Shot], prior: Prior) -> float:
-    """Return the natural logarithm of the probability of the values under these lights, up to a constant."""
+    """Return the natural logarithm of the probability of the values under these lights, up to a constant; mean over the
+    model errors that are possible."""
     every: list[Shot | Prior] = [*shots, prior]
-    parts = [getattr(each, field.name) for each in every for field in fields(each)]
+    parts = [getattr(each, field.name) for each in every for field in fields(each) if field.name != "source"]
     content = hashlib.sha256(b"".join(np.asarray(part).tobytes() for part in parts)).digest()
     if content not in _EVIDENCES:
         if len(_EVIDENCES) == MOST_EVIDENCES:
             _EVIDENCES.clear()
-        _EVIDENCES[content] = max(_solve(shots, prior, error).evidence for error in ERRORS)
+        _EVIDENCES[content] = _log_mean([_solve(shots, prior, error).evidence for error in ERRORS])
     return _EVIDENCES[content]
+
+
+def _log_mean(logarithms: Sequence[float]) -> float:
+    """Return the logarithm of the mean of what has these logarithms."""
+    return float(np.logaddexp.reduce(logarithms) - np.log(len(logarithms)))
 
 
 def terms(place: Array) -> Array:
@@ -353,32 +389,58 @@ def _peaks(state: Array, prior: Prior) -> float:
 
 
 IMPROBABLE = 0.02  # of a light: below it adds nothing to a band
-NOTICED = 3.0  # natural logarithm: a light that is e³ times less probable than another is questioned
+NOTICED = 3.0  # natural logarithm: the user is warned of a named light that is e³ times less probable than another
 
 
-def compare(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]) -> tuple[str, float]:
-    """Return the most probable of `candidates`, name → (wavelength) relative photon radiance, as light of shot `index`, and
-    the natural logarithm of how much less probable the shot's own light is, at least 0."""
-    others = _evidences(shots, index, prior, candidates)
+def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]) -> tuple[str, float]:
+    """Compare the light of a shot with the usual lights.
+
+    Parameters
+    ----------
+    shots : sequence of Shot
+        All photos of the camera.
+    index : int
+        Number of the shot.
+    among : sequence of Prior
+        Priors that the camera may be drawn from (`plausible`).
+    candidates : mapping of str to ndarray, (wavelength)
+        Relative photon radiance of the usual lights.
+
+    Returns
+    -------
+    nearest : str
+        The most probable of the candidates.
+    deficit : float
+        Natural logarithm of how much less probable the shot's own light is, at least 0.
+    """
+    others = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     nearest = max(others, key=lambda name: others[name])
-    return nearest, max(others[nearest] - evidence(shots, prior), 0.0)
+    return nearest, max(others[nearest] - _likelihood(shots, among), 0.0)
 
 
-def probabilities(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]) -> dict[str, float]:
-    """Return the probability of each candidate that it is the light of shot `index`, if it is one of them."""
-    logarithms = _evidences(shots, index, prior, candidates)
+def probabilities(
+    shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]
+) -> dict[str, float]:
+    """Return the probability of each candidate that it is the light of shot `index`, if it is one of them. Parameters are
+    those of `compare`."""
+    logarithms = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     top = max(logarithms.values())
     weights = {name: float(np.exp(each - top)) for name, each in logarithms.items()}
     return {name: weight / sum(weights.values()) for name, weight in weights.items()}
 
 
 def unsure_of_light(
-    posterior: Posterior, shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]
+    posterior: Posterior,
+    shots: Sequence[Shot],
+    index: int,
+    prior: Prior,
+    likely: Mapping[str, float],
+    candidates: Mapping[str, Array],
 ) -> Posterior:
     """Return the posterior with what its covariance lacks if the light of shot `index` is only guessed: the scatter of the
-    curves under all candidates that it may be, by their probabilities, each set at the posterior's overall scale."""
+    curves under all candidates that it may be, by their probabilities `likely`, each at the posterior's overall scale."""
     added = np.zeros_like(posterior.covariance)
-    for name, probability in probabilities(shots, index, prior, candidates).items():
+    for name, probability in likely.items():
         if probability < IMPROBABLE or candidates[name] is shots[index].light:
             continue
         other = estimate(_under(shots, index, candidates[name]), prior).responsivity
@@ -387,8 +449,11 @@ def unsure_of_light(
     return replace(posterior, covariance=posterior.covariance + added)
 
 
-def _evidences(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]) -> dict[str, float]:
-    return {name: evidence(_under(shots, index, light), prior) for name, light in candidates.items()}
+def _likelihood(shots: Sequence[Shot], among: Sequence[Prior]) -> float:
+    """Return the natural logarithm of the probability of the values under these lights, up to a constant: mean over the
+    priors, tempered."""
+    measured = any(prior.source == MEASURED for prior in among)
+    return _log_mean([evidence(shots, prior) for prior in among]) / TEMPERING[measured]
 
 
 def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:

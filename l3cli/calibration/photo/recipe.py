@@ -47,7 +47,7 @@ class PhotoCamera:
     curves: Array  # (channel, wavelength) per photon, to a common peak of 1
     origin: str  # of the curves
     noise: SensorNoise
-    light: str | None = None  # of the photo, where its chart tells
+    white: str | None = None  # that its picture takes (‹white›): the light that was named, or that of the chart in it
     gains: tuple[tuple[float, float], ...] = ()  # over that of the photo, and read noise (e-) at each, as other files state
     overrides: Mapping[str, str] = field(default_factory=dict)  # what l3 render has to know better than its raw files
 

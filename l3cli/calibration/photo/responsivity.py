@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import Noise
-from l3cli.artifacts.fit import PhotoFit
+from l3cli.artifacts.fit import LightGuess, PhotoFit
 from l3cli.calibration import noise
 from l3cli.calibration.photo import estimate as priors
 from l3cli.calibration.photo.estimate import (
@@ -21,8 +21,9 @@ from l3cli.calibration.photo.estimate import (
     camera_prior,
     estimate,
     evidence,
+    placed,
+    plausible,
     smooth,
-    turned,
 )
 from l3cli.calibration.responsivity import BAND_FLOOR, COVERAGE, Curves
 from l3cli.errors import InputFileError, raised_as
@@ -51,7 +52,6 @@ CANDIDATES = (  # lights that photos are taken under
 JUDGED_UNDER = ("A", "D65", "F11")  # for the band of responses
 SURFACES_EVERY = 7  # of the library
 FAR, MOST_FAR = 4.0, 4  # standard deviations from which a patch is left out; values in all
-MEASURED, SMOOTH = "measured cameras", "smooth"
 Array = NDArray[np.floating]
 ERROR = 0.02  # of a patch's value: what no matrix of nine numbers says of a camera, beside the misfit that is found
 
@@ -182,12 +182,15 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
     InputFileError if a photo shows no usable chart, or if its noise is no sensor's and nothing is declared.
     """
     photographs = [measure(capture, measurements.body) for capture in measurements.photos]
-    prior, shots = _prior_and_lights(photographs, measurements)
+    among = _priors(measurements)
+    shots = _under_lights(photographs, among)
+    prior = max(among, key=lambda each: evidence(shots, each))
     posterior, shots, far = _without_far_ones(shots, prior)
+    likely = [priors.probabilities(shots, index, among, candidates()) for index in range(len(shots))]
     for index, photo in enumerate(photographs):
         if photo.capture.light is None:
-            posterior = priors.unsure_of_light(posterior, shots, index, prior, candidates())
-    comparisons = [priors.compare(shots, index, prior, candidates()) for index in range(len(shots))]
+            posterior = priors.unsure_of_light(posterior, shots, index, prior, likely[index], candidates())
+    comparisons = [priors.compare(shots, index, among, candidates()) for index in range(len(shots))]
     judged = [candidates()[name] for name in JUDGED_UNDER]
     errors = [priors.response_errors(posterior.responsivity, posterior.covariance, light, _surfaces()) for light in judged]
     next_light, remaining = priors.next_light(shots[0], posterior, candidates(), judged, _surfaces())
@@ -203,7 +206,7 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
         deficit=np.array([deficit for _, deficit in comparisons]),
         charts=tuple(photo.capture.chart.name for photo in photographs),
         corners=np.array([photo.corners for photo in photographs], dtype=np.float64),
-        prior=MEASURED if prior.measured else SMOOTH,
+        prior=prior.source,
         error=posterior.error,
         illumination=posterior.illumination.astype(np.float64),
         glare=posterior.glare.astype(np.float64),
@@ -216,6 +219,7 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
         used=_padded([shot.used for shot in shots], False),
         measured=_padded([shot.values for shot in shots], 0.0),
         predicted=_padded(list(posterior.predicted), 0.0),
+        likely=LightGuess(CANDIDATES, np.array([[each[name] for name in CANDIDATES] for each in likely])),
     )
     return curves_of(posterior), fit, sensor
 
@@ -239,36 +243,24 @@ def _surfaces() -> Array:
     return spectra.reflectance_library(WAVELENGTH)[::SURFACES_EVERY]
 
 
-# ---------------------------------------------------------------------------------------------------- prior and lights
+# ---------------------------------------------------------------------------------------------------- priors and lights
 
 
-def _prior_and_lights(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[Prior, list[Shot]]:
-    """Return the prior under which the values are more probable, and the shots, those of unknown light under the most
-    probable."""
+def _under_lights(photographs: Sequence[Photograph], among: Sequence[Prior]) -> list[Shot]:
+    """Return the shots; those of unknown light are under the most probable of the usual lights."""
     shots = [photo.shot for photo in photographs]
-    unknown = [index for index, photo in enumerate(photographs) if photo.capture.light is None]
-    best: tuple[float, Prior, list[Shot]] | None = None
-    for prior in _priors(measurements):
-        ours = list(shots)
-        for index in unknown:
-            likely = priors.probabilities([ours[index]], 0, prior, candidates())
-            ours[index] = replace(ours[index], light=candidates()[max(likely, key=lambda name: likely[name])])
-        # Curves are not to be blamed for a light that is named wrongly: the first shot may be under any.
-        others = [[replace(ours[0], light=light), *ours[1:]] for light in candidates().values()]
-        probability = max(evidence(each, prior) for each in [ours, *others])
-        if best is None or probability > best[0]:
-            best = probability, prior, ours
-    assert best is not None
-    return best[1], best[2]
+    for index, photo in enumerate(photographs):
+        if photo.capture.light is None:
+            likely = priors.probabilities([shots[index]], 0, among, candidates())
+            shots[index] = replace(shots[index], light=candidates()[max(likely, key=lambda name: likely[name])])
+    return shots
 
 
 def _priors(measurements: Measurements) -> list[Prior]:
-    """Return smooth curves and, of a camera with channels r, g and b, those of measured cameras."""
-    channels, known = measurements.body.channels, measurements.cameras
-    if known is None or sorted(channels) != sorted(ROLES):
-        return [smooth(len(channels))]
-    table = known if isinstance(known, CurveStatistics) else priors.statistics(known)
-    return [prior_of(channels, table), smooth(len(channels))]
+    """Return the priors that the camera may be drawn from."""
+    known = measurements.cameras
+    table = known if known is None or isinstance(known, CurveStatistics) else priors.statistics(known)
+    return plausible(measurements.body.channels, table)
 
 
 # ---------------------------------------------------------------------------------------------------------- outliers
@@ -361,7 +353,7 @@ def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
     """Return the prior of measured cameras for channels r, g and b, that of smoothness for others."""
     if sorted(channels) != sorted(ROLES):
         return smooth(len(channels))
-    return camera_prior(turned(known, [ROLES.index(name) for name in channels]))
+    return placed(camera_prior(known), [channels.index(role) for role in ROLES], len(channels))
 
 
 def _shot(matrix: ColourMatrix, reflectance: Array) -> Shot:
