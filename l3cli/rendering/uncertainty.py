@@ -250,7 +250,7 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
     inner = np.flatnonzero(_counts(rows)), np.flatnonzero(_counts(cols))
     inside = [_cut(each, *inner).reshape(draws, -1) for each in (first, last)]
     within = _cut(spread, *inner).reshape(draws, -1)
-    by_class, by_kind = _raked(table, *inside, within, _cut(measured, *inner))
+    by_class, by_kind = _raked(table, inside[0], inside[1], within, _cut(measured, *inner))
     expected = by_class[last] * spread[..., None]
     if table.later:
         expected *= by_kind[first]
