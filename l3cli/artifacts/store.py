@@ -378,8 +378,15 @@ def describe(path: Path) -> dict[str, Any]:
         }
 
 
+def _refuse_null(path: Path, name: str, dataset: h5py.Dataset) -> None:
+    """Raise InputFileError for a dataset of HDF5's null dataspace, which l3 never writes."""
+    if dataset.shape is None:
+        raise InputFileError(f"{path}: dataset {name} holds nothing; make the file again")
+
+
 def _described(path: Path, name: str, dataset: h5py.Dataset) -> Described:
     value: Any = None
+    _refuse_null(path, name, dataset)
     if dataset.ndim <= 1 and (dataset.size or 0) <= 16 and dataset.dtype.kind in "biufS":
         require_readable(path, dataset.id)
         raw = dataset[()]
@@ -414,6 +421,7 @@ def verify(path: Path) -> Intact:
         for name, dataset in every:
             with reading(path, f"dataset {name}"):
                 scale, stored = is_scale(dataset), dataset.id.get_storage_size()
+            _refuse_null(path, name, dataset)
             if scale and not stored:
                 continue  # it is a length alone
             require_plain(dataset.id, path)

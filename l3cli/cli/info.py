@@ -24,9 +24,9 @@ def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> R
     """Show kind, version, history and every dataset (axes, type, unit, meaning) of FILE; of a transform table also
     classes, patches, noise gain, gain of flat areas, and its noisiest classes.
 
-    With --verify check every byte of FILE against its digest, and say which of the files that its history names are given
-    as INPUT: artifacts, recipes, frames, spectra. An INPUT that the history does not name is another file, or has changed:
-    exit code 3.
+    With --verify check every byte of FILE against its digest, read all of it, and say which of the files that its history
+    names are given as INPUT: artifacts, recipes, frames, spectra. An INPUT that the history does not name is another file,
+    or has changed: exit code 3.
 
     \b
     Example: l3 info camera.h5
@@ -87,7 +87,7 @@ def _verified(file: Path, verification: "Verification") -> list[str]:
     """Return lines on what is verified, and what the history names that is not given."""
     intact = verification.intact
     digest = "every byte is as written" if intact.digest else "without a digest of its bytes, which version 2 has"
-    lines = [f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets are right"]
+    lines = [f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets can be read"]
     for link in verification.links:
         names = ", ".join(link.given[:4]) + (" …" if len(link.given) > 4 else "")
         rest = f"{link.named - len(link.given)} not given" if link.named > len(link.given) else ""

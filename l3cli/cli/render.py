@@ -65,7 +65,7 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     from l3cli.stages.rendering.clips import ClipJob, alone, are_clips, clips_of
 
     clips = clips_of(inputs, table, options, output)
-    if clips == inputs and not are_clips(inputs, output, options.format):
+    if clips == inputs and not are_clips(inputs, table, options, output):
         return clips_result(alone(table, inputs, output, options))
     if options.shard is not None:
         raise click.UsageError("--shard divides one sequence; these inputs are several clips")

@@ -285,6 +285,8 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
 
 def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: TransformTable, known: RawOverrides) -> _Series:
     """Return the frames of one file or of stdin; their pictures are called by `stem`, if there is one, and number."""
+    if stack.count == 0:
+        raise InputFileError(f"{what} holds no frames; give a file of frames × rows × columns")
 
     def read(number: int) -> RawFrame | None:
         content = stack.read(number)

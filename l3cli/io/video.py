@@ -63,6 +63,7 @@ class Encoding:
     tag: str | None = None
     transfer: str = "IEC61966_2_1"
     frames_at_once: int | None = None  # that the encoder works at, in threads; None: as it likes
+    reorders: int = 0  # frames after which x265 knows the decoding times of B-frames
 
 
 # What x264 makes depends on how it shares work out, of its own accord by the machine's cores, each a slice of every frame,
@@ -74,8 +75,8 @@ ENCODINGS = {
         {8: "yuv420p", 16: "yuv420p10le"},
         (".mp4", ".mov", ".mkv"),
         presets=True,
-        options=(("x265-params", "log-level=none"),),
         tag="hvc1",
+        reorders=2,
     ),
     "ffv1": Encoding(
         "ffv1", {8: "bgr0", 16: "gbrp16le"}, (".mkv",), options=(("level", "3"), ("slicecrc", "1"), ("g", "1"))
@@ -85,6 +86,7 @@ ENCODINGS = {
     ),
 }
 USUAL = {".mp4": "h264", ".mov": "prores", ".mkv": "ffv1"}  # where no codec is asked for
+X265_UNIT = 64  # pixels, the side of x265's coding tree units
 READ_BEHIND = 64  # bytes: conversions may read 16 behind a picture (libavutil, frame.h)
 RGB_MATRIX = 0  # of ITU-T H.273: no matrix, the values are red, green and blue
 Y4M = ".y4m"
@@ -179,6 +181,13 @@ def _widen(picture: NDArray[np.uint8], room: NDArray[np.uint8]) -> None:
     room[-1, -1, :3] = picture[-1, -1]
 
 
+def _x265_parameters(rows: int, cols: int, is_short: bool) -> str:
+    """Return parameters of x265 that avoid two of its faults. Videos of one or two frames have no B-frames, whose decoding
+    times x265 would never set. Frames smaller than a coding tree unit, beyond which its assembly code writes, are encoded
+    without assembly."""
+    return "log-level=none" + ":bframes=0" * is_short + ":asm=0" * (min(rows, cols) < X265_UNIT)
+
+
 class VideoWriter:
     """A video open for writing; `write` takes pictures (row, col, 3) of one size, uint8 or uint16."""
 
@@ -187,26 +196,38 @@ class VideoWriter:
         self._encoding = _encoding(path, choice)
         self._converter = _Converter(self._encoding.formats[choice.bits])
         self._stream: Any = None
+        self._waiting: list[Any] = []  # the first frames, until their number decides on the encoder's options
         self._tick, self._time = choice.tick or 1 / choice.rate, -1
 
     def write(self, picture: NDArray, time: int | None = None) -> None:
         """Add a picture that is shown at a time in ticks, later than the one before; None: one later."""
         frame = self._converter.frame(picture)
-        if self._stream is None:
-            self._stream = self._new_stream(frame.height, frame.width)
         self._tag(frame)
         self._time = self._time + 1 if time is None else time
         frame.pts, frame.time_base = self._time, self._tick
-        self._container.mux(self._stream.encode(frame))
+        self._waiting.append(frame)
+        if self._stream is not None or len(self._waiting) > self._encoding.reorders:
+            self._encode_waiting()
 
     def finish(self) -> None:
-        """Write what the encoder holds back."""
+        """Write what waits here or in the encoder."""
+        if self._waiting:
+            self._encode_waiting()
         if self._stream is not None:
             self._container.mux(self._stream.encode())
+
+    def _encode_waiting(self) -> None:
+        if self._stream is None:
+            self._stream = self._new_stream(self._waiting[0].height, self._waiting[0].width)
+        for frame in self._waiting:
+            self._container.mux(self._stream.encode(frame))
+        self._waiting.clear()
 
     def _new_stream(self, rows: int, cols: int) -> Any:
         encoding, choice = self._encoding, self._choice
         options = dict(encoding.options)
+        if encoding.encoder == "libx265":
+            options["x265-params"] = _x265_parameters(rows, cols, len(self._waiting) <= encoding.reorders)
         if encoding.presets:
             options["preset"] = choice.preset
             if choice.crf is not None:

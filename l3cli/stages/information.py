@@ -1,6 +1,7 @@
 """Content of an artifact, and whether it is intact and made of the files at hand; this installation, and its times of
 frames."""
 
+import itertools
 import platform
 import re
 import sys
@@ -10,8 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from l3cli import __version__
-from l3cli.artifacts.store import Intact, Link, chain, describe, load, verify
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.design import Design, SceneMoments
+from l3cli.artifacts.partial_sums import SUMS, PartialSumsReader
+from l3cli.artifacts.schema import Artifact
+from l3cli.artifacts.store import Intact, Link, chain, describe, load, open_artifact, read_fields, verify
 from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingSet, TrainingSetReader
 from l3cli.errors import DeviceError, L3Error
 from l3cli.io.decoder_process import LANDLOCK, SECCOMP, measures
 from l3cli.options.commands import BenchOptions
@@ -19,6 +25,8 @@ from l3cli.rendering import benchmark
 from l3cli.rendering.opencl.devices import cache_warning, survey
 from l3cli.system.files import note_inputs, sha256
 from l3cli.system.limits import trusted
+
+WHOLE: tuple[type[Artifact], ...] = (CameraModel, TransformTable, SceneMoments, Design)  # artifacts that memory holds
 
 
 def content(file: Path) -> dict[str, Any]:
@@ -54,11 +62,33 @@ class Verification:
 
 
 def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
-    """Compare every byte of an artifact with its digest, and `inputs` with the files that its history names; InputFileError
-    if a byte is not as it was written."""
+    """Compare every byte of an artifact with its digest, read all of it as other commands do, and compare `inputs` with the
+    files that its history names.
+
+    Raises
+    ------
+    InputFileError
+        If a byte is not as it was written, or the artifact lacks something or holds values that it cannot have.
+    """
     note_inputs({"artifact": [file], "inputs": inputs})
     intact = verify(file)
+    _read_whole(file)
     return Verification(intact, *chain(intact.history, {path: sha256(path) for path in inputs}))
+
+
+def _read_whole(file: Path) -> None:
+    """Read everything that an artifact declares; of training sets and partial sums one frame or site at a time."""
+    with open_artifact(file, *WHOLE, TrainingSet, *SUMS, unchanged=True) as root:
+        kind = str(root.attrs["kind"])
+        if kind == TrainingSet.kind:
+            for _ in TrainingSetReader(root, file):
+                pass
+        elif whole := next((each for each in WHOLE if each.kind == kind), None):
+            read_fields(root, whole, file)
+        else:
+            sums = PartialSumsReader(root, file)
+            for condition, index in itertools.product(range(sums.conditions + 1), range(len(sums.head.sites))):
+                sums.site(index, condition)
 
 
 def versions() -> dict[str, Any]:

@@ -28,9 +28,10 @@ class Checkpoint:
         self.path, self.key, self.force = path, key, force
         self.items: dict[str, Any] = {}
 
-    def take_over(self) -> bool:
-        """Read what is listed there; return whether it is of the same run: of another one nothing is taken."""
-        key, force, lines = _read(self.path)
+    def take_over(self, path: Path | None = None) -> bool:
+        """Read what is listed there, or in the file `path`; return whether it is of the same run: of another one nothing is
+        taken."""
+        key, force, lines = _read(path or self.path)
         if key != self.key:
             return False
         self.force = self.force or force
@@ -42,8 +43,11 @@ class Checkpoint:
 
     def begin(self) -> None:
         """Write the checkpoint; what is listed from now on goes behind it."""
-        lines = [f"{self.key} force" if self.force else self.key, *(json.dumps(item) for item in self.items.items())]
-        write_whole(self.path, "\n".join(lines))
+        self._write(self.path, self.force)
+
+    def _write(self, path: Path, force: bool) -> None:
+        lines = [f"{self.key} force" if force else self.key, *(json.dumps(item) for item in self.items.items())]
+        write_whole(path, "\n".join(lines))
 
     def add(self, name: str, facts: Any) -> None:
         """List an item, from whatever process; the line is on the disk when this returns."""
@@ -57,8 +61,10 @@ class Checkpoint:
         finally:
             os.close(file)
 
-    def end(self) -> None:
-        """Remove the checkpoint."""
+    def end(self, finished: Path | None = None) -> None:
+        """Remove the checkpoint; what it lists goes into the file `finished`, if there is one."""
+        if finished is not None:
+            self._write(finished, force=False)
         self.path.unlink(missing_ok=True)
 
 

@@ -100,6 +100,7 @@ def fingerprint(path: Path) -> tuple[int, ...]:
 TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
 UNFINISHED = ".l3-unfinished"  # names, in a folder of pictures, the run that has not written all of them yet
+FINISHED = ".l3-finished"  # names the run that has
 STDIN = Path("-")
 LONGEST = 255  # bytes of a file's name
 LONGEST_SUFFIX = 16  # bytes of one by which writers choose their format
@@ -267,7 +268,7 @@ def sweep(folder: Path, output: Path | None = None) -> None:
 
 def is_ours(name: str) -> bool:
     """Return whether a file of this name is a lock, a checkpoint or temporary."""
-    return name.endswith((LOCK, UNFINISHED)) or TEMPORARY.fullmatch(name) is not None
+    return name.endswith((LOCK, UNFINISHED, FINISHED)) or TEMPORARY.fullmatch(name) is not None
 
 
 # --------------------------------------------------------------------------------------------------------- inputs

@@ -87,7 +87,7 @@ def test_the_exposure_that_is_reported_renders_as_bright_as_the_ideal(
     options = ("--exposure", words[1], *render[5:])
     code, _, err = l3("render", tmp_path / "table.h5", tmp_path / "clip", "-o", tmp_path / "again", *options)
     assert (code, err) == (0, "")  # of the folder, too, beside its ideal pictures
-    for number, path in enumerate(sorted((tmp_path / "again").iterdir())):
+    for number, path in enumerate(sorted((tmp_path / "again").glob("[!.]*"))):
         assert np.array_equal(read_image(path)[0], read_image(tmp_path / f"out/{number:05d}.png")[0])
     (tmp_path / "clip/other_ideal.png").write_bytes(b"of no raw frame")
     code, _, err = l3("render", tmp_path / "table.h5", tmp_path / "clip", "-o", tmp_path / "third", "--quiet")

@@ -133,7 +133,7 @@ def _wait_until(done: Callable[[], bool], pause: float = 0.05) -> None:
 
 
 def _content(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    return {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
 
 
 # ------------------------------------------------------------------------------------------------- the same bytes

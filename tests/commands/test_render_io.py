@@ -158,7 +158,7 @@ def test_several_inputs_fill_a_folder_and_failures_can_be_left_out(
     assert (code, out, err.count("\n")) == (1, "", 2)
     assert "broken.npy" in err
     assert "1 of 3 frames" in err
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["frame.tif", "second.tif"]
+    assert sorted(path.name for path in (tmp_path / "out").glob("[!.]*")) == ["frame.tif", "second.tif"]
     assert read_image(tmp_path / "out/second.tif")[0].shape == (9, 11, 3)
 
 

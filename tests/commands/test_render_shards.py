@@ -13,7 +13,7 @@ from tests.helpers.still_scene import COUNT, mosaics
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    return {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
 
 
 @pytest.mark.parametrize("exposure", ["auto", "0.8"])

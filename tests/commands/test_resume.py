@@ -66,7 +66,7 @@ class Runs:
         assert self.made("out") == self.made("whole")
 
     def made(self, out: str = "out") -> dict[str, bytes]:
-        return {path.name: path.read_bytes() for path in sorted((self.folder / out).iterdir())}
+        return {path.name: path.read_bytes() for path in sorted((self.folder / out).glob("[!.]*"))}
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def test_a_broken_frame_stops_the_run_and_is_named(runs: Runs) -> None:
 
 
 @pytest.mark.parametrize("exposure", ["auto", 0.8])
-def test_resuming_gives_the_same_bytes(runs: Runs, exposure: float | str) -> None:
+def test_resuming_gives_the_same_bytes(runs: Runs, l3: L3, exposure: float | str) -> None:
     frame, options = runs.frames / "frame_10.tif", ("--exposure", exposure)
     whole = frame.read_bytes()
     frame.write_bytes(b"")
@@ -117,8 +117,25 @@ def test_resuming_gives_the_same_bytes(runs: Runs, exposure: float | str) -> Non
     assert runs(*options, "--resume") == (0, "", "")
     assert all(path.stat().st_mtime_ns == then for path, then in done.items())
     runs.require_whole(*options)
-    finished = "frame_07.png exists, and no run was stopped there: it is finished; add --force"
-    assert finished in runs.refused(1, *options, "--resume")
+    done = {path: path.stat().st_mtime_ns for path in runs.out.glob("*.png")}
+    code, _, err = l3(*(word for word in runs.call(*options, "--resume") if word != "--quiet"))
+    assert (code, "finished already" in err) == (0, True)
+    assert all(path.stat().st_mtime_ns == then for path, then in done.items())
+    assert ANOTHER in runs.refused(2, *options, "--resume", "--bits", 16)  # a finished run with other options is another
+
+
+def test_resuming_a_finished_run_renders_what_came_since_and_replaces_nothing(runs: Runs) -> None:
+    shutil.copytree(runs.frames, runs.folder / "all")
+    (runs.frames / "frame_10.tif").unlink()
+    assert runs("--force") == (0, "", "")
+    shutil.copy(runs.folder / "all/frame_10.tif", runs.frames)
+    assert runs("--resume") == (0, "", "")
+    runs.require_whole()
+    (runs.out / "frame_07.png").write_bytes(b"retouched")  # which the first run was allowed to replace, and this one is not
+    assert "frame_07.png" in runs.refused(1, "--resume")
+    for path in runs.out.glob(".*"):
+        path.unlink()
+    assert "frame_08.png" in runs.refused(1, "--resume", "--frames", "8-11")  # nothing says of which run it is
 
 
 @pytest.mark.parametrize("output", ["out", "out/p_%02d.png"])
@@ -219,7 +236,7 @@ def test_a_stream_is_resumed_only_with_the_same_frames(tmp_path: Path, table: Pa
     assert "leave --resume out" in words
     assert fed(frames()[:2], "--resume")[0] == 2
     assert fed(frames(), "--resume") == (0, "")
-    assert len(list((tmp_path / "out").iterdir())) == COUNT
+    assert len(pictures(tmp_path / "out")) == COUNT
 
 
 def test_a_checkpoint_that_was_cut_off_costs_no_more_than_its_last_picture(runs: Runs) -> None:

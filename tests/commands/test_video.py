@@ -88,6 +88,28 @@ def test_the_same_pictures_give_the_same_bytes(tmp_path: Path) -> None:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), codec
 
 
+@pytest.mark.parametrize("name", ["a.mp4", "a.mov"])
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_h265_of_few_frames_has_decoding_times(tmp_path: Path, name: str, count: int) -> None:
+    """x265 sets no decoding times of B-frames in videos of one or two frames: those have none. Frames as small as these it
+    would write beyond, and end the process."""
+    noise, made = np.random.default_rng(0).integers(0, 200, (30, 48, 3)), set()
+    for again in range(4):  # what was not set differs from one time to the next
+        path = tmp_path / f"{again}{name}"
+        with new_video(path, VideoChoice(Fraction(25), 8, "h265")) as video:
+            for number in range(count):
+                video.write((noise * (0.8 + 0.1 * number)).astype(np.uint8))
+        made.add(path.read_bytes())
+    assert len(made) == 1
+    with av.open(str(path)) as video:
+        packets = [packet for packet in video.demux(video=0) if packet.size]
+        decoding = [float(packet.dts * packet.time_base) for packet in packets]
+        shown = [float(packet.pts * packet.time_base) for packet in packets]
+    np.testing.assert_allclose(sorted(shown), np.arange(count) / 25)
+    np.testing.assert_allclose(decoding, (np.arange(count) - (0 if count < 3 else 2)) / 25)
+    np.testing.assert_allclose(frame_times(path), np.arange(count) / 25)
+
+
 def test_h264_is_the_same_on_a_machine_of_more_cores(tmp_path: Path) -> None:
     with new_video(tmp_path / "a.mp4", VideoChoice(Fraction(25), 8)) as video:
         video.write(np.zeros((64, 64, 3), np.uint8))

@@ -191,7 +191,7 @@ def test_white_is_followed_in_sequences_and_the_same_when_resumed(
     code, _, err = l3(*call, "-o", tmp_path / "out")
     assert code == 0
     assert err.count("white ") == 2  # of the first and of the last frame
-    pictures = {path.name: path.read_bytes() for path in sorted((tmp_path / "out").iterdir())}
+    pictures = {path.name: path.read_bytes() for path in sorted((tmp_path / "out").glob("[!.]*"))}
     shown = [grey(tmp_path / "out" / f"{number}.png") for number in range(5)]
     step = [each[..., 2].mean() - each[..., 0].mean() for each in shown]
     assert step[2] > step[3] > step[4] > step[2] - 40  # bluish after the step, ever less so
@@ -205,7 +205,7 @@ def test_white_is_followed_in_sequences_and_the_same_when_resumed(
     assert "leave --resume out" in l3(*call, "-o", tmp_path / "again", "--resume")[2]
     (tmp_path / "1.dng").replace(folder / "1.dng")
     assert l3(*call, "-o", tmp_path / "again", "--resume", "--quiet") == (0, "", "")
-    assert {path.name: path.read_bytes() for path in sorted((tmp_path / "again").iterdir())} == pictures
+    assert {path.name: path.read_bytes() for path in sorted((tmp_path / "again").glob("[!.]*"))} == pictures
 
 
 def test_a_grey_is_measured_on_the_first_frame_of_a_sequence_and_on_every_still(
@@ -299,7 +299,7 @@ def test_a_sequence_is_rendered_by_the_light_of_its_first_frame(
     with stdin_of(tmp_path / "clip.bin"):
         code, _, err = l3("render", several, "-", "--size", "60x160", *call, tmp_path / "stream" / "####.png")
     assert (code, "transforms of A, for all frames" in err) == (0, True)
-    for files in zip(*(sorted((tmp_path / name).iterdir()) for name in ("files", "stream")), strict=True):
+    for files in zip(*(sorted((tmp_path / name).glob("[!.]*")) for name in ("files", "stream")), strict=True):
         one, other = (read_image(file)[0] for file in files)
         np.testing.assert_array_equal(one, other)
 

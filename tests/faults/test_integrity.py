@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import random
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -103,6 +105,66 @@ def test_a_changed_value_that_is_sealed_again_fails_its_checksum(
     path.write_bytes(content)
     container.seal(path)
     assert "dataset first/weights is damaged (checksum)" in refused(3, "info", "--verify", path)
+
+
+LARGE = {  # a dataset of floating point that each kind cannot do without
+    "camera": "responsivity",
+    "training": "frames/00000/electrons",
+    "table": "first/weights",
+    "sums": "sums/00000/moments",
+    "layer_sums": "sums/00000/noise",
+}
+
+
+def _nothing(root: h5py.File, name: str) -> None:
+    attributes = dict(root[name].attrs)
+    del root[name]
+    root.create_dataset(name, dtype="f8", shape=None)
+    root[name].attrs["axes"] = attributes["axes"]
+
+
+def _missing(root: h5py.File, name: str) -> None:
+    del root[name]
+
+
+def _elsewhere(root: h5py.File, name: str) -> None:
+    del root[name]
+    root[name] = h5py.ExternalLink("other.h5", f"/{name}")
+
+
+def _soft(root: h5py.File, name: str) -> None:
+    root.move(name, "moved")
+    root[name] = h5py.SoftLink("/moved")
+
+
+def _not_a_number(root: h5py.File, name: str) -> None:
+    values = root[name][()]
+    values.flat[1] = np.nan
+    root[name][...] = values
+
+
+@pytest.mark.parametrize("spoil", [_nothing, _missing, _elsewhere, _soft, _not_a_number])
+@pytest.mark.parametrize("kind", list(READERS))
+def test_verification_finds_what_cannot_be_read_though_every_byte_is_as_written(
+    kind: str, spoil: Callable[[h5py.File, str], None], artifacts: dict[str, Path], tmp_path: Path, refused: Refused
+) -> None:
+    path = Path(shutil.copy(artifacts[kind], tmp_path / "spoilt.h5"))
+    shutil.copy(artifacts[kind], tmp_path / "other.h5")
+    with h5py.File(path, "r+") as root:
+        spoil(root, LARGE[kind])
+    container.seal(path)
+    assert LARGE[kind].rsplit("/", 1)[-1] in refused(3, "info", "--verify", path)
+
+
+def test_a_dataset_of_nothing_that_nobody_reads_is_no_traceback(
+    artifacts: dict[str, Path], tmp_path: Path, refused: Refused
+) -> None:
+    path = Path(shutil.copy(artifacts["camera"], tmp_path / "more.h5"))
+    with h5py.File(path, "r+") as root:
+        root.create_dataset("more", dtype="f8", shape=None)
+    container.seal(path)
+    for call in (("info", "--verify", path), ("info", path)):
+        assert "dataset more" in refused(3, *call)
 
 
 def test_a_file_without_its_digest_or_before_its_first_byte_is_refused(

@@ -7,7 +7,7 @@ import numpy as np
 
 from l3cli.cli import run
 from l3cli.io.pictures.openimageio import write_mosaic
-from l3cli.system.files import UNFINISHED
+from l3cli.system.files import FINISHED, UNFINISHED
 from tests.helpers.cameras import bayer_camera
 
 SCENES = """
@@ -49,7 +49,7 @@ illuminants = ["D65", "A"]
 CLASSES = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 3000\nfirst_draws = 1\ndraws = 3\n"
 LAYERS = f"{CLASSES}[[layer]]\nside = 3\nmosaics = 8\nrows = 300\n"
 FRAMES = 8
-REMAINS = (".parts", UNFINISHED)  # what the same run goes on from
+REMAINS = (".parts", UNFINISHED, FINISHED)  # what the same run goes on from
 
 
 @dataclass(frozen=True)
@@ -126,8 +126,9 @@ def make_inputs(folder: Path) -> Path:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Everything in the output folder, hidden files too."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in (folder / "out").rglob("*") if path.is_file()}
+    """Everything in the output folder, hidden files too, but for lists of finished pictures, which state times."""
+    files = (path for path in (folder / "out").rglob("*") if path.is_file() and not path.name.endswith(FINISHED))
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def is_remnant(name: str) -> bool:

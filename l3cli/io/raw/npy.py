@@ -33,6 +33,9 @@ def map_array(path: Path) -> NDArray[Any]:
 
 def read(path: Path) -> RawContent:
     """Return the frame of a file that holds one."""
+    shape = map_array(path).shape
+    if len(shape) == 3:
+        raise InputFileError(f"{path} holds {shape[0]} frames; give it alone, or give files of one frame each")
     return RawContent(values=np.array(_mapped(path, 2)))
 
 

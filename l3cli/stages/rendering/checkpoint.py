@@ -1,5 +1,5 @@
-"""Checkpoint of a run that makes pictures and was stopped: which of them it has made, and of which frames; the part that a
-shard makes; and the plan of a run.
+"""Checkpoint of a run that makes pictures: which of them it has made, and of which frames, so that the same run goes on, or
+does nothing if it had ended; the part that a shard makes; and the plan of a run.
 
 Size and time identify a file: digests would take as long as a tenth of the rendering. Only where a frame's file has these
 and another inode, or one that was touched since, does the digest decide that its picture states.
@@ -24,7 +24,7 @@ from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.options.render import GAIN, RenderOptions
 from l3cli.rendering.temporal.chunks import CHUNK
 from l3cli.system.checkpoint import Checkpoint, key_in
-from l3cli.system.files import dated, fingerprint, is_noting, require_regular, sha256
+from l3cli.system.files import FINISHED, UNFINISHED, dated, fingerprint, is_noting, require_regular, sha256
 from l3cli.system.limits import read_bounded
 from l3cli.system.outputs import Made, before_work, is_dry
 from l3cli.system.text import counted
@@ -108,9 +108,19 @@ class PictureCheckpoint(Checkpoint):
         super().__init__(path, key, force)
         self._unasked: set[str] = set()  # pictures whose frames have not come up yet
 
+    @property
+    def finished(self) -> Path:
+        """Return the file that lists the pictures of a run that has ended, from which frames that came since are told."""
+        return self.path.with_name(self.path.name.removesuffix(UNFINISHED) + FINISHED)
+
+    def begin(self) -> None:
+        super().begin()
+        self.finished.unlink(missing_ok=True)
+
     def go_on(self, made_by: Path) -> None:
-        """Continue where the run that wrote the checkpoint stopped; RecipeError, naming the output, if another did."""
-        if not self.take_over():
+        """Continue where the run that wrote the checkpoint stopped or ended; RecipeError, naming the output, if another
+        did."""
+        if not self.take_over(self.path if self.path.is_file() else self.finished):
             raise RecipeError(f"{made_by} holds a run with another table, inputs or options; leave ‹resume› out")
         self.items = {name: made for name, made in self.items.items() if self._is_there(name, made)}
         self._unasked = set(self.items)
@@ -198,12 +208,12 @@ def checkpointed(
         return
     checkpoint = PictureCheckpoint(destination.checkpoint, key, options.force)
     is_ours = checkpoint.is_ours
-    if options.resume and checkpoint.path.is_file():
+    if options.resume and (checkpoint.path.is_file() or checkpoint.finished.is_file()):
         checkpoint.go_on(destination.path)
         if sequence.count is not None:
             _refuse_changed(destination, sequence, checkpoint, digests())
     elif options.resume:
-        is_ours = _refuse_finished
+        is_ours = _refuse_unknown
     refuse_outputs(destination, sequence, checkpoint.force, is_ours)
     checkpoint.begin()
     try:
@@ -212,13 +222,13 @@ def checkpointed(
         if not checkpoint.items:
             checkpoint.end()
         raise
-    checkpoint.end()
+    checkpoint.end(checkpoint.finished)
 
 
-def _refuse_finished(file: Path) -> bool:
-    """Raise L3Error if a picture is there that no stopped run has left."""
+def _refuse_unknown(file: Path) -> bool:
+    """Raise L3Error if a picture is there that no run has listed."""
     if file.is_file():
-        raise L3Error(f"{file} exists, and no run was stopped there: it is finished; add ‹force› to render it again")
+        raise L3Error(f"{file} exists, and nothing says of which run it is; add ‹force› to render it again")
     return False
 
 

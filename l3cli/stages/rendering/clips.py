@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError
 from l3cli.io.destination import Destination, destination_of
 from l3cli.io.file_names import PATTERN, clips_in, name_of, refuse_one_name
+from l3cli.io.raw.files import RawOverrides, holds_several
 from l3cli.io.sequences import frame_files, is_one_file, is_still
 from l3cli.io.video import is_video
 from l3cli.options.render import RenderOptions
@@ -48,11 +49,20 @@ def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output
     return tuple(clips)
 
 
-def are_clips(inputs: Sequence[Path], output: Path, suffix: str) -> bool:
+def are_clips(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> bool:
     """Return whether each input is a clip of its own: there are several, of which one is a sequence, or videos are wanted
     in a folder. Several files of one frame each are one job."""
-    wants_videos = is_video(Path(f"clip.{suffix}")) and not is_video(output)
-    return wants_videos or (len(inputs) > 1 and not all(map(is_one_file, inputs)))
+    if is_video(Path(f"clip.{options.format}")) and not is_video(output):
+        return True
+    sensor, known = functools.cache(functools.partial(load, TransformTable, table)), overrides(options)
+    return len(inputs) > 1 and any(not is_one_file(path) or _is_stack(path, sensor, known) for path in inputs)
+
+
+def _is_stack(path: Path, sensor: Callable[[], TransformTable], known: RawOverrides) -> bool:
+    """Return whether a file holds several frames. What is wrong with it is said when it is rendered."""
+    with contextlib.suppress(L3Error, OSError):
+        return path.is_file() and holds_several(path, sensor, known)
+    return False
 
 
 @dataclass(frozen=True)

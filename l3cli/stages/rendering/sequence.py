@@ -96,6 +96,7 @@ class Tally:
     """Numbers of frames rendered and left out, and the time taken."""
 
     done: int = 0
+    made: int = 0  # of these, by this run; others were there already
     failures: int = 0
     seconds: float = 0.0  # from the first frame's reading to the last one's writing
     frame_times: str | None = None  # EVEN, KEPT or LOST of what is shown in time; None: pictures
@@ -185,7 +186,9 @@ def render_frames(
         console.info(flicker.line())
     report_times(job, tally)
     tally.seconds = max(time.monotonic() - start, 1e-9)
-    if not sequence.stills:
+    if not tally.made:
+        console.info(f"{job.destination.path} is finished already")
+    elif not sequence.stills:
         console.info(f"{job.destination.path}: {tally.done} frames, {tally.done / tally.seconds:.3g} a second")
     if tally.failures:
         console.report(f"l3: {tally.failures} of {tally.done + tally.failures} frames left out")
@@ -390,4 +393,5 @@ def _exposed(reading: Iterable[_Read], job: SequenceJob, tally: Tally, white_rep
             if isinstance(each.frame, RawFrame) and each.counted:
                 white_report.report_white(each.frame, each.white)
             if not each.is_finished:
+                tally.made += 1
                 yield Exposed(each.reference, each.frame, each.scale, each.balance)

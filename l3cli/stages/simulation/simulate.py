@@ -83,7 +83,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
                     write_pictures(run, files, stored, options)
                     _assemble(stored, head, output, console)  # last: whoever has the set has its pictures, too
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
-        console.info(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}")
+        console.info(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}{'; finished already' if stands else ''}")
         return total, bad
 
 
