@@ -121,8 +121,8 @@ class SensorRecipe(Recipe):
     cols: Count
     pixel_pitch_um: Positive
     bits: Bits
-    gain_dn_per_e: Positive
     black_level_dn: float
+    gain_dn_per_e: Positive | None = None  # default: a full well gives the white level, or the top of the bits
     white_level_dn: float | None = None  # default: the lower of well and converter
     fixed_pattern_seed: Seed = 0
 
@@ -294,7 +294,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
             responsivity=curves,
             responsivity_band=np.zeros_like(curves),
             absolute=True,
-            gain=sensor.gain_dn_per_e,
+            gain=gain_of(recipe),
             black_level=sensor.black_level_dn,
             white_level=white_level(recipe),
             fixed_pattern_seed=sensor.fixed_pattern_seed,
@@ -336,8 +336,28 @@ def white_level(recipe: CameraRecipe) -> float:
     sensor = recipe.sensor
     if sensor.white_level_dn is not None:
         return sensor.white_level_dn
+    if sensor.gain_dn_per_e is None:
+        return float(2**sensor.bits - 1)
     well = np.floor(sensor.black_level_dn + sensor.gain_dn_per_e * recipe.noise.well_capacity_e)
     return float(min(2**sensor.bits - 1, well))
+
+
+def gain_of(recipe: CameraRecipe) -> float:
+    """Return the conversion gain of a recipe in DN/e-.
+
+    Parameters
+    ----------
+    recipe : CameraRecipe
+        A camera recipe without faults.
+
+    Returns
+    -------
+    float
+        The gain that it states, or the gain at which a full well gives the white level.
+    """
+    if recipe.sensor.gain_dn_per_e is not None:
+        return recipe.sensor.gain_dn_per_e
+    return (white_level(recipe) - recipe.sensor.black_level_dn) / recipe.noise.well_capacity_e
 
 
 def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:

@@ -28,19 +28,20 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options: InitOptions) -> Result:
     """Make DIR with the recipes of one kind of camera and a Makefile that makes a picture and a report from them, and
     the same pipeline for Snakemake and for job arrays of Slurm. RECIPE is also the name of a camera whose measured curves
-    come with l3 (--list). With --from, the recipe is that of the camera which took the raw files; of several cameras, each
-    gets a folder in DIR; of a design (l3 design), it is that of its best array. A benchmark's Makefile learns from one
-    folder of your pictures and evaluates on another.
+    come with l3 (--list), or a camera recipe of your own (.toml), which is copied with its curves. With --from, the recipe
+    is that of the camera which took the raw files; of several cameras, each gets a folder in DIR; of a design (l3 design),
+    it is that of its best array. A benchmark's Makefile learns from one folder of your pictures and evaluates on another.
 
     Without arguments, list the recipes.
 
     \b
     Example: l3 init bayer demo && make -C demo
              l3 init nikon_d810 mine && make -C mine PHOTO=$PWD/photo.nef
+             l3 init my_camera.toml mine && make -C mine
              l3 init --from photo.dng mine && make -C mine picture.png
     """
     from l3cli.recipes.builtin import cameras_by_name, starters, summary
-    from l3cli.stages.starting import start, start_designed, start_from, start_named
+    from l3cli.stages.starting import start, start_designed, start_from, start_named, start_recipe
 
     of_photos = [
         name for name in ("light", "phase", "black_level", "white_level", "opcodes") if getattr(options, name) is not None
@@ -49,12 +50,13 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
         named = [Path(each) for each in (recipe, folder, *more) if each is not None]
         if not named:
             raise click.UsageError('name the folder to make, such as "l3 init --from photo.dng mine"')
-        if any(each.suffix == ".h5" for each in options.photos):
+        if single := next((each for each in options.photos if each.suffix in (".h5", ".toml")), None):
+            what, make = ("design", start_designed) if single.suffix == ".h5" else ("recipe", start_recipe)
             if len(options.photos) + len(named) != 2:
-                raise click.UsageError("a design gives one folder; give one file with --from")
+                raise click.UsageError(f"a {what} gives one folder; give one file with --from")
             if of_photos:
-                raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is that of photos; a design has none")
-            start_designed(options.photos[0], named[0], options)
+                raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is that of photos; a {what} has none")
+            make(single, named[0], options)
             return Result({"folders": [str(named[0])]})
         made = start_from([*options.photos, *named[:-1]], named[-1], options)
         return Result({"folders": [str(each) for each in made]})
@@ -74,6 +76,11 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
         options.console.info(f"{len(by_name)} cameras by name: l3 init --list")
         options.console.info('next: one of them and a new folder, such as "l3 init bayer demo"')
         return Result({"recipes": recipes}, lambda: _list(recipes))
+    if recipe.endswith(".toml"):
+        if folder is None:
+            raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} mine"')
+        start_recipe(Path(recipe), folder, options)
+        return Result({"folders": [str(folder)]})
     if recipe not in known and recipe not in by_name:
         raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, (*known, *by_name))}')
     if folder is None:

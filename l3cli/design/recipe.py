@@ -312,10 +312,18 @@ def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
     """Return the recipe of a camera without a readout, and the curves that it names, by file."""
     noise, optics = camera.noise, camera.optics
     pitch = round(camera.pixel_pitch * 1e6, 6)
-    levels = (camera.bits, camera.gain, camera.black_level, camera.white_level, camera.fixed_pattern_seed)
     dark = (noise.read_noise, noise.dark_current, noise.dsnu, noise.prnu, noise.column_noise)
     tables: dict[str, Recipe] = {
-        "sensor": SensorRecipe(camera.rows, camera.cols, pitch, *levels),
+        "sensor": SensorRecipe(
+            camera.rows,
+            camera.cols,
+            pitch,
+            camera.bits,
+            camera.black_level,
+            camera.gain,
+            camera.white_level,
+            camera.fixed_pattern_seed,
+        ),
         "cfa": CfaRecipe(list(camera.channels), array_rows(camera.channels, camera.cfa)),
         "noise": NoiseRecipe(noise.well_capacity, *dark),
         "optics": OpticsRecipe(round(optics.focal_length * 1e3, 9), optics.f_number, optics.object_distance),

@@ -303,7 +303,8 @@ class InitOptions(ForceOptions):
 
     photos: Paths = option(
         (),
-        "The camera that took a raw file (DNG, CR2, NEF…), or those of a folder; may be given several times. Or a design.",
+        "The camera that took a raw file (DNG, CR2, NEF…), or those of a folder; may be given several times. Or a design, "
+        "or a camera recipe (.toml).",
         flag="from",
         metavar="RAW",
         several=True,

@@ -1,5 +1,7 @@
 """Stage of `l3 init`: a folder to start from, of recipes that come with l3 or for each camera that took some raw files."""
 
+import itertools
+import os
 import re
 import shlex
 from collections.abc import Mapping, Sequence
@@ -9,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.design import Design
 from l3cli.artifacts.fit import guessed_light
 from l3cli.artifacts.store import load
@@ -61,6 +63,29 @@ def start(starter: Path, folder: Path, options: InitOptions) -> None:
         write_folder(folder, contents)
         edits = f"put your curves into {curves.name}, your figures into camera.toml, then " if curves else ""
         options.console.info(f"{folder}: {summary(starter)}; next: {edits}make -C {shlex.quote(str(folder))}")
+
+
+def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> None:
+    """Write the recipe folder of a camera recipe of the user's own, with its base and its curves.
+
+    Raises RecipeError if the file is no camera recipe, L3Error as `start`.
+    """
+    with OutputGuard(options.console) as guard:
+        files = camera_files(recipe)
+        guard.protect(*files)
+        guard.guard_folder(folder, options.force, *WRITTEN)
+        camera = load_camera(recipe)
+        names = {file: file.name if file.name not in (*COMMON, "camera.toml") else f"own_{file.name}" for file in files}
+        names[recipe] = "camera.toml"
+        texts = {names[file]: file.read_bytes() for file in files}
+        for file, (other, name) in itertools.product(files, names.items()):
+            stated = os.path.relpath(other, file.parent)  # recipes name files relative to themselves
+            for quote in ('"', "'") if file.suffix == ".toml" else ():
+                texts[names[file]] = texts[names[file]].replace(
+                    f"{quote}{stated}{quote}".encode(), f"{quote}{name}{quote}".encode()
+                )
+        _write_recipes(folder, common_files(camera.rows, camera.cols) | texts, {"recipe": files})
+        options.console.info(f"{folder}: {camera.name}; next: make -C {shlex.quote(str(folder))}")
 
 
 def start_named(name: str, folder: Path, options: InitOptions) -> None:

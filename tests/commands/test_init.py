@@ -100,6 +100,43 @@ def test_a_phase_comes_with_its_base(tmp_path: Path, l3: L3) -> None:
     assert load_camera(tmp_path / "demo/camera.toml").name == "Bayer BGGR"
 
 
+OWN = """name = "mine"
+[sensor]
+rows = 64
+cols = 80
+pixel_pitch_um = 3
+bits = 12
+black_level_dn = 95
+[cfa]
+channels = ["r", "g", "b"]
+pattern = ["r g", "g b"]
+[responsivity]
+file = "../curves/mine.csv"
+[noise]
+well_capacity_e = 8000
+[optics]
+focal_length_mm = 8
+f_number = 2
+"""
+
+
+@pytest.mark.parametrize("flag", [(), ("--from",)])
+def test_a_recipe_of_ones_own_becomes_a_folder(flag: tuple[str, ...], tmp_path: Path, l3: L3) -> None:
+    (tmp_path / "recipes").mkdir()
+    (tmp_path / "curves").mkdir()
+    rows = "\n".join(f"{nm},{nm / 4000},{nm / 3000},{nm / 5000}" for nm in range(380, 721, 10))
+    (tmp_path / "curves/mine.csv").write_text(f"nm,r (e-/photon),g (e-/photon),b (e-/photon)\n{rows}\n")
+    (tmp_path / "recipes/my_camera.toml").write_text(OWN)
+    code, _, err = l3("init", *flag, tmp_path / "recipes/my_camera.toml", tmp_path / "demo")
+    assert code == 0
+    assert f"make -C {tmp_path}/demo" in err
+    assert {path.name for path in (tmp_path / "demo").iterdir()} == {*COMMON, "camera.toml", "mine.csv"}
+    assert "CAMERA ?= camera.toml\n" in (tmp_path / "demo/Makefile").read_text()
+    made, own = (load_camera(tmp_path / each) for each in ("demo/camera.toml", "recipes/my_camera.toml"))
+    np.testing.assert_array_equal(made.responsivity, own.responsivity)
+    assert (made.gain, made.white_level) == ((4095 - 95) / 8000, 4095)
+
+
 # ------------------------------------------------------------------------------------------------------- arrays
 
 
