@@ -248,3 +248,4 @@ class RawFile:
     pattern: NDArray[np.int64] | None  # codes of the array
     black_level: float | None  # DN
     white_level: float | None  # DN
+    count: int = 1  # frames of the file, of which this is the first

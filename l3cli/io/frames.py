@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError, L3Error
-from l3cli.frames.frame import shifted_cfa
+from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.measurement import CaptureFolder, RawFile
 from l3cli.io.images import mono_of, opened
 from l3cli.io.isolated import isolated
 from l3cli.io.raw import RawContent, refuse_faults
 from l3cli.io.raw.cfa_codes import FilterArray, find_phase
-from l3cli.io.raw.files import BY_SUFFIX, format_of, read_raw
-from l3cli.io.raw.tiff import read_plain
+from l3cli.io.raw.files import BY_SUFFIX, RawOverrides, format_of, frame_of, read_raw
+from l3cli.io.raw.tiff import read_plain, stack
 from l3cli.spectra.file import SUFFIXES, read_table
 from l3cli.spectra.table import CurveTable
 from l3cli.system.files import require_regular
@@ -57,7 +57,14 @@ class FrameFiles:
 
     def __iter__(self) -> Iterator[NDArray[np.uint16]]:
         for path in self.paths:
-            yield read_frame(path, self.shape, self.bits, self.array)
+            pages = pages_of(path)
+            if pages is None:
+                yield read_frame(path, self.shape, self.bits, self.array)
+                continue
+            for name, values in pages:
+                _check(path, str(values.dtype), 1, values.shape, self.shape, self.bits)
+                require_bits(Path(name), values, self.bits)
+                yield values.astype(np.uint16, copy=False)
 
 
 @dataclass(frozen=True)
@@ -69,8 +76,7 @@ class WholeFrames:
 
     def __iter__(self) -> Iterator[NDArray[np.uint16]]:
         shape = (self.camera.rows, self.camera.cols)
-        for path in self.paths:
-            frame = read_raw(path, self.camera)
+        for path, frame in ((each, frame) for each in self.paths for frame in self._frames_in(each)):
             if frame.values.shape != shape or frame.phase != (0, 0):
                 raise InputFileError(
                     f"{path} of {frame.values.shape[0]}×{frame.values.shape[1]} pixels, first site {frame.phase}, is not a "
@@ -78,6 +84,47 @@ class WholeFrames:
                 )
             require_bits(path, frame.values, self.camera.bits)
             yield frame.values
+
+    def _frames_in(self, path: Path) -> Iterator[RawFrame]:
+        """Yield the frame of a file, or those of a stack."""
+        pages = pages_of(path)
+        if pages is None:
+            yield read_raw(path, self.camera)
+            return
+        for name, values in pages:
+            yield frame_of(name, RawContent(values=values), self.camera, RawOverrides())
+
+
+def pages_of(path: Path) -> Iterator[tuple[str, NDArray[np.unsignedinteger]]] | None:
+    """Return the pages of a TIFF stack.
+
+    Parameters
+    ----------
+    path : Path
+        A file of captures.
+
+    Returns
+    -------
+    iterator of (str, ndarray), or None
+        Name and values (row, col) of each page; None if the file is no TIFF or has one page.
+
+    Raises
+    ------
+    InputFileError
+        If the pages are not frames of one size and kind.
+    """
+    if path.suffix.lower() not in TIFF:
+        return None
+    require_regular(path, RAW_FILE)
+    pages = stack(path)
+    if pages is None or pages.count is None:
+        return None
+    return ((f"{path} {pages.name(number)}", _values(pages.read(number))) for number in range(pages.count))
+
+
+def _values(content: RawContent | None) -> NDArray[np.unsignedinteger]:
+    assert content is not None  # a stack has as many frames as it counts
+    return content["values"]
 
 
 def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray | None = None) -> NDArray[np.uint16]:
@@ -186,14 +233,18 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def read_capture(path: Path) -> RawFile:
-    """Return a raw frame as it stands; InputFileError of a developed picture, several frames, a damaged file."""
-    content = raw_content(path)
+    """Return a raw frame as it stands, of a TIFF stack its first page; InputFileError of a developed picture or a damaged
+    file."""
+    pages = stack(path) if path.suffix.lower() in TIFF else None
+    content = raw_content(path) if pages is None else pages.read(0)
+    assert content is not None
     return RawFile(
         np.ascontiguousarray(content["values"], np.uint16),
         max(content.get("exposure") or 0.0, 0.0) or None,
         content.get("pattern"),
         content.get("black_level"),
         content.get("white_level"),
+        1 if pages is None or pages.count is None else pages.count,
     )
 
 

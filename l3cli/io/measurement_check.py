@@ -13,12 +13,13 @@ from l3cli.io.measurement_recipe import (
     ChartRecipe,
     CorrectionRecipe,
     MeasurementRecipe,
+    MonitorRecipe,
     MonoRecipe,
     PhotoRecipe,
     captures_of,
     key_faults,
 )
-from l3cli.io.measurements import chart_radiance, curve_of, load_measurements, step_radiance
+from l3cli.io.measurements import chart_radiance, curve_of, load_measurements, monitor_at, step_radiance
 from l3cli.physics import charts, spectra
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import KeyPath
@@ -57,7 +58,10 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: RecipeSource) 
     """Yield the faults of the frames and the spectra of a capture."""
     yield from _missing(capture.frames, (*key, "frames"), source)
     if isinstance(capture, MonoRecipe):
-        yield from source.attempt((*key, "spectrum"), _light, capture, source)
+        wrong = list(source.attempt((*key, "spectrum"), _light, capture, source))
+        yield from wrong
+        if isinstance(capture.monitor, MonitorRecipe) and not wrong:
+            yield from source.attempt((*key, "monitor"), _monitor, capture, source)
     if isinstance(capture, ChartRecipe):
         yield from source.attempt((*key, "radiance"), chart_radiance, source.file(capture.radiance), capture, key[0])
 
@@ -65,6 +69,13 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: RecipeSource) 
 def _light(step: MonoRecipe, source: RecipeSource) -> None:
     """Raise InputFileError or RecipeError unless a table holds the light of a step."""
     step_radiance(read_table(source.file(step.spectrum)), step, source.path)
+
+
+def _monitor(step: MonoRecipe, source: RecipeSource) -> None:
+    """Raise InputFileError unless a table holds the reading of a step."""
+    light, radiance = step_radiance(read_table(source.file(step.spectrum)), step, source.path)
+    assert isinstance(step.monitor, MonitorRecipe)
+    monitor_at(step.monitor, float(light.wavelength[radiance.argmax()]), source.path)
 
 
 def _missing(names: Sequence[str], key: KeyPath, source: RecipeSource) -> Iterator[Fault]:

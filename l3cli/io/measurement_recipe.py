@@ -49,6 +49,14 @@ class BodyRecipe(Recipe):
     bits: Bits
 
 
+class MonitorRecipe(Recipe):
+    """Readings of the lamp along a sweep, a row per wavelength."""
+
+    file: str  # wavelength, and readings in any unit
+    column: int | str = 1  # readings during the captures: its name, or its number from 1, the wavelength not counted
+    reference: int | str | None = None  # readings when the spectra were measured; default: `column` holds the ratio of both
+
+
 class CaptureRecipe(Recipe, kw_only=True):
     """Lens-cap or white frames of one exposure."""
 
@@ -57,7 +65,8 @@ class CaptureRecipe(Recipe, kw_only=True):
     exposure_ms: Positive | None = None
     exposure_us: Positive | None = None
     # a reading of the lamp during the capture, over the reading when its spectrum was measured; 1: the same
-    monitor: Annotated[float, msgspec.Meta(ge=1 / MOST_MONITOR, le=MOST_MONITOR)] = 1.0
+    # of [[mono]] also a table of readings
+    monitor: Annotated[float, msgspec.Meta(ge=1 / MOST_MONITOR, le=MOST_MONITOR)] | MonitorRecipe = 1.0
 
     @property
     def seconds(self) -> float | None:
@@ -97,6 +106,7 @@ class CommonRecipe(Recipe):
     exposure_ms: Positive | None = None
     exposure_us: Positive | None = None
     unit: str | None = None  # of radiances, where the heading states none
+    monitor: MonitorRecipe | None = None  # of [[mono]]
 
 
 class ColumnRecipe(Recipe):
@@ -183,6 +193,8 @@ class MeasurementRecipe(Recipe):
         common, captures = self.common or CommonRecipe(), list[MonoRecipe | ChartRecipe]([*self.mono, *self.band])
         for capture in captures:
             capture.unit = common.unit if capture.unit is None else capture.unit
+            if isinstance(capture, MonoRecipe) and common.monitor is not None and capture.monitor == 1.0:
+                capture.monitor = common.monitor
             if all(getattr(capture, key) is None for key in EXPOSURES):
                 for key in EXPOSURES:
                     setattr(capture, key, getattr(common, key))
@@ -295,6 +307,9 @@ def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
 
 def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
     """Yield the faults of the exposure of a capture."""
+    if isinstance(capture.monitor, MonitorRecipe) and not isinstance(capture, MonoRecipe):
+        message = f"monitor is a table by wavelength for [[mono]] captures alone; give a [[{key[0]}]] capture a number"
+        yield fault(message, (*key, "monitor"))
     if capture.seconds is None:
         message = f"a [[{key[0]}]] capture needs one of exposure_s, exposure_ms and exposure_us"
         yield fault(message, *((*key, name) for name in EXPOSURES))
@@ -312,6 +327,7 @@ def frame_names(recipe: MeasurementRecipe) -> list[str]:
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
     """Return every file of spectra, tables and curves a measurement file names, each once, in order."""
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
+    names += [step.monitor.file for step in recipe.mono if isinstance(step.monitor, MonitorRecipe)]
     names += [recipe.sweep.table, recipe.sweep.response.file] if recipe.sweep else []
     names += [recipe.curves.file] if recipe.curves else []
     names += [name for photo in recipe.photos for name in (photo.light, photo.chart) if name and names_file(name)]

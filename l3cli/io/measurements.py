@@ -49,12 +49,14 @@ from l3cli.frames.measurement import (
 from l3cli.io.curves import prior_files, read_cameras, read_finished, read_sweep, shipped_statistics
 from l3cli.io.frames import FrameFiles, WholeFrames, phase_of, raw_content
 from l3cli.io.measurement_recipe import (
+    MOST_MONITOR,
     BodyRecipe,
     CaptureRecipe,
     ChartRecipe,
     CorrectionRecipe,
     DatasheetRecipe,
     MeasurementRecipe,
+    MonitorRecipe,
     MonoRecipe,
     PhotoRecipe,
     SensorCaptureRecipe,
@@ -301,7 +303,8 @@ def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, path: Path) ->
 def _common(capture: CaptureRecipe, body: Body, path: Path) -> dict[str, Any]:
     """Return the keywords that every capture has."""
     files = FrameFiles(tuple(path.parent / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
-    return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
+    monitor = 1.0 if isinstance(capture.monitor, MonitorRecipe) else capture.monitor  # a table is read beside the spectrum
+    return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": monitor}
 
 
 def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCapture, ...]:
@@ -310,9 +313,49 @@ def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCaptur
     for step in recipe.mono:
         light, radiance = step_radiance(tables[step.spectrum], step, path)
         common = _common(step, body, path)
+        if isinstance(step.monitor, MonitorRecipe):
+            common["monitor"] = monitor_at(step.monitor, float(light.wavelength[radiance.argmax()]), path)
         absolute = not {step.unit, *light.units} & set(RELATIVE)
         mono.append(MonoCapture(**common, wavelength=light.wavelength, radiance=radiance, absolute=absolute))
     return tuple(mono)
+
+
+def monitor_at(monitor: MonitorRecipe, nm: float, path: Path) -> float:
+    """Read what the lamp gave during a capture over what it gave when its spectrum was measured.
+
+    Parameters
+    ----------
+    monitor : MonitorRecipe
+        The table of readings.
+    nm : float
+        Wavelength in nm at which the spectrum of the capture peaks.
+    path : Path
+        The measurement file, which the table is named relative to.
+
+    Returns
+    -------
+    float
+        Ratio of the readings, interpolated at the wavelength.
+
+    Raises
+    ------
+    InputFileError
+        If the table does not reach the wavelength, or the ratio is that of another lamp.
+    """
+    table = read_table(path.parent / monitor.file)
+    first, last = table.wavelength[0], table.wavelength[-1]
+    if not first - 1 <= nm <= last + 1:
+        raise InputFileError(f"{table.path} holds {first:g}…{last:g} nm, and a capture is at {nm:g} nm; add its reading")
+    columns = [monitor.column, *([] if monitor.reference is None else [monitor.reference])]
+    readings = [float(np.interp(nm, table.wavelength, table.column(column).values[0])) for column in columns]
+    ratio = readings[0] / readings[1] if len(readings) > 1 and readings[1] else readings[0]
+    if not 1 / MOST_MONITOR <= ratio <= MOST_MONITOR:
+        what = "a ratio" if monitor.reference is not None else "a reading over that when the spectrum was measured"
+        raise InputFileError(
+            f"{table.path}: {ratio:.4g} at {nm:g} nm is not {what}, within {1 / MOST_MONITOR:g}…{MOST_MONITOR:g}; name the "
+            "column of the readings when the spectra were measured as reference"
+        )
+    return ratio
 
 
 def step_radiance(table: CurveTable, step: MonoRecipe, path: Path) -> tuple[CurveTable, NDArray[np.float64]]:

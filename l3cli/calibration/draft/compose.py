@@ -416,8 +416,9 @@ class Composer:
 
     def _list(self, kind: str, groups: Sequence[Group]) -> None:
         for group in groups:
-            if len(group.frames) < PAIR:
+            single = sum(frame.count for frame in group.frames) < PAIR
+            if single:
                 self.seen.notes.append(f"{group.first.name.path}: a single {kind} frame, from which no noise is measured")
             self._common(group, f"[[{kind}]]")
-            if len(group.frames) < PAIR:
+            if single:
                 self.out.todo("frames", ["a_1.tif", "a_2.tif"], "two frames or more", group.first.name.path)

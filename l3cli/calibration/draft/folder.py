@@ -141,7 +141,8 @@ def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str
         if seconds is not None and name.seconds is not None and abs(seconds / name.seconds - 1) > 0.1:
             refused.append(f"{fact.path}: its name says {name.seconds:g} s, its file {seconds:g} s; the file's is taken")
         by_name = seconds is None
-        usable.append(Frame(name, summarise(raw.values, period), name.seconds if by_name else seconds, by_name))
+        shown = summarise(raw.values, period)
+        usable.append(Frame(name, shown, name.seconds if by_name else seconds, by_name, fact.raw.count))
     notes += first_lines(refused, MOST_NOTED, "{} more such files left out")
     notes += [
         f"{count} frame{'s' * (count > 1)}: {what}; check that they are raw values" for what, count in changed.most_common(2)

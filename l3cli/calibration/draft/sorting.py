@@ -39,6 +39,7 @@ class Frame:
     summary: Summary
     seconds: float | None  # s, as the file or else its name says
     by_name: bool = False  # whether the exposure time is the name's
+    count: int = 1  # frames that the file holds, of one scene at one exposure
 
 
 @dataclass(frozen=True)

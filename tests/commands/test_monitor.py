@@ -1,0 +1,61 @@
+"""`monitor` of monochromatic captures as a table of readings: what it says is what numbers in the file say."""
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.errors import InputFileError
+from l3cli.io.measurements import inputs_of, load_measurements
+from tests.helpers.calls import Refused
+
+NUMBER = re.compile(r"^monitor = .*\n", re.MULTILINE)
+
+
+@pytest.fixture
+def lab(lab_folder: Path, tmp_path: Path) -> Path:
+    """The virtual lab's folder, whose [[mono]] captures name no monitor yet."""
+    folder = tmp_path / "lab"
+    shutil.copytree(lab_folder, folder)
+    file = folder / "MEASUREMENTS.toml"
+    file.write_text(NUMBER.sub("", file.read_text()))
+    return folder
+
+
+def with_monitor(lab: Path, stated: str) -> Path:
+    """The measurement file with a monitor for all [[mono]] captures."""
+    path = lab / "WATCHED.toml"
+    path.write_text(
+        (lab / "MEASUREMENTS.toml").read_text().replace("[[mono]]", f"[common]\nmonitor = {stated}\n\n[[mono]]", 1)
+    )
+    return path
+
+
+def test_a_table_of_readings_gives_the_ratio_at_each_step(lab: Path) -> None:
+    mono = load_measurements(lab / "MEASUREMENTS.toml").mono
+    peaks = [float(step.wavelength[step.radiance.argmax()]) for step in mono]
+    assert {step.monitor for step in mono} == {1.0}
+    ratios = np.array(peaks) / 500
+    rows = [f"{nm},{3e-7 * nm / 500:.9g},3e-7,{nm / 500:.9g}" for nm in sorted(set(peaks))]
+    (lab / "power.csv").write_text("\n".join(["wavelength_nm,power (W),before (W),ratio", *rows]) + "\n")
+    for stated in (
+        '{ file = "power.csv", column = "ratio" }',
+        '{ file = "power.csv", column = "power", reference = "before" }',
+    ):
+        path = with_monitor(lab, stated)
+        np.testing.assert_allclose([step.monitor for step in load_measurements(path).mono], ratios, rtol=1e-6)
+        assert lab / "power.csv" in inputs_of(path).files["spectra"]
+    with pytest.raises(InputFileError, match=r"power\.csv"):  # readings in watts are no ratio
+        load_measurements(with_monitor(lab, '{ file = "power.csv", column = "power" }'))
+    (lab / "power.csv").write_text("nm,ratio\n400,1\n410,1\n420,1\n")
+    with pytest.raises(InputFileError, match=r"power\.csv"):
+        load_measurements(with_monitor(lab, '{ file = "power.csv" }'))
+
+
+def test_a_table_is_for_monochromatic_captures(lab: Path, refused: Refused) -> None:
+    path = lab / "CHART.toml"
+    text = (lab / "MEASUREMENTS.toml").read_text()
+    path.write_text(text.replace("[[chart]]", '[[chart]]\nmonitor = { file = "power.csv" }', 1))
+    assert "monitor" in refused(2, "calibrate", path, "-o", lab / "camera.h5")
