@@ -1,5 +1,6 @@
 """Cameras described instead of measured: recipes (configs/cameras)."""
 
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -25,6 +26,7 @@ from l3cli.artifacts.camera_curves import ResponsivityRecipe, curve_faults, curv
 from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.artifacts.store import load
 from l3cli.errors import RecipeError, raised_as, suggestion
+from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import (
     Count,
@@ -411,6 +413,13 @@ def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
     refuse_first(cfa_faults(cfa), name)
     rows = [row.split() for row in cfa.pattern]
     return np.array([[cfa.channels.index(channel) for channel in row] for row in rows], dtype=np.uint8)
+
+
+def known_arrays() -> dict[str, CfaRecipe]:
+    """Return the colour filter arrays of the camera recipes that come with l3, by their names."""
+    found = {name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in known_recipes("cameras").items()}
+    arrays = {name: recipe.get("cfa", {}) for name, recipe in found.items()}
+    return {name: CfaRecipe(**cfa) for name, cfa in arrays.items() if {"channels", "pattern"} <= cfa.keys()}
 
 
 def recipe_text(path: Path) -> str:

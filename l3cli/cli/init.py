@@ -43,9 +43,8 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
     from l3cli.recipes.builtin import cameras_by_name, starters, summary
     from l3cli.stages.starting import start, start_designed, start_from, start_named, start_recipe
 
-    of_photos = [
-        name for name in ("light", "phase", "black_level", "white_level", "opcodes") if getattr(options, name) is not None
-    ]
+    for_photos = "light", "phase", "pattern", "black_level", "white_level", "opcodes"
+    of_photos = [name for name in for_photos if getattr(options, name) is not None]
     if options.photos:  # the shell may have made several files of a pattern
         named = [Path(each) for each in (recipe, folder, *more) if each is not None]
         if not named:

@@ -6,7 +6,7 @@ array, only the signals of a grey, which many files state, tell them apart: the 
 """
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,14 @@ DARKEST = 0.1  # percentile of the values of a channel: about black in most pict
 LEAST_BLACK, HIGHEST_BLACK = 1 / 64, 1 / 6  # of the white level: where black levels of real cameras lie
 ROUGH, SMOOTHER = 0.01, 3.0  # of full scale: least roughness of a misread frame; times as rough as a frame read rightly
 MOST_BANDS = 32  # of a frame, of two super-pixels' rows, that roughness is measured on
+PERIODS, PERIOD = (4, 6, 8), 24  # rows and columns of arrays that are looked for; after which all of them repeat
+TILE, TILES = 120, 8  # pixels along a tile, after which all periods begin again; tiles along a frame, at most
+ARRAYS_DIFFER = (
+    0.05  # of the signal: mean difference of sites; real Bayer frames leave 0.001 to 0.02, other arrays 0.05 to 2
+)
+MOST_SITES_DIFFER = 0.03  # of the signal: exceeded by 30 % of the sites of another array, by none but those for autofocus
+CONTROL = 3.0  # times as much as modulo a period that no array has
+FITS = 0.01  # of the signal: sites of one channel that differ less fit an array
 SMALLEST_BLACK = 16.0  # DN: of less nothing can be said
 BELOW = 0.5  # of the black level: pixels without light lie above, since black is there for their noise to have room
 FEW = 0.05  # fraction of the pixels below which nothing is said
@@ -64,6 +72,78 @@ def phase_doubt(
     if grey[frame.phase] >= FAR_FROM_GREY and grey[best] <= BETTER * grey[frame.phase]:
         return PhaseDoubt(stated, least, (best,), by_grey=True)
     return None
+
+
+@dataclass(frozen=True)
+class ArrayDoubt:
+    """Evidence that a mosaic has another array than it is said to."""
+
+    differ: float  # how much sites of one stated colour differ, over the signal
+    means: NDArray[np.float64]  # (row, col) mean signals modulo PERIOD, in DN
+
+    def likely(self, arrays: Mapping[str, NDArray[np.uint8]]) -> list[str]:
+        """Return the names of the arrays (row, col) that fit the pixels best in some phase, fewest channels first. Large
+        arrays whose sites all have different channels, which fit any pixels, are left out."""
+        judged = {name: cfa for name, cfa in arrays.items() if len(set(cfa.flat)) < cfa.size or cfa.size <= 4}
+        misfits = {name: self._misfit(cfa) for name, cfa in judged.items() if not (PERIOD % np.array(cfa.shape)).any()}
+        limit = max(ALIKE * min(misfits.values()), FITS)
+        fitting = [name for name, misfit in misfits.items() if misfit <= limit]
+        return sorted(fitting, key=lambda name: (len(set(arrays[name].flat)), misfits[name]))
+
+    def _misfit(self, cfa: NDArray[np.uint8]) -> float:
+        """Return the mean difference of a site from its channel's sites, over the signal, in the best phase."""
+        phases = itertools.product(range(cfa.shape[0]), range(cfa.shape[1]))
+        whole = [tiled(shifted_cfa(cfa, phase), self.means.shape) for phase in phases]
+        return min(_sites_differ(self.means[None], array) for array in whole)
+
+
+def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
+    """Return the doubt that a frame has an array that repeats as `cfa` (row, col) does; None without one.
+
+    Sites at the same place of the stated super-pixel have the same mean over a frame, whichever super-pixel they belong to,
+    unless the array is another one; and so have sites of one channel, unless another phase explains it (`phase_doubt`). Few
+    pixels that differ, as those for autofocus do, are no such evidence; nor are differences that show as well modulo a
+    period which no sensor has.
+    """
+    tile, control = _mean_tile(frame), (5 * cfa.shape[0], 5 * cfa.shape[1])  # no array has that period
+    if min(np.array(tile.shape) // control) < 2 or any(TILE % period for period in control):
+        return None
+    if not tile.mean() > LEAST_SIGNAL * (frame.white_level - frame.black_level):
+        return None
+    places = np.arange(cfa.size).reshape(cfa.shape)
+    _, usual = _differences(_means(tile, control), places)
+    found = [_differences(_means(tile, tuple(np.lcm(cfa.shape, each))), places) for each in PERIODS]
+    if phase_doubt(frame, cfa) is None:
+        found.append(_differences(_means(tile, cfa.shape), shifted_cfa(cfa, frame.phase)))
+    limit = max(ARRAYS_DIFFER, CONTROL * usual)
+    differ = max((mean for most, mean in found if most >= MOST_SITES_DIFFER and mean >= limit), default=0.0)
+    return ArrayDoubt(differ, _means(tile, (PERIOD, PERIOD))) if differ else None
+
+
+def _mean_tile(frame: RawFrame) -> NDArray[np.float64]:
+    """Return the mean signal (row, col) in DN above black of tiles evenly spread over a frame. All begin at the same site of
+    any array whose period divides a tile."""
+    tops, lefts = (
+        np.unique(np.linspace(0, max(length // TILE - 1, 0), TILES).astype(int)) * TILE for length in frame.values.shape
+    )
+    tiles = [frame.values[top : top + TILE, left : left + TILE] for top in tops for left in lefts]
+    return np.asarray(np.sum(tiles, axis=0, dtype=np.float64) / len(tiles) - frame.black_level - frame.dark)
+
+
+def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return the mean signal (row, col) of a tile modulo a period."""
+    down, across = tile.shape[0] // period[0], tile.shape[1] // period[1]
+    whole = tile[: down * period[0], : across * period[1]].reshape(down, period[0], across, period[1])
+    return np.asarray(whole.mean(axis=(0, 2)))
+
+
+def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tuple[float, float]:
+    """Return how much sites differ from the median of those that have the same entry of `array`, over the signal: what 30 %
+    of them exceed, and the mean; of the entry whose sites differ most."""
+    entries = tiled(array, means.shape)
+    off = [np.abs(means[entries == each] - np.median(means[entries == each])) for each in np.unique(array)]
+    worst = max(off, key=lambda each: float(each.mean()))
+    return float(np.quantile(worst, 0.7, method="lower") / means.mean()), float(worst.mean() / means.mean())
 
 
 def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]:

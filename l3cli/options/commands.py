@@ -320,6 +320,12 @@ class InitOptions(ForceOptions):
         metavar="ROW,COL",
     )
     black_level: float | None = option(None, "Black level of the raw files, where they misstate it.", LEVEL, metavar="DN")
+    pattern: str | None = option(
+        None,
+        'Their array, if they state a wrong one: rows from the first pixel on, "gg rr/gg rr/bb gg/bb gg", or the name of a '
+        "recipe.",
+        metavar="ROWS|RECIPE",
+    )
     white_level: float | None = option(None, "White level of the raw files, where they misstate it.", LEVEL, metavar="DN")
     opcodes: Literal["leave"] | None = option(
         None, "Of a DNG: leave out the opcodes, such as a lens warp, that it demands and l3 does not carry out."

@@ -9,9 +9,10 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera_recipe import known_arrays, parse_cfa
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
-from l3cli.frames.raw_sanity import BELOW, SMALLEST_BLACK, phase_doubt, share_below_black
+from l3cli.frames.raw_sanity import BELOW, SMALLEST_BLACK, array_doubt, phase_doubt, share_below_black
 from l3cli.rendering.conditions import FAR, known_gains
 from l3cli.rendering.exposure import RangeMeter
 
@@ -138,6 +139,8 @@ def _words(name: str) -> set[str]:
 def other_phase(frame: RawFrame, table: TransformTable) -> str:
     """Return a warning, with the phase that fits, if the sites of one channel differ as they do where a file misstates
     its array; else ""."""
+    if other := _other_array(frame, table):
+        return other
     doubt = phase_doubt(frame, table.cfa)
     if doubt is None:
         return ""
@@ -153,6 +156,18 @@ def _misread(frame: RawFrame) -> str:
     if not frame.misread:
         return ""
     return f"its pixels look like noise, neighbours of one channel are unrelated; with {frame.misread} they are not"
+
+
+def _other_array(frame: RawFrame, table: TransformTable) -> str:
+    """Return a warning of a mosaic whose pixels show another array than the table's, in any phase; else ""."""
+    doubt = array_doubt(frame, table.cfa)
+    if doubt is None:
+        return ""
+    known = {name: parse_cfa(each, name) for name, each in known_arrays().items()}
+    return (
+        f"sites of one colour differ by {doubt.differ:.0%}: it has another colour filter array than the table, such as "
+        f"{' or '.join(doubt.likely(known)[:2])}; make a table for its array (‹pattern› of l3 init)"
+    )
 
 
 def other_gain(frame: RawFrame, table: TransformTable) -> str:

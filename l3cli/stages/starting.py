@@ -9,9 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import camera_files, load_camera
+from l3cli.artifacts.camera_recipe import CfaRecipe, camera_files, known_arrays, load_camera, parse_cfa
 from l3cli.artifacts.design import Design
 from l3cli.artifacts.fit import guessed_light
 from l3cli.artifacts.store import load
@@ -21,14 +22,14 @@ from l3cli.calibration.photo.estimate import MEASURED
 from l3cli.calibration.photo.recipe import PhotoCamera, SensorNoise, gains_of, noise_of, without_photo
 from l3cli.calibration.photo.responsivity import ColourMatrix
 from l3cli.design.recipe import camera_texts
-from l3cli.errors import InputFileError, RecipeError
-from l3cli.frames.frame import array_rows, shifted_cfa
+from l3cli.errors import InputFileError, RecipeError, suggestion
+from l3cli.frames.frame import RawFrame, array_rows, shifted_cfa
 from l3cli.frames.measurement import Body, Measurements, Stated
-from l3cli.frames.raw_sanity import BELOW, PhaseDoubt, black_doubt, phase_doubt, share_below_black
+from l3cli.frames.raw_sanity import BELOW, ArrayDoubt, PhaseDoubt, array_doubt, black_doubt, phase_doubt, share_below_black
 from l3cli.io.curves import shipped_statistics
 from l3cli.io.known_cameras import ROLES, known_as, known_cameras, known_curves
 from l3cli.io.measurements import bits_of, photo_measurements
-from l3cli.io.raw.cfa_codes import code_of
+from l3cli.io.raw.cfa_codes import LETTERS, code_of
 from l3cli.io.raw.files import BY_SUFFIX, is_photo
 from l3cli.io.raw.libraw import stated
 from l3cli.options.commands import InitOptions
@@ -38,8 +39,10 @@ from l3cli.system.console import Console
 from l3cli.system.files import atomic_output, blamed_on, refuse_protected, require_regular
 from l3cli.system.outputs import Made, OutputGuard, before_work
 
+COLOURS = set(LETTERS.lower())  # letters that may stand together in a row of ‹pattern›
+NONA = "ggg rrr/ggg rrr/ggg rrr/bbb ggg/bbb ggg/bbb ggg"  # an array that telephones have, and no recipe
 ANSWERS = ("black_level", "white_level", "opcodes")  # options that answer what raw files leave in doubt
-OF_ONE = ("phase", "black_level", "white_level")  # options that hold for one camera
+OF_ONE = ("phase", "pattern", "black_level", "white_level")  # options that hold for one camera
 NEW_FOLDER = "mine"  # as the documentation calls it
 SHOWN = "picture"  # and the photo's suffix: a link to it, for make cannot hold every name
 CHART_WHITE = "chart"  # of l3 render: neutral is what the chart in the photo shows, for its light is only guessed
@@ -296,7 +299,8 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
     frame = measured.photos[0].frames[0]
     levels = frame.black_level, frame.white_level
     noise = noise_of(known, levels[1] - levels[0])
-    phase = "0,0" if any(options.phase or ()) else None  # of the recipe's array, which begins there
+    # that of the recipe's array, which begins there, if it is not what the file states
+    phase = "0,0" if any(options.phase or ()) or options.pattern is not None else None
     given = {"phase": phase} | {name: getattr(options, name) for name in ANSWERS}
     overrides = {name: f"{value}" for name, value in given.items() if value is not None}
     for other, facts in taken[:SEARCHED]:
@@ -341,6 +345,12 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     if body.rows < SMALLEST_SENSOR[0] or body.cols < SMALLEST_SENSOR[1]:
         least = "×".join(map(str, SMALLEST_SENSOR))
         raise InputFileError(f"{path} has {body.rows}×{body.cols} pixels, {least} are needed; give one of the whole sensor")
+    if options.pattern is not None:
+        channels, cfa = array_named(options.pattern)
+        frame = replace(frame, neutral=neutral_by_name(frame, body, channels))
+        body = replace(body, channels=channels, cfa=cfa)
+    elif other := array_doubt(frame, shifted_cfa(body.cfa, options.phase or (0, 0))):
+        raise InputFileError(f"{path}: {_another_array(body, other)}")
     if options.phase is None and (doubt := phase_doubt(frame, body.cfa, frame.neutral)):
         raise InputFileError(f"{path}: {_misplaced(body, doubt)}")
     white_level = frame.white_level if options.white_level is None else options.white_level
@@ -361,6 +371,47 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
         )
     body = replace(body, bits=bits_of(white_level), cfa=shifted_cfa(body.cfa, options.phase or (0, 0)))
     return replace(measured, body=body, photos=(replace(measured.photos[0], frames=(frame,)),))
+
+
+def array_named(text: str) -> tuple[tuple[str, ...], NDArray[np.uint8]]:
+    """Return the channels and the array (row, col) that ‹pattern› names.
+
+    Parameters
+    ----------
+    text : str
+        Name of a camera recipe that comes with l3, or rows divided by "/". A row names channels divided by blanks; letters
+        of colours may stand together: "rg/gb", "r g ir g/…".
+
+    Raises
+    ------
+    RecipeError
+        If it is neither, or no array.
+    """
+    known = known_arrays()
+    if text not in known and "/" not in text:
+        raise RecipeError(f'‹pattern› "{text}" is no camera recipe and no rows such as rg/gb; {suggestion(text, known)}')
+    if text not in known:
+        words = [row.lower().split() for row in text.split("/")]
+        rows = [" ".join(" ".join(each) if set(each) <= COLOURS else each for each in row) for row in words]
+        known = {text: CfaRecipe(list(dict.fromkeys(" ".join(rows).split())), rows)}
+    return tuple(known[text].channels), parse_cfa(known[text], f'‹pattern› "{text}"')
+
+
+def neutral_by_name(frame: RawFrame, body: Body, channels: Sequence[str]) -> tuple[float, ...] | None:
+    """Return the signals of a grey in `channels` from those in the channels of a body; None unless all are known."""
+    known = dict(zip(body.channels, frame.neutral or (), strict=False))
+    return tuple(known[name] for name in channels) if set(channels) <= set(known) else None
+
+
+def _another_array(body: Body, doubt: ArrayDoubt) -> str:
+    """Return the doubt about an array that no phase explains, and how to answer it."""
+    stated = "/".join(array_rows(body.channels, body.cfa, ""))
+    likely = doubt.likely({name: array_named(name)[1] for name in (*known_arrays(), NONA)})
+    named = " or ".join(f'"{each}"' if "/" in each else each for each in likely[:2])
+    return (
+        f"it states the array {stated}, its pixels show another: sites of one colour differ by {doubt.differ:.0%}; give "
+        f"‹pattern› {named} or its rows, or ‹pattern› {stated} if that is right"
+    )
 
 
 def _misplaced(body: Body, doubt: PhaseDoubt) -> str:

@@ -196,6 +196,42 @@ def test_a_black_level_of_0_is_questioned(bayer: CameraModel, tmp_path: Path, l3
     assert "RENDER ?= --black-level 256" in (tmp_path / "mine/Makefile").read_text()
 
 
+def quad_photo(path: Path) -> None:
+    """A mosaic of 2×2 pixels behind each filter, whose file states rg/gb."""
+    rng, site = np.random.default_rng(0), np.kron(np.array([[0, 1], [1, 2]]), np.ones((2, 2), int))
+    light = np.kron(rng.uniform(0.1, 1.0, (16, 20)), np.ones((12, 12)))
+    values = 64 + 2000 * light * WALL[np.tile(site, (48, 60))] + rng.normal(0, 3, light.shape)
+    tags = {50714: (dng_files.SHORT, [64]), 50717: (dng_files.LONG, [4095])}
+    dng_files.write_dng(path, np.rint(values).astype(np.uint16), np.array([[0, 1], [1, 2]]), tags=tags)
+
+
+@pytest.mark.parametrize("pattern", ["rr gg/rr gg/gg bb/gg bb", "r r g g / r r g g / g g b b / g g b b", "quad_bayer"])
+def test_another_array_than_the_stated_is_refused_until_it_is_named(
+    tmp_path: Path, l3: L3, refused: Refused, pattern: str
+) -> None:
+    quad_photo(tmp_path / "a.dng")
+    call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
+    assert "quad_bayer" in refused(3, *call)
+    named = ("--pattern", pattern)
+    if pattern == "quad_bayer":  # the recipe begins with green
+        assert "0,2" in refused(3, *call, *named)
+        named = (*named, "--phase", "0,2")
+    code, _, err = l3(*call, *named)
+    assert code == 0, err
+    camera = load_camera(tmp_path / "mine/camera.toml")
+    written = ["".join(camera.channels[site] for site in row) for row in camera.cfa]
+    assert written == ["rrgg", "rrgg", "ggbb", "ggbb"]
+    assert "RENDER ?= --phase 0,0\n" in (tmp_path / "mine/Makefile").read_text()
+    assert l3("check", tmp_path / "mine")[0] == 0
+    assert l3(*call, "--pattern", "rg/gb", "--force")[0] == 0  # it is as the file states
+
+
+def test_an_array_that_is_none_is_refused(tmp_path: Path, refused: Refused) -> None:
+    quad_photo(tmp_path / "a.dng")
+    for pattern in ("quad_baier", "rg/g", "/"):
+        refused(2, "init", "--from", tmp_path / "a.dng", tmp_path / "mine", "--pattern", pattern)
+
+
 def test_values_below_the_black_level_are_refused_until_answered(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
     """10-bit values under the levels of 16 bits."""
     tags = {50714: (dng_files.SHORT, [4096]), 50717: (dng_files.LONG, [65535])}
