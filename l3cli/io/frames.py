@@ -21,6 +21,7 @@ from l3cli.io.raw import RawContent, refuse_faults
 from l3cli.io.raw.cfa_codes import FilterArray, find_phase
 from l3cli.io.raw.files import BY_SUFFIX, RawOverrides, format_of, frame_of, read_raw
 from l3cli.io.raw.tiff import read_plain, stack
+from l3cli.io.raw.values import require_dn
 from l3cli.spectra.file import SUFFIXES, read_table
 from l3cli.spectra.table import CurveTable
 from l3cli.system.files import require_regular
@@ -43,6 +44,7 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
         raise InputFileError(f"{path} is not a mosaic; {RAW_FILE}")
     require_picture(str(path), *content["values"].shape)
     refuse_faults(str(path), content, answered)
+    content["values"] = require_dn(str(path), content["values"])
     return content
 
 

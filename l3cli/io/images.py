@@ -39,14 +39,14 @@ def picture_size(path: Path) -> tuple[int, int]:
         return spec.height, spec.width
 
 
-def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[np.uint16], float | None]:
-    """Return the values as stored (row, col) of a single-channel picture, and its exposure time (s)."""
-    stored = str(spec.format)
-    if spec.nchannels != 1 or stored not in ("uint8", "uint16"):
-        raise InputFileError(
-            f"{path} has {spec.nchannels} channels of {stored}; a raw image has one channel of 8 or 16 bits"
-        )
+def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | None]:
+    """Return the values as stored (row, col) of a single-channel picture, of 8 or 16 bits as uint16, and its exposure time
+    (s)."""
+    if spec.nchannels != 1:
+        raise InputFileError(f"{path} has {spec.nchannels} channels of {spec.format}; a raw image has one channel")
     values = pixels_of(path, source, spec)[..., 0]
+    if values.dtype not in (np.uint8, np.uint16):
+        return values, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
     # OpenImageIO stretches depths such as 12 bits over the whole of 16: the upper bits are what is stored.
     depth = 8 * values.dtype.itemsize
     unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import NotRequired, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from l3cli.io.video import Stated
 class RawContent(TypedDict):
     """One frame; the table says what its file does not."""
 
-    values: NDArray[np.unsignedinteger]  # (row, col) DN of at most 16 bits, without masked borders
+    values: NDArray[Any]  # (row, col) DN, without masked borders; no whole numbers of 16 bits: of a scale not stated
     black_level: NotRequired[float]  # DN
     white_level: NotRequired[float]  # DN
     pattern: NotRequired[NDArray[np.int64]]  # (row, col) colour codes of the CFA, from pixel (0, 0) on

@@ -24,6 +24,7 @@ from l3cli.frames.shading import shading_of_gain
 from l3cli.io.raw import MultiFrameFile, RawContent, refuse_faults
 from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
 from l3cli.io.raw.headerless import Layout, layout_of, stdin
+from l3cli.io.raw.values import SCALED_BLACK, SCALED_WHITE, as_dn, scaled_dn
 from l3cli.io.tags import believable_shot
 from l3cli.system.files import STDIN, naming, require_regular
 from l3cli.system.limits import require_picture
@@ -89,6 +90,7 @@ FORMATS = (
     RawFormat(HEADERLESS, "headerless", stackable=True, isolated=False, wants_geometry=True),
     RawFormat((".fits", ".fit", ".fts"), "fits", stackable=True),
     RawFormat((".h5", ".hdf5", ".hdf"), "hdf5", holds_frame=False, stackable=True, wants_dataset=True),
+    RawFormat((".mat",), "mat", holds_frame=False, stackable=True, wants_dataset=True),
     RawFormat((".mkv", ".mov", ".mp4", ".avi"), "video", holds_frame=False, stackable=True),
     RawFormat((".dng",), "dng", has_rate=True),
     CAMERA_RAW,
@@ -198,10 +200,16 @@ def _headerless_layout(path: Path, table: Sensor, known: RawOverrides) -> Layout
 def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:
     """Return the frame of what a file holds; what it does not say is the table's, unless the caller knows better."""
     values, pattern = content["values"], content.get("pattern")
-    if values.size == 0 or values.ndim != 2:
+    if values.size == 0:
         raise InputFileError(f"{name} holds no pixels; give a raw file")
+    if values.ndim != 2:
+        raise InputFileError(f"{name} holds {values.dtype} of {values.ndim} axes {values.shape}; give rows × columns")
     require_picture(name, *values.shape)
     refuse_faults(name, content, [each.name for each in fields(known) if getattr(known, each.name) is not None])
+    dn = as_dn(values)
+    if dn is None:
+        dn = scaled_dn(name, values, known.black_level, known.white_level)
+        known = replace(known, black_level=SCALED_BLACK, white_level=SCALED_WHITE)
     black_level = content.get("black_level", table.black_level) if known.black_level is None else known.black_level
     white_level = content.get("white_level", table.white_level) if known.white_level is None else known.white_level
     if not 0 <= black_level < white_level <= TOP:
@@ -213,7 +221,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     gain = content.get("gain")
     frame = RawFrame(
         name,
-        np.ascontiguousarray(values, np.uint16),
+        np.ascontiguousarray(dn),
         black_level,
         white_level,
         frame_phase,

@@ -16,26 +16,40 @@ import numpy as np
 from l3cli.errors import InputFileError, L3Error
 from l3cli.io.isolated import isolated
 from l3cli.io.raw import MultiFrameFile, RawContent
+from l3cli.io.raw.axes import MEANING, STACK, frame_axes
 from l3cli.io.raw.cfa_codes import LETTERS, codes_of
 from l3cli.system.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
 SIDES = {4: 2, 36: 6}  # letters of BAYERPAT → rows and columns of the array: Bayer, X-Trans
+PLANES = 3  # of a picture of red, green and blue
 BOTTOM_UP = "BOTTOM-UP"
 ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
 
 
 def stack(path: Path) -> MultiFrameFile | None:
-    """Return the frames of an image of three axes."""
-    shape = _shape(path)
-    return MultiFrameFile(shape[0], lambda number: read(path, number)) if len(shape) == 3 else None
+    """Return the frames of an image of three axes. InputFileError of a picture in three planes, as developers write it."""
+    shape, names, has_pattern = _shape(path)
+    if len(shape) != 3:
+        return None
+    axes = frame_axes(str(path), shape, names)
+    if axes != STACK:
+        raise InputFileError(f"{path}: its CTYPE name other axes than frames of rows of columns; save NAXIS3 frames")
+    if shape[0] == PLANES and not has_pattern and MEANING.get(names[0].lower()) != "frame":
+        raise InputFileError(
+            f"{path} holds {PLANES} planes of {shape[1]}×{shape[2]}, as a picture of {PLANES} channels; give the mosaic, or "
+            f"say with CTYPE3 = 'FRAME' that they are {PLANES} frames"
+        )
+    return MultiFrameFile(shape[0], lambda number: read(path, number))
 
 
 @isolated("astropy.io.fits")
-def _shape(path: Path) -> tuple[int, ...]:
-    """Return (row, col) or (frame, row, col) of the first image."""
+def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
+    """Return the lengths of the axes of the first image, their names (CTYPEn), and whether it states a BAYERPAT."""
     with _first_image(path) as image:
-        return tuple(image.shape)
+        count = len(image.shape)
+        names = [str(image.header.get(f"CTYPE{number}", "")).strip() for number in range(count, 0, -1)]
+        return tuple(image.shape), names, bool(str(image.header.get("BAYERPAT", "")).strip())
 
 
 @isolated("astropy.io.fits")
@@ -43,7 +57,7 @@ def read(path: Path, number: int | None = None) -> RawContent:
     """Return the pixels (row, col) in DN, of frame `number` where there are several, the colours BAYERPAT names, and the
     exposure time (s) of EXPTIME or EXPOSURE.
 
-    InputFileError if the file holds anything but unsigned integers of at most 16 bits.
+    InputFileError if the file holds no frame.
     """
     with _first_image(path) as image:
         values = np.asarray(image.data if number is None else image.section[number])
@@ -51,16 +65,14 @@ def read(path: Path, number: int | None = None) -> RawContent:
         pattern, order = str(header.get("BAYERPAT", "")).strip().upper(), str(header.get("ROWORDER", "")).strip().upper()
         offset = (int(header.get("YBAYROFF", 0)), int(header.get("XBAYROFF", 0)))
         seconds = header.get("EXPTIME", header.get("EXPOSURE"))
-    if values.ndim != 2 or values.dtype.kind not in "ui" or values.dtype.itemsize > 2 or values.size == 0:
-        raise InputFileError(f"{path} holds {values.dtype.name} {values.shape}; give unsigned 16-bit (rows, columns)")
-    if values.min() < 0:
-        raise InputFileError(f"{path} holds {values.min()} DN; give unsigned values, as BZERO = 32768 codes them")
+    if values.ndim != 2 or values.size == 0:
+        raise InputFileError(f"{path} holds {values.dtype.name} {values.shape}; give one of (rows, columns)")
     if order not in ("", *ROW_ORDERS):
         raise InputFileError(f'{path}: its ROWORDER is "{order}"; correct the header to {" or ".join(ROW_ORDERS)}')
     if order == BOTTOM_UP:
         values = values[::-1]
     exposure = float(seconds) if isinstance(seconds, int | float) else None
-    content = RawContent(values=np.ascontiguousarray(values, np.uint16), exposure=exposure)
+    content = RawContent(values=np.ascontiguousarray(values, values.dtype.newbyteorder("=")), exposure=exposure)
     side = SIDES.get(len(pattern))
     if side and set(pattern) <= set(LETTERS):
         content["pattern"] = np.roll(codes_of(pattern).reshape(side, side), (-offset[0], -offset[1]), axis=(0, 1))

@@ -1,23 +1,30 @@
-"""Stacks of raw frames in HDF5 files: a dataset of 8- or 16-bit integers (frame, row, col), or of one frame (row, col)."""
+"""Stacks of raw frames in HDF5 files: a dataset of numbers (frame, row, col), or of one frame (row, col). Axes in another
+order are read where the file names them."""
 
+import re
+from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.container import datasets, require_within_file
+from l3cli.artifacts.container import TITLE, datasets, require_within_file
 from l3cli.errors import InputFileError
 from l3cli.io.isolated import isolated
 from l3cli.io.raw import MultiFrameFile, RawContent
-from l3cli.system.files import stamp
-from l3cli.system.limits import require_picture
+from l3cli.io.raw.axes import STACK, Axes, frame_axes
+from l3cli.system.files import open_regular, stamp
+from l3cli.system.limits import require_picture, require_values
 
 FILTERS = {  # by the numbers that The HDF Group registered
     4: "szip", 307: "bzip2", 32000: "LZF", 32001: "blosc", 32004: "LZ4", 32008: "bitshuffle", 32013: "ZFP", 32015: "zstd",
     32017: "SZ", 32018: "FCIDECOMP", 32019: "JPEG", 32024: "SZ3", 32026: "blosc2", 32028: "SPERR",
 }  # fmt: skip
 CHUNK_CACHE = 128 << 20  # bytes at most: chunks of many frames are unpacked once, not once a frame
+MATLAB = "MATLAB_class"  # attribute of each variable of a MATLAB file
+TRUE_COLOUR = "IMAGE_TRUECOLOR"  # of the HDF5 Image specification
+MOST_AXES = 8  # names of axes that are looked at
 
 _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change if it were another one
 
@@ -30,25 +37,31 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
 
 @isolated("h5py", "hdf5plugin")
 def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
-    """Return name and number of frames of the stack `dataset`, or of the only one; InputFileError without one."""
+    """Return name and number of frames of the stack `dataset`, or of the only one; InputFileError without one, or of a
+    picture of several channels."""
     root = _open(path)
     held = dict(datasets(root))
     name = _only_stack(path, held) if dataset is None else dataset.strip("/")
     frames = held.get(name)
-    if frames is None or not _is_stack(frames, (2, 3)):
+    if frames is None or not _is_stack(frames):
         content = "no dataset" if frames is None else f"{frames.dtype} {frames.shape}"
         raise InputFileError(f"{path}: {dataset} is {content}; name with ‹dataset› one of uint16 (frame, row, col)")
-    _require_frames(path, frames)
-    return name, len(frames) if frames.ndim == 3 else 1
+    axes = _axes(path, frames)
+    _require_frames(path, frames, axes)
+    return name, 1 if axes.frame is None else frames.shape[axes.frame]
 
 
 @isolated("h5py", "hdf5plugin")  # the second, where it is installed, adds filters to the first
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
     """Return one frame (row, col) of a stack whose name `find_stack` returned."""
     frames = _open(path, name)[name]
-    _require_frames(path, frames)
+    axes = _axes(path, frames)
+    _require_frames(path, frames, axes)
+    place: list[Any] = [slice(None)] * frames.ndim
+    if axes.frame is not None:
+        place[axes.frame] = number
     try:
-        return frames[number] if frames.ndim == 3 else frames[()]
+        values = np.asarray(frames[tuple(place)])
     except OSError as error:
         if filters := missing_filters(frames):
             raise InputFileError(
@@ -56,6 +69,47 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
                 "pip install hdf5plugin"
             ) from error
         raise InputFileError(f"{path}: frame {number} of {frames.name} is damaged; copy the file again") from error
+    return values if axes.row < axes.col else np.ascontiguousarray(values.T)
+
+
+def _axes(path: Path, frames: Any) -> Axes:
+    """Return the axes of a dataset, by their names where the file has any, or by how its writer stores arrays."""
+    name = f"{path}: {frames.name}"
+    if _text(frames.attrs.get("IMAGE_SUBCLASS")) == TRUE_COLOUR:
+        raise InputFileError(f"{name} says that it is a picture of three channels (IMAGE_SUBCLASS); give the mosaic")
+    usual = None
+    if MATLAB in frames.attrs:  # which stores its arrays (row, col, frame) with the last axis first
+        usual = Axes(0, 2, 1) if frames.ndim == 3 else Axes(None, 1, 0)
+        if frames.ndim == 3 and frames.shape[0] == 3:
+            raise InputFileError(f"{name} holds a picture of 3 channels, as MATLAB stores it; give the mosaic")
+    return frame_axes(name, frames.shape, _axis_names(frames), usual)
+
+
+def _axis_names(frames: Any) -> list[str]:
+    """Return the names of a dataset's axes: labels or scales of its dimensions (HDF5), `axes` of the dataset or of the group
+    whose signal it is (NeXus), _ARRAY_DIMENSIONS (xarray); empty without."""
+    stated = [frames.attrs.get("axes"), frames.attrs.get("_ARRAY_DIMENSIONS")]
+    group = frames.parent.attrs
+    if _text(group.get("signal")) == frames.name.rpartition("/")[2]:
+        stated.append(group.get("axes"))
+    found = [[dimension.label or _scale_name(dimension) for dimension in frames.dims], *map(_listed, stated)]
+    return next((names for names in found if len(names) == frames.ndim and any(names)), [])
+
+
+def _scale_name(dimension: Any) -> str:
+    return str(dimension[0].name).rpartition("/")[2] if len(dimension) else ""
+
+
+def _listed(attribute: Any) -> list[str]:
+    """Return the names in an attribute: an array of them, a list in one text, "[t:y:x]" or "t,y,x", or letters, "tyx"."""
+    if isinstance(attribute, np.ndarray):
+        return [_text(each) for each in attribute.ravel()[:MOST_AXES]]
+    words = re.findall(r"\w+", _text(attribute))
+    return list(words[0]) if len(words) == 1 and len(words[0]) <= MOST_AXES else words
+
+
+def _text(attribute: Any) -> str:
+    return attribute.decode(errors="replace") if isinstance(attribute, bytes) else str(attribute or "")
 
 
 def missing_filters(dataset: Any) -> list[str]:
@@ -85,35 +139,47 @@ def _open(path: Path, stack: str | None = None) -> Any:
         root = h5py.File(path, "r")
         if stack is not None:
             # A cache that held more than what is read next would fill as the frames go by.
-            nbytes = min(CHUNK_CACHE, chunks_of_a_frame(root[stack]))
+            nbytes = min(CHUNK_CACHE, chunks_of_a_frame(root[stack], _axes(path, root[stack])))
             root.close()
             root = h5py.File(path, "r", rdcc_nbytes=nbytes)
         _opened[key] = root
     return _opened[key]
 
 
-def chunks_of_a_frame(frames: Any) -> int:
-    """Return the bytes that are unpacked for one frame of a dataset (…, row, col)."""
+def chunks_of_a_frame(frames: Any, axes: Axes = STACK) -> int:
+    """Return the bytes that are unpacked for one frame of a dataset."""
     chunks = frames.chunks or frames.shape
-    across = -(-frames.shape[-2] // chunks[-2]) * -(-frames.shape[-1] // chunks[-1])
-    return int(across * np.prod(chunks, dtype=np.int64) * frames.dtype.itemsize)
+    across = prod(-(-frames.shape[axis] // chunks[axis]) for axis in (axes.row, axes.col))
+    return across * prod(chunks) * int(frames.dtype.itemsize)
 
 
 def _only_stack(path: Path, held: dict[str, Any]) -> str:
-    stacks = sorted(name for name, member in held.items() if _is_stack(member, (3,)))
-    if len(stacks) != 1:
-        several = f"{len(stacks)} datasets of frames ({', '.join(stacks[:4])})"
-        content = several if stacks else "no dataset uint16 (frame, row, col)"
+    """Return the name of the only stack of integers of at most 16 bits or, without one, of any numbers."""
+    stacks = sorted(name for name, member in held.items() if _is_stack(member) and member.ndim == 3)
+    counts = [name for name in stacks if held[name].dtype.kind == "u" and held[name].dtype.itemsize <= 2]
+    chosen = counts or ([] if _is_artifact(path) else stacks)
+    if len(chosen) != 1:
+        several = f"{len(chosen)} datasets of frames ({', '.join(chosen[:4])})"
+        content = several if chosen else "no dataset uint16 (frame, row, col)"
         raise InputFileError(f"{path} holds {content}; name one with ‹dataset›")
-    return stacks[0]
+    return chosen[0]
 
 
-def _is_stack(member: Any, axes: tuple[int, ...]) -> bool:
-    return member.dtype.kind == "u" and member.dtype.itemsize <= 2 and member.ndim in axes and bool(member.size)
+def _is_artifact(path: Path) -> bool:
+    """Return whether l3 wrote the file: its arrays of floating-point numbers are no frames."""
+    with open_regular(path) as stream:
+        return stream.read(len(TITLE)) == TITLE
 
 
-def _require_frames(path: Path, frames: Any) -> None:
+def _is_stack(member: Any) -> bool:
+    """Return whether a dataset may hold a frame or frames."""
+    return member.dtype.kind in "uif" and member.ndim in (2, 3) and bool(member.size)
+
+
+def _require_frames(path: Path, frames: Any, axes: Axes) -> None:
     """Raise InputFileError if the frames lie in another file, or one of them, or what is unpacked with it, is too large."""
     require_within_file(path, frames.id)
     for shape in (frames.shape, frames.chunks or frames.shape):
-        require_picture(f"{path}: {frames.name}", *shape[-2:])
+        require_picture(f"{path}: {frames.name}", shape[axes.row], shape[axes.col])
+    if axes.frame not in (None, 0):  # one frame takes part of every row, which HDF5 unpacks or reads through
+        require_values(f"{path}: {frames.name}", frames.chunks or frames.shape[1:], frames.dtype.itemsize)

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.io.raw import MultiFrameFile, RawContent
+from l3cli.io.raw.axes import frame_axes
 from l3cli.system.files import require_regular
 from l3cli.system.limits import require_picture
-
-MOST_CHANNELS = 4  # of a picture; no frame is so narrow
 
 
 def map_array(path: Path) -> NDArray[Any]:
@@ -44,11 +43,7 @@ def stack(path: Path) -> MultiFrameFile | None:
     shape = map_array(path).shape
     if len(shape) != 3:
         return None
-    if shape[2] <= MOST_CHANNELS:
-        raise InputFileError(
-            f"{path} holds {shape[0]}×{shape[1]}×{shape[2]} values, as a picture of {shape[2]} channels; give a mosaic, "
-            "rows × columns, or frames × rows × columns"
-        )
+    frame_axes(str(path), shape)
 
     def frame(number: int) -> RawContent:
         return RawContent(values=np.array(_mapped(path, 3)[number]))  # pages of a mapping that is kept count as memory
@@ -57,9 +52,9 @@ def stack(path: Path) -> MultiFrameFile | None:
 
 
 def _mapped(path: Path, axes: int) -> NDArray:
-    """Return the array of a .npy file, mapped. InputFileError unless it has `axes` axes of DN, of sizes that may be."""
+    """Return the array of a .npy file, mapped. InputFileError unless it has `axes` axes of numbers, of sizes that may be."""
     values = map_array(path)
-    if values.ndim != axes or values.dtype.kind != "u" or values.dtype.itemsize > 2:
+    if values.ndim != axes or values.dtype.kind not in "iuf":
         held = f"{values.ndim}-dimensional {values.dtype}"
         raise InputFileError(f"{path} holds {held}; give a uint16 array of rows × columns, or of frames × rows × columns")
     require_picture(str(path), *values.shape[-2:])

@@ -8,6 +8,7 @@ length just what the size of the picture makes it. Nothing is allocated that it 
 
 import contextlib
 import os
+import re
 import struct
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -18,6 +19,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.images import mono_of, open_image, opened, require_bearable, require_whole_stack
 from l3cli.io.isolated import isolated, named_in_utf8
 from l3cli.io.raw import MultiFrameFile, RawContent
+from l3cli.io.raw.axes import MOST_CHANNELS, frame_axes
 from l3cli.io.tags import COLOUR_FILTER_ARRAY, ONE_OF_MANY, UPRIGHT, flip_of, shot_of_spec
 from l3cli.system.files import open_regular, stamp
 from l3cli.system.limits import most_pixels
@@ -67,6 +69,8 @@ def count_pages(path: Path) -> int:
     first = _page(path, 0).spec()
     usual, count = _kind(first), _count(path)
     require_whole_stack(path, first, count)
+    if count > 1:
+        _require_frames(path, first, count)
     for number in range(1, count):
         if (kind := _kind(_page(path, number).spec())) != usual:
             raise InputFileError(
@@ -81,6 +85,17 @@ def read_page(path: Path, number: int) -> RawContent:
     source = _page(path, number)
     require_bearable(path, source.spec())
     return _content(path, source, source.spec())
+
+
+def _require_frames(path: Path, spec: Any, count: int) -> None:
+    """Raise InputFileError if the pages are channels of a picture, as ImageJ, tifffile or OME say, or hold its columns."""
+    text = spec.get_string_attribute("ImageDescription")
+    channels = re.search(r"^channels=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
+    channels = channels or re.search(r'<Pixels [^>]*SizeC="([0-9]{1,9})"', text)
+    # More of them are frames: tifffile writes a stack so where its axes have no names.
+    if (channels and 1 < int(channels[1]) <= MOST_CHANNELS) or re.match(r"""\{.*"axes": "[A-Z]*C[A-Z]*\"""", text):
+        raise InputFileError(f"{path}: its pages are channels of a picture, as its description says; give the mosaic")
+    frame_axes(str(path), (count, spec.height, spec.width))
 
 
 def _page(path: Path, number: int) -> Any:
