@@ -17,10 +17,11 @@ from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.measurement import CaptureFolder, RawFile
 from l3cli.io.images import mono_of, opened
 from l3cli.io.isolated import isolated
-from l3cli.io.raw import RawContent, refuse_faults
+from l3cli.io.raw import RawContent, refuse_faults, unread
 from l3cli.io.raw.cfa_codes import FilterArray, find_phase
 from l3cli.io.raw.files import BY_SUFFIX, RawOverrides, format_of, frame_of, read_raw
 from l3cli.io.raw.tiff import read_plain, stack
+from l3cli.io.raw.unread import UNREAD
 from l3cli.io.raw.values import require_dn
 from l3cli.spectra.file import SUFFIXES, read_table
 from l3cli.spectra.table import CurveTable
@@ -188,7 +189,7 @@ def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: 
 # --------------------------------------------------------------------------------------------------- a folder of captures
 
 MOST_FILES, DEEPEST = 20_000, 8  # files and folders below one another that are looked at
-DEVELOPED = (".jpg", ".jpeg", ".heic", ".webp", ".bmp", ".gif", ".exr")
+DEVELOPED = tuple(suffix for each in UNREAD if each.instead == unread.DEVELOPED for suffix in each.suffixes)
 PROSE = (".txt", ".asc", ".xml")  # of which most are no tables
 FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # a row of a table
 

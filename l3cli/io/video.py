@@ -332,6 +332,8 @@ class DecodedVideo:
             raise InputFileError(f"{path} holds no video; give {what}")
         stream = self._container.streams.video[0]
         context = stream.codec_context
+        if context is None:
+            raise InputFileError(f"{path} holds a video of a codec that FFmpeg does not know; give {what}")
         require(path, context)
         require_picture(str(path), context.height, context.width)
         context.thread_count = 1  # see `following`

@@ -24,6 +24,7 @@ from l3cli.frames.shading import shading_of_gain
 from l3cli.io.raw import MultiFrameFile, RawContent, refuse_faults
 from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
 from l3cli.io.raw.headerless import Layout, layout_of, stdin
+from l3cli.io.raw.unread import refuse_unread
 from l3cli.io.raw.values import SCALED_BLACK, SCALED_WHITE, as_dn, scaled_dn
 from l3cli.io.tags import believable_shot
 from l3cli.system.files import STDIN, naming, require_regular
@@ -49,7 +50,9 @@ class RawFormat:
     has_rate: bool = False  # a file of one frame may state the frames a second of its sequence
 
     def read(self, path: Path, layout: Layout | None = None) -> RawContent:
-        """Return the frame of a file that holds one; InputFileError if it does not."""
+        """Return the frame of a file that holds one; InputFileError if it does not, or is of a format that is not read."""
+        if path.suffix.lower() not in self.suffixes:
+            refuse_unread(path)
         with naming(path):
             content: RawContent = self._reader.read(path, *([layout] if self.wants_geometry else []))
             return content
@@ -91,7 +94,8 @@ FORMATS = (
     RawFormat((".fits", ".fit", ".fts"), "fits", stackable=True),
     RawFormat((".h5", ".hdf5", ".hdf"), "hdf5", holds_frame=False, stackable=True, wants_dataset=True),
     RawFormat((".mat",), "mat", holds_frame=False, stackable=True, wants_dataset=True),
-    RawFormat((".mkv", ".mov", ".mp4", ".avi"), "video", holds_frame=False, stackable=True),
+    RawFormat((".ser",), "ser", holds_frame=False, stackable=True, isolated=False),
+    RawFormat((".mkv", ".mov", ".mp4", ".avi", ".y4m"), "video", holds_frame=False, stackable=True),
     RawFormat((".dng",), "dng", has_rate=True),
     CAMERA_RAW,
 )
@@ -162,7 +166,8 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
     known = known or RawOverrides()
     require_regular(path, RAW_FILE)
     kind = format_of(path)
-    kind = kind if kind.holds_frame else CAMERA_RAW  # LibRaw says what is wrong
+    if not kind.holds_frame:
+        raise InputFileError(f"{path} holds frames, and one is wanted; give a file of one frame")
     return frame_of(str(path), kind.read(path, _layout(kind, path, table, known)), table, known)
 
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.io.isolated import isolated
 from l3cli.io.raw import InOrder, MultiFrameFile, RawContent
-from l3cli.io.video import DecodedVideo, InTurn, StatedTimes, storable_rate
+from l3cli.io.video import CONTAINERS, DecodedVideo, InTurn, StatedTimes, storable_rate
 
+PALETTE = "pal8"  # uncompressed AVI of 8 bits has it
 AT_A_TIME = 500  # frames whose times are read
 
 
@@ -65,19 +66,29 @@ def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
     """Return the frame `number` (row, col) of a raw video in DN; None after the last. Frames are asked for one after the
     other, from 0. InputFileError if it is damaged; the next may be whole."""
     frame = _in_turn.frame(path, number)
-    return None if frame is None else frame.to_ndarray().astype(np.uint16)
+    if frame is None:
+        return None
+    pixels = frame.to_ndarray()
+    return (_of_palette(path, *pixels) if isinstance(pixels, tuple) else pixels).astype(np.uint16)
+
+
+def _of_palette(path: Path, pixels: NDArray[np.uint8], palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the numbers of the colours in a palette (colour, ARGB) of greys 0…255, which are raw values then."""
+    if not (palette[:, 1:] == np.arange(256)[:, None]).all():
+        raise InputFileError(f"{path} holds colours of a palette; a raw video has one channel (gray, gray12le…)")
+    return pixels
 
 
 def _opened(path: Path) -> DecodedVideo:
-    return DecodedVideo(path, "raw frames as FFV1 in MKV", _require_mosaics)
+    return DecodedVideo(path, "raw frames as FFV1 in MKV", _require_mosaics, f"{CONTAINERS},yuv4mpegpipe")
 
 
 _in_turn, _timed = InTurn(_opened), InTurn(_opened)
 
 
 def _require_mosaics(path: Path, context: Any) -> None:
-    """Raise InputFileError unless a video has one grey channel of 8 to 16 bits."""
-    if not (context.pix_fmt or "").startswith("gray") or "f" in context.pix_fmt:
+    """Raise InputFileError unless a video has one grey channel of 8 to 16 bits, or a palette."""
+    if not (context.pix_fmt or "").startswith(("gray", PALETTE)) or "f" in context.pix_fmt:
         raise InputFileError(
             f"{path} holds {context.pix_fmt or 'unknown'} pixels; a raw video has one channel (gray, gray12le…)"
         )

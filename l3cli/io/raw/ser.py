@@ -1,0 +1,77 @@
+"""SER, the raw video of planetary astronomy: a header of 178 bytes, then frames of 8 or 16 bits (SER format description 3).
+
+Writers disagree on which value of LittleEndian means little-endian, so the pixels of the first frame decide: with the right
+order neighbours are alike. Times of frames behind the last one are not read.
+"""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError
+from l3cli.frames.packings import PACKINGS
+from l3cli.frames.raw_sanity import roughness
+from l3cli.io.raw import MultiFrameFile, RawContent
+from l3cli.io.raw.cfa_codes import codes_of
+from l3cli.io.raw.headerless import Layout, read_frame
+from l3cli.system.files import open_regular
+from l3cli.system.limits import require_picture
+
+HEADER = struct.Struct("<14s7i")  # then names and two dates
+HEADER_BYTES = 178
+MAGIC = b"LUCAM-RECORDER"
+PATTERNS = {0: "", 8: "RGGB", 9: "GRBG", 10: "GBRG", 11: "BGGR", 16: "CYYM", 17: "YCMY", 18: "YMCY", 19: "MYYC"}  # ColorID
+COLOURS = (100, 101)  # ColorID of RGB and BGR
+
+
+def stack(path: Path) -> MultiFrameFile:
+    """Return the frames of a file.
+
+    Raises
+    ------
+    InputFileError
+        If it is no SER file, holds frames of colours, or fewer frames than its header says.
+    """
+    layout, pattern, count = _header(path)
+
+    def frame(number: int) -> RawContent:
+        content = RawContent(values=read_frame(path, layout, number)["values"])
+        if pattern is not None:
+            content["pattern"] = pattern
+        return content
+
+    return MultiFrameFile(count, frame)
+
+
+def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
+    """Return the layout of the frames, the colours of their array, None of a monochrome camera, and their number."""
+    with open_regular(path) as stream:
+        stored = stream.read(HEADER_BYTES)
+    if len(stored) < HEADER_BYTES or not stored.startswith(MAGIC):
+        raise InputFileError(f"{path} is no whole SER file; copy it again")
+    _, _, colour, _, cols, rows, bits, count = HEADER.unpack_from(stored)
+    if colour in COLOURS:
+        raise InputFileError(f"{path} holds frames of three colours, already demosaicked; give the raw frames")
+    if colour not in PATTERNS or not (rows > 0 and cols > 0 and count > 0 and 0 < bits <= 16):
+        said = f"ColorID {colour}, {count} frames of {rows}×{cols} pixels of {bits} bits"
+        raise InputFileError(f"{path} says that it has {said}; it is damaged")
+    require_picture(str(path), rows, cols)
+    layout = Layout(rows, cols, PACKINGS["u8" if bits <= 8 else "u16"], skip=HEADER_BYTES)
+    size = path.stat().st_size - HEADER_BYTES
+    if size < count * layout.frame_bytes:
+        whole = size // layout.frame_bytes
+        raise InputFileError(f"{path} holds {whole} of the {count} frames of its header; copy it again, or repair it")
+    pattern = codes_of(PATTERNS[colour]).reshape(2, 2) if PATTERNS[colour] else None
+    return _in_byte_order(path, layout), pattern, count
+
+
+def _in_byte_order(path: Path, layout: Layout) -> Layout:
+    """Return the layout with the byte order in which the first frame is smoother."""
+    if not layout.packing.is_words:
+        return layout
+    first = read_frame(path, layout, 0)
+    period = np.arange(4, dtype=np.uint8).reshape(2, 2)  # neighbours two pixels apart have one filter in all its arrays
+    readings = [roughness(values, bits, period) for _, values, bits in first["readings"]()][:2]
+    return Layout(layout.rows, layout.cols, layout.packing, skip=layout.skip, big_endian=readings[1] < readings[0])

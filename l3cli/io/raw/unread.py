@@ -1,0 +1,74 @@
+"""Formats that hold no raw frames that l3 reads, each with what to give instead. A file is known by its first bytes or its
+suffix, so that a whole file is never called damaged."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from l3cli.errors import InputFileError
+from l3cli.system.files import open_regular
+
+DEVELOPED = "a developed picture, whose raw values are lost; give the camera's raw file"
+EXPORT = "export its frames as TIFF of one channel and 16 bits, or as .npy"
+SPECTRUM = "a table of spectra, no frame; name it in a recipe, as a light or a reflectance"
+
+
+@dataclass(frozen=True)
+class UnreadFormat:
+    """A format that is recognised and refused."""
+
+    name: str  # in messages: "is NAME; INSTEAD"
+    suffixes: tuple[str, ...]  # in lower case
+    instead: str
+    magic: tuple[tuple[int, bytes], ...] = ()  # place of bytes that such files have, any of them; none: the suffix alone
+
+
+UNREAD = (
+    UnreadFormat("an XISF picture of PixInsight", (".xisf",), "save it as FITS", ((0, b"XISF0100"),)),
+    UnreadFormat("a Magic Lantern video", (".mlv",), "convert it to CinemaDNG, as mlv_dump and MLV App do", ((0, b"MLVI"),)),
+    UnreadFormat("a Phantom cine video", (".cine",), EXPORT),
+    UnreadFormat("a NorPix sequence", (".seq",), EXPORT, ((0, b"\xed\xfe\x00\x00N\x00o\x00r\x00p\x00i\x00x"),)),
+    UnreadFormat("a RED video", (".r3d",), "no program but RED's reads its raw values; record raw frames of another format"),
+    UnreadFormat("a Blackmagic RAW video", (".braw",), "record CinemaDNG, or export DNG frames"),
+    UnreadFormat("a video of a Canon camera", (".crm",), "export DNG frames"),
+    UnreadFormat("an MXF or transport stream video", (".mxf", ".mts", ".m2ts"), "give raw frames, as FFV1 in MKV or DNG"),
+    UnreadFormat("an Andor SIF picture", (".sif",), EXPORT, ((0, b"Andor Technology Multi-Channel File"),)),
+    UnreadFormat("a Princeton Instruments SPE picture", (".spe",), EXPORT),
+    UnreadFormat("a PCO picture", (".b16", ".pcoraw"), EXPORT, ((0, b"PCO-"),)),
+    UnreadFormat("a DICOM picture", (".dcm",), EXPORT, ((128, b"DICM"),)),
+    UnreadFormat("a microscope's picture", (".nd2", ".czi", ".lif", ".lsm", ".oib", ".oif", ".vsi"), EXPORT),
+    UnreadFormat("an archive of numpy", (".npz",), "save one array with numpy.save", ((0, b"PK\x03\x04"),)),
+    UnreadFormat("a zarr or zipped folder", (".zip", ".zarr"), "unpack it, or save one array with numpy.save"),
+    UnreadFormat("a compressed file", (".gz", ".xz", ".bz2", ".zst", ".7z", ".rar"), "unpack it first"),
+    UnreadFormat("an ENVI cube", (".hdr", ".bil", ".bip", ".bsq"), "cubes are scenes of l3 simulate, no raw frames"),
+    UnreadFormat("a JCAMP-DX file", (".jdx", ".dx", ".jcm", ".jcamp"), SPECTRUM, ((0, b"##TITLE="),)),
+    UnreadFormat("a text", (".csv", ".txt", ".tsv", ".xml", ".json", ".asc"), "give a raw file"),
+    UnreadFormat("a JPEG", (".jpg", ".jpeg", ".jpe"), DEVELOPED, ((0, b"\xff\xd8\xff"),)),
+    UnreadFormat("a JPEG 2000", (".jp2", ".j2k", ".jpx"), "decode it into TIFF of one channel", ((4, b"jP  "),)),
+    UnreadFormat("a JPEG XL", (".jxl",), DEVELOPED),
+    UnreadFormat("a HEIF picture", (".heic", ".heif", ".avif"), DEVELOPED),
+    UnreadFormat("a WebP, GIF or BMP picture", (".webp", ".gif", ".bmp"), DEVELOPED, ((0, b"GIF8"), (8, b"WEBP"))),
+    UnreadFormat("an OpenEXR or Radiance picture", (".exr",), DEVELOPED, ((0, b"v/1\x01"), (0, b"#?RADIANCE"))),
+    UnreadFormat("a Photoshop picture", (".psd", ".psb"), DEVELOPED, ((0, b"8BPS"),)),
+)
+# First bytes of formats that l3 reads, under another suffix.
+MISNAMED = {
+    b"SIMPLE  =": ".fits", b"\x89HDF\r\n\x1a\n": ".h5", b"\x93NUMPY": ".npy", b"\x89PNG": ".png", b"P5": ".pgm",
+    b"LUCAM-RECORDER": ".ser", b"MATLAB 5.0 MAT-file": ".mat", b"MATLAB 7.3 MAT-file": ".mat", b"YUV4MPEG2": ".y4m",
+    b"\x1aE\xdf\xa3": ".mkv",
+}  # fmt: skip
+START = 160  # bytes that are looked at
+
+
+def refuse_unread(path: Path) -> None:
+    """Raise InputFileError, with what to give instead, if a file is of a format that is known and not read."""
+    with open_regular(path) as stream:
+        start = stream.read(START)
+    suffix = path.suffix.lower()
+    for magic, named in MISNAMED.items():
+        if start.startswith(magic):
+            raise InputFileError(f"{path} holds {named.lstrip('.').upper()} content; rename it to {path.stem}{named}")
+    by_content = (each for each in UNREAD if any(start[at:].startswith(magic) for at, magic in each.magic))
+    by_suffix = (each for each in UNREAD if suffix in each.suffixes)
+    known = next(by_suffix, None) or next(by_content, None)
+    if known is not None:
+        raise InputFileError(f"{path} is {known.name}; {known.instead}")
