@@ -10,6 +10,8 @@ from pathlib import Path
 from markup import code, table
 
 from l3cli.frames.packings import BAYER_ORDERS, FAMILIES, PACKINGS
+from l3cli.io.raw.files import FORMATS as RAW_FORMATS
+from l3cli.io.raw.unread import UNREAD
 from l3cli.io.scenes import FORMATS
 from l3cli.io.scenes.envi import FIELDS, HARMLESS, READ, REFUSED
 
@@ -27,6 +29,18 @@ def packings() -> str:
     return table(["`--packing`", "pixels"], rows)
 
 
+def raw_formats() -> str:
+    """Formats of raw frames that l3 reads."""
+    rows = ([each.what, " ".join(map(code, each.suffixes)), each.read_as] for each in reversed(RAW_FORMATS))
+    return table(["format", "suffixes", "what is read"], rows)
+
+
+def unread_formats() -> str:
+    """Formats that l3 recognises and refuses."""
+    rows = ([each.name, " ".join(map(code, each.suffixes)), each.instead] for each in UNREAD)
+    return table(["file", "suffixes", "instead"], rows)
+
+
 def scenes() -> str:
     """Formats of files of scenes, by the source of a recipe."""
     return table(["`source`", "file", "what it states"], ([code(each.source), each.holds, each.states] for each in FORMATS))
@@ -42,7 +56,7 @@ def envi_fields(fate: str) -> str:
 
 
 TABLES: dict[str, dict[str, Callable[[], str]]] = {
-    "raw-files.md": {"packings": packings},
+    "raw-files.md": {"raw-formats": raw_formats, "packings": packings, "formats-not-read": unread_formats},
     "spectral-scenes.md": {
         "scenes": scenes,
         "envi-read": lambda: envi_fields(READ),

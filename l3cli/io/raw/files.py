@@ -41,6 +41,8 @@ class RawFormat:
 
     suffixes: tuple[str, ...]  # in lower case
     module: str  # of this folder
+    what: str = ""  # kind of file, for the table in docs/raw-files.md
+    read_as: str = ""  # what is read of it, for the same table
     holds_frame: bool = True  # False: such a file is a sequence, never a frame
     stackable: bool = False  # may hold several frames
     isolated: bool = True  # decoded in an isolated process
@@ -82,23 +84,43 @@ CAMERA_RAW = RawFormat(
         "." + name for name in ("3fr", "ari", "arw", "cr2", "cr3", "dcr", "erf", "fff", "iiq", "kdc", "mos", "mrw")
         + ("nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "srw", "x3f")
     ),
-    "libraw",
+    "libraw", "camera raws", "pixels without borders; array (2×2, X-Trans), orientation, levels, white",
 )  # fmt: skip
 HEADERLESS = (".raw", ".bin", ".raw10", ".raw12")
 FORMATS = (
-    RawFormat((".tif", ".tiff"), "tiff", stackable=True, has_plain=True),
-    RawFormat((".png",), "tiff"),
-    RawFormat((".pgm",), "pgm", isolated=False),
-    RawFormat((".npy",), "npy", stackable=True, isolated=False),
-    RawFormat(HEADERLESS, "headerless", stackable=True, isolated=False, wants_geometry=True),
-    RawFormat((".fits", ".fit", ".fts"), "fits", stackable=True),
-    RawFormat((".h5", ".hdf5", ".hdf"), "hdf5", holds_frame=False, stackable=True, wants_dataset=True),
-    RawFormat((".mat",), "mat", holds_frame=False, stackable=True, wants_dataset=True),
-    RawFormat((".ser",), "ser", holds_frame=False, stackable=True, isolated=False),
-    RawFormat((".mkv", ".mov", ".mp4", ".avi", ".y4m"), "video", holds_frame=False, stackable=True),
-    RawFormat((".dng",), "dng", has_rate=True),
+    RawFormat(
+        (".tif", ".tiff"), "tiff", "TIFF", "one channel, as stored; pages of one kind are frames", stackable=True,
+        has_plain=True,
+    ),
+    RawFormat((".png",), "tiff", "PNG", "one channel, as stored"),
+    RawFormat((".pgm",), "pgm", "PGM (P5)", "as stored", isolated=False),
+    RawFormat((".npy",), "npy", "numpy", "(row, col) or (frame, row, col)", stackable=True, isolated=False),
+    RawFormat(
+        HEADERLESS, "headerless", "headerless", "16-bit little-endian, or a [packing](#headerless-frames)", stackable=True,
+        isolated=False, wants_geometry=True,
+    ),
+    RawFormat(
+        (".fits", ".fit", ".fts"), "fits", "FITS, also fpack (extra `fits`)",
+        "an image or a cube; BAYERPAT (2×2, X-Trans), XBAYROFF, YBAYROFF, ROWORDER, EXPTIME", stackable=True,
+    ),
+    RawFormat(
+        (".h5", ".hdf5", ".hdf"), "hdf5", "HDF5", "a dataset, `--dataset NAME` where there are several; names of its axes",
+        holds_frame=False, stackable=True, wants_dataset=True,
+    ),
+    RawFormat(
+        (".mat",), "mat", "MATLAB", "a variable (row, col, frame), `--dataset NAME` where there are several",
+        holds_frame=False, stackable=True, wants_dataset=True,
+    ),
+    RawFormat((".ser",), "ser", "SER", "all frames; array", holds_frame=False, stackable=True, isolated=False),
+    RawFormat(
+        (".mkv", ".mov", ".mp4", ".avi", ".y4m"), "video", "video (extra `video`)",
+        "one channel, lossless: FFV1, uncompressed AVI of 8 bits, y4m; rate and times", holds_frame=False, stackable=True,
+    ),
+    RawFormat(
+        (".dng",), "dng", "DNG, CinemaDNG", "8–16 bits; array of any size, [tags](#tags-of-a-dng)", has_rate=True,
+    ),
     CAMERA_RAW,
-)
+)  # fmt: skip
 PHOTOS = (".dng", *CAMERA_RAW.suffixes)
 BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from l3cli.errors import InputFileError
 from l3cli.system.files import open_regular
 
-DEVELOPED = "a developed picture, whose raw values are lost; give the camera's raw file"
+DEVELOPED = "its raw values are lost; give the camera's raw file"
 EXPORT = "export its frames as TIFF of one channel and 16 bits, or as .npy"
-SPECTRUM = "a table of spectra, no frame; name it in a recipe, as a light or a reflectance"
+SPECTRUM = "it holds spectra, no frame; name it in a recipe, as a light or a reflectance"
 
 
 @dataclass(frozen=True)
