@@ -38,7 +38,8 @@ def _refuse_watching(context: Any, parameter: Any, value: str | None) -> None:
 def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions) -> Result:
     """Render INPUT through TABLE.h5: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw,
     .bin, .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
-    FITS), a headerless file of many frames, a grey video (FFV1 in MKV), or - (headerless frames on stdin).
+    FITS, MATLAB), a headerless file of many frames, SER, a grey video (FFV1 in MKV, y4m, uncompressed AVI), or - (headerless
+    frames on stdin).
 
     Several INPUTs of which one is a sequence are clips, and so is what lies in a folder of videos, stacks and folders: each
     becomes a folder or file of its name in the folder -o, and what is wrong with one does not stop the others (exit code 1).
