@@ -45,7 +45,8 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
         raise InputFileError(f"{path} is not a mosaic; {RAW_FILE}")
     require_picture(str(path), *content["values"].shape)
     refuse_faults(str(path), content, answered)
-    content["values"] = require_dn(str(path), content["values"])
+    if content["values"].dtype not in (np.uint8, np.uint16):  # the depth of which callers check
+        content["values"] = require_dn(str(path), content["values"])
     return content
 
 
