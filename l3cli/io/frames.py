@@ -243,7 +243,7 @@ def read_capture(path: Path) -> RawFile:
     content = raw_content(path) if pages is None else pages.read(0)
     assert content is not None
     return RawFile(
-        np.ascontiguousarray(content["values"], np.uint16),
+        np.ascontiguousarray(require_dn(str(path), content["values"])),
         max(content.get("exposure") or 0.0, 0.0) or None,
         content.get("pattern"),
         content.get("black_level"),
