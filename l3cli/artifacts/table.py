@@ -19,7 +19,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.store import read_fields
-from l3cli.artifacts.training_set import LightSpectrum
+from l3cli.artifacts.training_set import LightSpectrum, white_signal
 
 PlaneRule = StructureRule | TreeRule
 PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far below the noise of any sensor
@@ -459,6 +459,15 @@ class TransformTable(Artifact):
             camera=self.camera and self.camera.under(noise),
             conditions=(),
         )
+
+    @property
+    def clipped_white(self) -> NDArray[np.float64] | None:
+        """XYZ (3), in output units, of the darkest white that clips every channel. No pixel is rendered brighter
+        (docs/method.md#clipped-white). None if the outputs do not begin with X, Y, Z, or the light is not known."""
+        if self.outputs[:3] != ("X", "Y", "Z") or self.light is None or self.camera is None:
+            return None
+        weakest = white_signal(self.light, self.camera).min()
+        return self.white_point[:3] / (self.white_point[1] * weakest) if weakest > 0 else None
 
     def gain_at(self, iso: float) -> float | None:
         """Return the analog gain at an ISO speed over that of the table's camera; None: not known."""

@@ -15,6 +15,7 @@ from l3cli.artifacts import container, store
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.errors import InputFileError
+from l3cli.physics import spectra
 
 LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
 
@@ -35,6 +36,12 @@ class LightSpectrum:
             raise ValueError("light_wavelength must increase, above zero")
         if not self.radiance.min() >= 0 < self.radiance.max():
             raise ValueError("radiance is not that of a light")
+
+
+def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
+    """Signals (channel) of a white of Y = 1 output unit under a light, as fractions of full scale."""
+    radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
+    return np.asarray(camera.signal_weights @ radiance * (camera.output_unit / camera.full_scale))
 
 
 @dataclass(frozen=True)

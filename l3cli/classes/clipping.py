@@ -15,6 +15,7 @@ QUAD = 2  # pixels a side
 BEGINS, CLIPS = 0.6, 0.985  # means of a channel, shares of full scale, between which it passes for clipped more and more
 KEPT, REPLACED = 0.85, 0.975  # of the brightest channel, between which outputs are replaced
 PLAIN, TEXTURED = 0.12, 0.3  # range of a channel within 3 × 3 blocks, up to and from which they are so
+WHITE_FROM = 1.25  # times the luminance of the clipped white: brighter estimates are white
 FAINTEST = 1e-6  # weight of a channel that clips
 MAPS = 4  # share of the outputs that is replaced, and what is added to X, Y and Z
 Array = NDArray[np.float64]
@@ -39,6 +40,32 @@ def block_sides(cfa: NDArray[np.uint8]) -> tuple[int, int]:
 def first_bright(black_level: float, white_level: float) -> int:
     """Return the least DN that makes a block count."""
     return int(np.ceil(black_level + BEGINS * (white_level - black_level)))
+
+
+def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
+    """Limit outputs (output, row, col), of which the first three are X, Y, Z, to the luminance of a white.
+
+    Where all channels clip, nothing tells how bright a pixel is, and classes differ in what they guess: without a limit,
+    flat white areas would look grey beside the brighter pixels along edges. The colour of a pixel fades to that of the white
+    as its luminance rises from the limit to WHITE_FROM times the limit.
+
+    Parameters
+    ----------
+    outputs : ndarray, (output, row, col)
+        Rendered outputs, in the table's output unit.
+    clipped_white : ndarray, (3)
+        XYZ of the darkest white that clips every channel (`TransformTable.clipped_white`).
+
+    Returns
+    -------
+    ndarray, (output, row, col)
+        The outputs. Pixels that are not brighter than the white are unchanged.
+    """
+    limit = clipped_white[1]
+    luminance = np.maximum(outputs[1], limit)
+    faded = np.minimum((luminance - limit) / ((WHITE_FROM - 1) * limit), 1.0)
+    xyz = limit / luminance * (1 - faded) * outputs[:3] + faded * clipped_white[:, None, None]
+    return np.concatenate([xyz, outputs[3:]])
 
 
 def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> Array:

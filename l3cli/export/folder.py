@@ -49,6 +49,10 @@ CONDITIONS_DOC = (
     "and constants are the same; test_labels and test_outputs are by this set alone"
 )
 ONE_LAYER = {"output": "sum of weights * (DN - black_level) / (white_level - black_level) + intercept"}
+CLIPPED_WHITE = {
+    "clipped white": "where there is one, X, Y, Z of a pixel with Y above white_Y, its Y, become, last of all, "
+    "(1 - f) * white_Y / Y * (X, Y, Z) + f * clipped_white; f = min((Y / white_Y - 1) / (white_from - 1), 1)"
+}
 LAYERS = {
     "plane": "clamp(sum of fixed_weights * value + fixed_intercept + 2^(F - 1) >> F, -plane_top, plane_top); "
     "F = fraction[class]; value: DN in the first layer; in others clamp(plane + 2^(coarse - 1) >> coarse, "
@@ -96,8 +100,8 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
         "camera": printable(table.camera_name),
         "table": arrays.add_fields("", table, HEAD),
         **_set(arrays, table),
-        "formulas": FORMULAS | (LAYERS if table.later else ONE_LAYER),
-        "constants": _constants(table),
+        "formulas": FORMULAS | CLIPPED_WHITE | (LAYERS if table.later else ONE_LAYER),
+        "constants": _constants(table) | _clipped_white(table),
     }
     if table.spectra:
         content["spectra"] = {"doc": SPECTRA_DOC, **arrays.add_fields("spectra/", table.spectra)}
@@ -114,7 +118,8 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
             entry["noise"] = vars(condition.noise) | {"limit": noise_limits(table).get(condition.noise)}
         if condition.light:
             entry["light"] = {"name": condition.light.name, "white_point": condition.light.white_point.tolist()}
-        content["conditions"]["sets"].append({**entry, **_set(arrays, table.under(condition))})
+        under = table.under(condition)
+        content["conditions"]["sets"].append({**entry, **_clipped_white(under), **_set(arrays, under)})
     content["arrays"] = arrays.entries
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     return {"table.json": text.encode(), **arrays.files}
@@ -237,8 +242,18 @@ def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
     }
 
 
+def _clipped_white(table: TransformTable) -> dict[str, Any]:
+    """What limits the outputs of a set of transforms; nothing if their light is not known."""
+    return {} if table.clipped_white is None else {"clipped_white": table.clipped_white.tolist()}
+
+
 def _constants(table: TransformTable) -> dict[str, Any]:
-    values: dict[str, Any] = {"level_fraction_bits": 8, "variance_fraction_bits": 9, "chroma_fraction_bits": 4}
+    values: dict[str, Any] = {
+        "level_fraction_bits": 8,
+        "variance_fraction_bits": 9,
+        "chroma_fraction_bits": 4,
+        "white_from": clipping.WHITE_FROM,
+    }
     if table.later:
         values |= {"plane_step": PLANE_STEP, "plane_top": PLANE_TOP, "coarse": COARSE, "coarse_top": COARSE_TOP,
                    "ratio_darkest": RATIO_DARKEST, "alike": ALIKE.tolist(),

@@ -178,8 +178,12 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
     if table.later and table.later[-1].clipping:
         values |= {name.upper(): _float(at) if isinstance(at, float) else at for name, at in _clipping_known(table).items()}
     if words == "float32":
-        values |= {"OUTPUT_FRACTION": 0, "VALUE_OFFSET": "0.0f" if table.later else _float(table.black_level)}
+        values |= _clipped_white(table, 0) | {
+            "OUTPUT_FRACTION": 0,
+            "VALUE_OFFSET": "0.0f" if table.later else _float(table.black_level),
+        }
     else:
+        values |= _clipped_white(table, OUTPUT_FRACTION)
         values |= {"OUTPUT_FRACTION": OUTPUT_FRACTION, "OUTPUT_TOP": OUTPUT_TOP}
         values |= {"VALUE_OFFSET": offset_of(table), "SPLIT": split_of(table)}
     return values | (_plane_macros(table) if table.later else {"LAST_TAPS": filled(rule.patch**2)})
@@ -191,6 +195,17 @@ def _corrects(table: TransformTable) -> bool:
 
 def _coarse_chroma(table: TransformTable) -> CoarseChroma | None:
     return table.later[-1].coarse_chroma if table.later else None
+
+
+def _clipped_white(table: TransformTable, fraction: int) -> dict[str, int | str]:
+    """Macros that limit outputs, which have so many bits behind the point, to a clipped white; none without such a limit."""
+    if table.clipped_white is None:
+        return {}
+    white = {f"WHITE_{name}": at for name, at in zip("XYZ", table.clipped_white.tolist(), strict=True)}
+    slope = round(1 / (clipping.WHITE_FROM - 1))
+    return {name: min(round(at * 2**fraction), OUTPUT_TOP) if fraction else _float(at) for name, at in white.items()} | {
+        "WHITE_SLOPE": slope
+    }
 
 
 def _clipping_known(table: TransformTable) -> dict[str, float | int]:
@@ -296,6 +311,7 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
     parts += ["readme_corrections.md"] if _corrects(table) else []
     parts += ["readme_ratios.md"] if table.later and table.later[-1].ratio_taps else []
     parts += ["readme_coarse_chroma.md"] if _coarse_chroma(table) else []
+    parts += ["readme_clipped_white.md"] if table.clipped_white is not None else []
     parts += ["readme_clipping.md"] if table.later and table.later[-1].clipping else []
     if table.spectra:
         parts += ["readme_spectra.md"]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, RATIO_TAPS, TransformTable
+from l3cli.classes.clipping import limited_to_white
 from l3cli.classes.planes import raw_middle
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.errors import InputFileError
@@ -228,7 +229,11 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
     outputs, step = _outputs(table), 2.0**-OUTPUT_FRACTION
     expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
     rounded = np.clip(np.rint(short / step), -OUTPUT_TOP, OUTPUT_TOP) * step
-    error = np.square(rounded - np.clip(expected, -OUTPUT_TOP * step, OUTPUT_TOP * step)).mean()
+    whole = np.clip(expected, -OUTPUT_TOP * step, OUTPUT_TOP * step)
+    if table.clipped_white is not None:
+        whole, rounded = limited_to_white(whole, table.clipped_white), limited_to_white(rounded, table.clipped_white)
+        rounded = np.rint(rounded / step) * step
+    error = np.square(rounded - whole).mean()
     if table.later and table.later[-1].coarse_chroma:
         error += step**2 / 12 * 2 / 3
     return float(-10 * np.log10(max(error, 1e-20))), float(np.abs(short - expected).max() / step)

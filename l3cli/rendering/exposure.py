@@ -78,7 +78,8 @@ class SpreadSamples:
 
 
 class LightMeter:
-    """The 99th percentile of Y of a frame, from about 1500 pixels of one CFA site rendered on the processor.
+    """The 99th percentile of Y of a frame, from about 1500 pixels of one CFA site rendered on the processor, at most the
+    luminance of a white that clips every channel: such a white is always shown white.
 
     All sites of a table answer a flat area alike, so one stands for all. A pure function of the frame, whatever the device.
     """
@@ -87,6 +88,7 @@ class LightMeter:
         self.table, self._samples = table, SpreadSamples(table)
         self._weights = np.ascontiguousarray(table.first.weights[:, 1])
         self._intercept = table.first.intercept[:, 1]
+        self._limit = np.inf if table.clipped_white is None else table.clipped_white[1]
 
     def brightness(self, frame: RawFrame, balance: WhiteBalance | None = None) -> float:
         """Return Y that ought to be shown white, of the frame with the gains of a white balance."""
@@ -96,7 +98,7 @@ class LightMeter:
         if patches.shading is not None:
             luminance *= patches.shading.gain[:, 0]
         raised = 1.0 if balance is None else balance.luminance
-        return raised * frame.light_share * white_percentile(luminance)
+        return raised * frame.light_share * min(white_percentile(luminance), self._limit)
 
 
 @functools.lru_cache(4)  # the same for every frame of a sequence

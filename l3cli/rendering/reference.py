@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, SpectralSmoothing, TransformTable
-from l3cli.classes.clipping import Mosaic, replaced
+from l3cli.classes.clipping import Mosaic, limited_to_white, replaced
 from l3cli.classes.coarse_chroma import coarse_change, scales_of
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.planes import CHROMA, FixedPoint, coarse, planes_basis, refined_fixed_point
@@ -63,6 +63,8 @@ class ReferenceRenderer:
             made = self._with_plain_clipped_areas(made, levelled)
         if not self.table.later or self.table.components:
             made = made + output_planes(levelled, labels, self.table, self._sets.first)
+        if (clipped_white := self.table.clipped_white) is not None:
+            made = limited_to_white(made, clipped_white)
         made = gain * made
         return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
 

@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import PLANES
-from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
+from l3cli.artifacts.training_set import LightSpectrum, TrainingSet, white_signal
 from l3cli.physics.display import XYZ
 from l3cli.physics.spectra import is_spectrum
 from l3cli.training.highlights import error_of_white
-from l3cli.training.patches import white_signal
 from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces
 from l3cli.training.systems import Integers
 

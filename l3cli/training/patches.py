@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import QUANTISATION, CameraModel
-from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingPair, TrainingSet
+from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet, white_signal
 from l3cli.classes.windows import Neighbourhoods
 from l3cli.errors import InputFileError
-from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.symmetry import orientations, site_maps
@@ -93,12 +92,6 @@ def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
     of_white = electrons * (frame.exposure / camera.output_unit)
     grey, white = (each.astype(np.float32)[:, None, None] * luminance for each in (of_white, frame.white / frame.white[Y]))
     return replace(frame, electrons=grey, target=white)
-
-
-def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
-    """Return signals (channel), as shares of full scale, of a white of Y = 1 under a light."""
-    radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
-    return np.asarray(camera.signal_weights @ radiance * (camera.output_unit / camera.full_scale))
 
 
 def sample_pair(

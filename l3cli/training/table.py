@@ -20,7 +20,7 @@ from l3cli.artifacts.table import (
     SpectralSmoothing,
     TransformTable,
 )
-from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet
+from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet, white_signal
 from l3cli.classes.chroma import channel_shares, choose_chromas
 from l3cli.classes.decide import observe_patches
 from l3cli.classes.planes import fixed_point, planes_basis
@@ -34,7 +34,7 @@ from l3cli.training.clipping import learned_clipping
 from l3cli.training.goal import has_components, one_light
 from l3cli.training.layers.coarse_chroma import measured_noise
 from l3cli.training.layers.learn import LayerPass, learn_layer
-from l3cli.training.patches import expose_patches, levels_at, patches_of, white_signal
+from l3cli.training.patches import expose_patches, levels_at, patches_of
 from l3cli.training.plain_surfaces import false_colours, stripe_shares
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_noise
 from l3cli.training.solve import Solution, equal_responses, solve

@@ -39,6 +39,7 @@ COMPILED_ONCE classes_and_transform_of_tile(int x0, int y0, JOINED_PARAMETERS) {
         for (int x = 0; x < width; x += LANES) {
             totals made[PLANES_MADE];
             apply(made, ring + k - 2 * RADIUS, 0, label, weights, x);
+            limit_to_white(made, matrix);
 #ifdef SHADED
             even_pixels(made, gain + (size_t)y * GAIN_NODES(columns), x0 + x);
 #endif

@@ -20,6 +20,19 @@ INLINE void even_pixels(floats *made, __global const float *gain, int x) {
 #define GAIN_READ
 #endif
 
+#if defined(WHITE_FROM) && !defined(FIXED_POINT)
+// made[0..2], X, Y and Z, no brighter than the clipped white, whose XYZ stands behind the matrix (l3cli/classes/clipping.py).
+INLINE void limit_to_white(floats *made, __global const float *matrix) {
+    const float limit = matrix[10];
+    const floats luminance = made[1] > limit ? made[1] : (floats)limit, over = (luminance - limit) * (1.0f / (WHITE_FROM - 1.0f)) / limit;
+    const floats faded = over < 1.0f ? over : (floats)1.0f, factor = limit / luminance * (1.0f - faded);
+    #pragma unroll
+    for (int o = 0; o < 3; o++) made[o] = factor * made[o] + faded * matrix[9 + o];
+}
+#else
+#define limit_to_white(made, matrix)
+#endif
+
 // Of the pixels, the first `count` are in the frame.
 #if defined(FIXED_POINT)
 

@@ -141,7 +141,7 @@ INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns 
     __global const int *restrict column_source,  /* (padded col) */ \
     __global const uint *restrict labels,        /* (row, col) */ \
     __global const tap *restrict weights,        /* (class, …) per unit of the source */ \
-    __global const float *restrict matrix,       /* (3, 3) encoded values from X, Y, Z, before the curve */ \
+    __global const float *restrict matrix,       /* (3, 3) encoded values from X, Y, Z, before the curve; XYZ of the clipped white */ \
     __global CODE *restrict picture GAIN_PARAMETER COARSE_PARAMETERS CLIPPING_PARAMETER CORRECTED_PARAMETER, \
     float black_level, int source_rows, int rows, int columns
 
@@ -187,6 +187,7 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
             __global const float *first = corrected + (size_t)row_source[y + RADIUS] * columns + x0 + x;
             for (int o = 0; o < OUTPUTS; o++) made[o] += LOAD_GLOBAL(floats, first + o * stride);
 #endif
+            limit_to_white(made, matrix);
 #ifdef SHADED
             even_pixels(made, gain + (size_t)y * GAIN_NODES(columns), x0 + x);
 #endif

@@ -142,7 +142,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const int *restrict column_source,  // (padded col)
                __global const uint *restrict labels,        // (row, col)
                __global const tap4 *restrict weights,       // (class, intercept and taps column by column, output)
-               __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve
+               __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve; XYZ of the clipped white
                __global CODE *restrict picture,             // (output, row, col), or (row, col, 3)
 #ifdef SHADED
                __global const float *restrict gain,         // (row, node) of the outputs, GAIN_STEP columns apart
@@ -245,6 +245,13 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
 #ifdef CORRECTS
     for (int o = 0; o < OUTPUTS; o++)
         output[o] += corrected[((size_t)o * source_rows + row_source[y + RADIUS]) * columns + x];
+#endif
+#if defined(WHITE_FROM) && !defined(FIXED_POINT)
+    // No brighter than the clipped white, whose XYZ stands behind the matrix (l3cli/classes/clipping.py).
+    const float limit = matrix[10], luminance_of_pixel = max(output[1], limit);
+    const float faded = min((luminance_of_pixel - limit) / ((WHITE_FROM - 1.0f) * limit), 1.0f);
+    for (int o = 0; o < 3; o++)
+        output[o] = limit / luminance_of_pixel * (1.0f - faded) * output[o] + faded * matrix[9 + o];
 #endif
 #ifdef SHADED
     __global const float *node = gain + (size_t)y * GAIN_NODES(columns) + x / GAIN_STEP;

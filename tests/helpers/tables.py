@@ -22,7 +22,7 @@ from l3cli.artifacts.table import (
     SpectralSmoothing,
     TransformTable,
 )
-from l3cli.artifacts.training_set import LightSpectrum
+from l3cli.artifacts.training_set import LightSpectrum, white_signal
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.planes import fixed_point
 from l3cli.classes.refinement import plane_evidence
@@ -142,6 +142,16 @@ def with_clipping(table: TransformTable, seed: int = 9) -> TransformTable:
     rng = np.random.default_rng(seed)
     clipping = Clipping(rng.uniform(-0.5, 1, (size, size, len(table.outputs))), rng.uniform(0.4, 1, size - 1))
     return dataclasses.replace(table, later=(*table.later[:-1], dataclasses.replace(table.later[-1], clipping=clipping)))
+
+
+def with_clipped_white(table: TransformTable, luminance: float) -> TransformTable:
+    """The table of a camera and a light whose clipped white has this luminance."""
+    camera = random_camera(table.cfa, len(table.channels), table.bits, table.black_level)
+    wavelength, radiance = camera.wavelength, np.ones(camera.wavelength.size, np.float32)
+    weakest = white_signal(LightSpectrum(wavelength, radiance), camera).min()
+    light = LightSpectrum(wavelength, (radiance / (weakest * luminance)).astype(np.float32))
+    camera = dataclasses.replace(camera, channels=table.channels)
+    return dataclasses.replace(table, camera=camera, light=light)
 
 
 def with_ratios(layer: PlaneLayer, rng: np.random.Generator, kinds: int = 1) -> PlaneLayer:

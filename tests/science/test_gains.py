@@ -15,7 +15,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import Condition, TransformTable
-from l3cli.artifacts.training_set import open_training_set
+from l3cli.artifacts.training_set import open_training_set, white_signal
 from l3cli.classes import contrast, level
 from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.rendering.conditions import at_gain, nearest_step
@@ -25,7 +25,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import NoiseRenderer
 from l3cli.rendering.temporal.chunks import filters
 from l3cli.simulation import sensor
-from l3cli.training.patches import expose_patches, white_signal
+from l3cli.training.patches import expose_patches
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 

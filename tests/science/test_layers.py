@@ -14,7 +14,7 @@ from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import PLANE_STEP, PLANES, RATIO_TAPS, PlaneLayer, TransformTable
-from l3cli.artifacts.training_set import open_training_set
+from l3cli.artifacts.training_set import open_training_set, white_signal
 from l3cli.classes.refinement import label_planes, taps_behind
 from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
@@ -26,7 +26,6 @@ from l3cli.training.layers.learn import FADING, LayerPass, add_sums, learn_layer
 from l3cli.training.layers.mosaics import Seen, mosaics_of, sheets_of
 from l3cli.training.layers.rows import GatheredRows, require_exact, row_weights
 from l3cli.training.layers.rules import gradient_scale, structure_rule
-from l3cli.training.patches import white_signal
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
 from l3cli.training.row_weighting import TARGET_FLOOR
 from l3cli.training.sums import STEP

@@ -10,13 +10,12 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import LightSpectrum
+from l3cli.artifacts.training_set import LightSpectrum, white_signal
 from l3cli.classes.rule import ClassRecipe, make_rule
 from l3cli.classes.windows import neighbourhoods
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.simulation.light import make_light
-from l3cli.training.patches import white_signal
 from l3cli.training.plain_surfaces import FEWEST, GREY_SHARE, PlainSurfaces, false_colours, plain_surfaces
 from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS

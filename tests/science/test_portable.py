@@ -29,6 +29,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.tables import (
     random_table,
+    with_clipped_white,
     with_clipping,
     with_coarse_chroma,
     with_components,
@@ -81,6 +82,9 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
     "coarse chroma": lambda: with_clipping(
         with_coarse_chroma(with_refinement(a_table([[0, 1], [2, 3]], 12, 64.0, contrasts=(), chroma_dither=True), 5), 0.1)
     ),
+    "clipped white": lambda: with_clipped_white(
+        with_refinement(a_table([[0, 1], [2, 3]], 12, 64.0, contrasts=()), 5), 0.2
+    ),
     "a tree, 6 × 6": lambda: with_tree(a_table(SIX, 12, 64.0, contrasts=()), ratios=2),
 }  # fmt: skip
 needs_compiler = pytest.mark.skipif(CC is None, reason="there is no C compiler (cc, gcc or CC)")
@@ -121,7 +125,12 @@ def compile_c(folder: Path, *arguments: str, compiler: str | None = CC) -> None:
 
 
 CASES: list[tuple[str, Words]] = [(name, "float32") for name in TABLES]
-CASES += [("one layer, 2 × 3, 16 bits", "int16"), ("coarse chroma", "int16"), ("a tree, 6 × 6", "int16")]
+CASES += [
+    ("one layer, 2 × 3, 16 bits", "int16"),
+    ("coarse chroma", "int16"),
+    ("clipped white", "int16"),
+    ("a tree, 6 × 6", "int16"),
+]
 
 
 @pytest.fixture(scope="module", params=CASES, ids=", ".join)

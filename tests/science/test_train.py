@@ -14,7 +14,7 @@ from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingSet, write_training_set
+from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingSet, white_signal, write_training_set
 from l3cli.classes.chroma import choose_chromas
 from l3cli.classes.decide import label_patches
 from l3cli.classes.names import kind_name
@@ -35,7 +35,6 @@ from l3cli.training.patches import (
     levels_at,
     patches_of,
     sample_patches,
-    white_signal,
 )
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
 from l3cli.training.solve import parent_of, parents_of

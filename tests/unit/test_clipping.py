@@ -12,7 +12,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import Clipping, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
-from l3cli.classes.clipping import BEGINS, CLIPS, Mosaic, block_maps, clipping_maps, replaced
+from l3cli.classes.clipping import BEGINS, CLIPS, WHITE_FROM, Mosaic, block_maps, clipping_maps, replaced
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.physics import spectra
 from l3cli.physics.display import daylight, delta_e_2000, displayed, displayed_xyz, lab
@@ -22,7 +22,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.training.clipping import learned_clipping
 from tests.helpers.cameras import BAYER, X_TRANS
 from tests.helpers.paths import CONFIGS
-from tests.helpers.tables import random_table, with_clipping, with_coarse_chroma, with_refinement
+from tests.helpers.tables import random_table, with_clipped_white, with_clipping, with_coarse_chroma, with_refinement
 
 ARRAYS = {"bayer": BAYER, "x-trans": X_TRANS}
 
@@ -66,6 +66,38 @@ def test_backends_agree(monkeypatch: pytest.MonkeyPatch, array: str, variant: st
     whole = device.outputs(frames[0])
     monkeypatch.setattr(work, "BAND_PIXELS", 10 * 131)
     np.testing.assert_array_equal(OpenCLRenderer(table, variant=variant).outputs(frames[0]), whole)
+
+
+@pytest.mark.parametrize("variant", ["graphics", "processor"])
+@pytest.mark.parametrize("sides", [(), (3,)], ids=["one layer", "two layers"])
+def test_no_pixel_is_brighter_than_the_clipped_white(variant: str, sides: tuple[int, ...]) -> None:
+    bare = with_refinement(random_table(BAYER, black_level=64.0, patch=5), *sides)
+    frame = soft_frame(bare, (43, 131))
+    before = ReferenceRenderer(bare).exact_outputs(frame)
+    table = with_clipped_white(bare, float(np.quantile(before[1][before[1] > 0], 0.5)))
+    expected, white = ReferenceRenderer(table).exact_outputs(frame), table.clipped_white
+    assert white is not None
+    brighter = before[1] > white[1]
+    np.testing.assert_array_equal(expected[:, ~brighter], before[:, ~brighter])
+    np.testing.assert_allclose(expected[1, brighter], white[1])
+    far = before[1] > WHITE_FROM * white[1]
+    assert far.any()
+    np.testing.assert_allclose(expected[:, far], np.broadcast_to(white[:, None], (3, far.sum())))
+    for outputs in (OpenCLRenderer(table, variant=variant).outputs(frame), OpenCLRenderer(table).classified(frame)[0]):
+        np.testing.assert_allclose(outputs, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_the_clipped_white_fills_the_weakest_channel() -> None:
+    camera, radiance, white, to_signals, clipping = learned("fiveband")
+    grid = spectra.light_grid(camera.wavelength).astype(float)
+    light = LightSpectrum(grid, spectra.at_luminance(spectra.illuminant("D65", grid), grid, 1.0).astype(np.float32), 0.0)
+    table = dataclasses.replace(
+        random_table(camera.cfa), channels=camera.channels, camera=camera, light=light, white_point=white
+    )
+    assert table.clipped_white is not None
+    np.testing.assert_allclose(table.clipped_white, white / (radiance @ to_signals).min(), rtol=1e-3)
+    np.testing.assert_allclose(table.clipped_white[1], 1 / clipping.white.min(), rtol=1e-6)
+    assert dataclasses.replace(table, light=None).clipped_white is None
 
 
 def flat(signals: NDArray, cfa: NDArray[np.uint8]) -> Mosaic:

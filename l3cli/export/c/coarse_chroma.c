@@ -77,16 +77,6 @@ static float change_at(const float *restrict before, const float *restrict after
     return change;
 }
 
-/* An output, `by` more. */
-static L3Output changed(L3Output output, float by) {
-#if L3_OUTPUT_FRACTION > 0
-    const float steps = by * (1 << L3_OUTPUT_FRACTION);
-    return (L3Output)clamped(output + (int)(steps < 0 ? steps - 0.5f : steps + 0.5f), -L3_OUTPUT_TOP, L3_OUTPUT_TOP);
-#else
-    return output + by;
-#endif
-}
-
 /* Outputs of a last layer get what the steps change of the chroma of its planes. */
 static void add_coarse_chroma(const CoarseChroma *c, const int32_t *planes, int rows, int columns, L3Output *outputs) {
     const int block_rows = BLOCKS(rows), block_columns = BLOCKS(columns);

@@ -1,5 +1,15 @@
 /* --------------------------------------------------------------------------------------------------------- words of outputs */
 
+static inline L3Output changed(L3Output output, float by) { return output + by; }
+
+#ifdef L3_WHITE_SLOPE
+/* X, Y and Z of a pixel, `apart` from one another, that is brighter than the clipped white. */
+static inline void fade_to_white(L3Output *output, ptrdiff_t apart, const L3Output white[3]) {
+    const float luminance = output[apart], over = L3_WHITE_SLOPE * (luminance - white[1]) / white[1], faded = over < 1 ? over : 1;
+    for (int o = 0; o < 3; o++) output[o * apart] = white[1] / luminance * (1 - faded) * output[o * apart] + faded * white[o];
+}
+#endif
+
 /* What the last layer reads, as it lies in a ring. */
 typedef struct {
     float *value;

@@ -1,5 +1,24 @@
 /* --------------------------------------------------------------------------------------------------------- words of outputs */
 
+/* An output, `by` of its unit more. */
+static inline L3Output changed(L3Output output, float by) {
+    const float steps = by * (1 << L3_OUTPUT_FRACTION);
+    return (L3Output)clamped(output + (int)(steps < 0 ? steps - 0.5f : steps + 0.5f), -L3_OUTPUT_TOP, L3_OUTPUT_TOP);
+}
+
+#ifdef L3_WHITE_SLOPE
+#define ONE (1 << 15) /* a factor of 1 */
+
+/* X, Y and Z of a pixel, `apart` from one another, that is brighter than the clipped white. */
+static inline void fade_to_white(L3Output *output, ptrdiff_t apart, const L3Output white[3]) {
+    const int32_t limit = white[1], luminance = output[apart], over = L3_WHITE_SLOPE * (luminance - limit);
+    const int32_t faded = over < limit ? over * ONE / limit : ONE;
+    const int32_t factor = (int32_t)(((int64_t)limit * ONE * (ONE - faded) / luminance + ONE / 2) >> 15);
+    for (int o = 0; o < 3; o++)
+        output[o * apart] = (L3Output)((factor * output[o * apart] + faded * white[o] + ONE / 2) >> 15);
+}
+#endif
+
 /* What the last layer reads, as it lies in a ring: value - L3_VALUE_OFFSET = high * 2^L3_SPLIT + low, both of 16 bits, so that no
  * sum of products leaves 32. Without a split there is no low. */
 typedef struct {

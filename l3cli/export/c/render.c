@@ -1,3 +1,16 @@
+/* ------------------------------------------------------------------------------------------------------------ clipped white */
+
+/* No pixel is brighter than the darkest white that clips every channel; the colour of brighter ones fades to white. */
+static void limit_to_white(ptrdiff_t pixels, L3Output *outputs) {
+#ifdef L3_WHITE_SLOPE
+    static const L3Output white[3] = {L3_WHITE_X, L3_WHITE_Y, L3_WHITE_Z};
+    for (ptrdiff_t i = 0; i < pixels; i++)
+        if (outputs[pixels + i] > white[1]) fade_to_white(outputs + i, pixels, white);
+#else
+    (void)pixels, (void)outputs;
+#endif
+}
+
 /* ----------------------------------------------------------------------------------------------------------------- render */
 
 size_t l3_workspace_bytes(int rows, int columns) {
@@ -17,6 +30,7 @@ int l3_render(const uint16_t *raw, int rows, int columns, int phase_row, int pha
     const Spectra spectra = spectra_in(&room, columns);
     pad_mosaic(raw, rows, columns, padded_span(columns), w.statistics.padded);
     render_layers(&w, rows, columns, phase_row, phase_column, labels, outputs);
+    limit_to_white((ptrdiff_t)rows * columns, outputs);
     smooth_spectra(&spectra, rows, columns, outputs);
     return 0;
 }

@@ -141,8 +141,32 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
         "SHIFT": rule.shift,
         "MAX_RAW": 2**table.bits - 1,
         "RAW_MIDDLE": raw_middle(table.bits),
+        **white_macros(table),
         **plane_kernel.kernel_macros(rule),
     }
+
+
+def white_macros(table: TransformTable) -> Macros:
+    """Macros of the kernels that write outputs, if these are limited to a clipped white."""
+    return {} if table.clipped_white is None else {"WHITE_FROM": _literal(clipping.WHITE_FROM)}
+
+
+def display_constants(table: TransformTable, matrix: NDArray | None) -> NDArray[np.float64]:
+    """The numbers (12) that kernels which write outputs read from one buffer.
+
+    Parameters
+    ----------
+    table : TransformTable
+    matrix : ndarray, (3, 3), or None
+        Linear values of the display from X, Y, Z. None: outputs are written as they are.
+
+    Returns
+    -------
+    ndarray, (12)
+        The matrix, row by row, then the XYZ of the clipped white, in output units. What does not apply is zero.
+    """
+    white = table.clipped_white
+    return np.concatenate([np.zeros(9) if matrix is None else matrix.ravel(), np.zeros(3) if white is None else white])
 
 
 COARSE_MARGIN = max(SPACINGS)  # blocks about those of a band that are FAR from all
@@ -198,6 +222,7 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
         **({"COARSE_CHROMA": 1, "PLANE_STEP": _literal(PLANE_STEP), **COARSE_MACROS} if layer.coarse_chroma else {}),
         **({"CLIPPING": 1} if layer.clipping else {}),
         **({"CORRECTS": 1} if table.components else {}),
+        **white_macros(table),
         **plane_kernel.rule_macros(layer.rule),
     }
 

@@ -304,7 +304,7 @@ class OpenCLRenderer:
                     arguments = (*self._decides(track, band), *self._site(band, levelled))
                     work.add("classes", self._run(self._programs.classes(0), track, band.shape(0), *arguments))
                 if encoding is None:  # not before the device is busy
-                    encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
+                    encoding = self._constant(layout.display_constants(self.table, matrix), np.float32)
                 for number in range(max(labels) if kernel is None else len(self._layers)):
                     self._classify_refinement(number, track, band, levelled, work)
                 if kernel is not None:
