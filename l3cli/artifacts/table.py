@@ -225,6 +225,7 @@ class PlaneTransforms:
     weights: NDArray[np.float32] = data("float32", "plane_class", "output", "plane_tap", doc="as in later/")
     intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
     samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
+    clipping: Clipping | None = group(default=None)  # as in later/
 
 
 @dataclass(frozen=True)
@@ -249,7 +250,7 @@ class Condition:
         """Return the transforms, and for other noise the edges, of layers that were learned for a condition."""
         return cls(
             MosaicTransforms(first.weights, first.intercept, first.samples),
-            tuple(PlaneTransforms(layer.weights, layer.intercept, layer.samples) for layer in later),
+            tuple(PlaneTransforms(layer.weights, layer.intercept, layer.samples, layer.clipping) for layer in later),
             light,
             noise,
             NoiseEdges.of(first, later) if noise else None,

@@ -231,8 +231,8 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
     rounded = np.clip(np.rint(short / step), -OUTPUT_TOP, OUTPUT_TOP) * step
     whole = np.clip(expected, -OUTPUT_TOP * step, OUTPUT_TOP * step)
     if table.clipped_white is not None:
-        whole, rounded = limited_to_white(whole, table.clipped_white), limited_to_white(rounded, table.clipped_white)
-        rounded = np.rint(rounded / step) * step
+        whole = limited_to_white(whole, table.clipped_white)
+        rounded = np.rint(limited_to_white(rounded / step, np.rint(table.clipped_white / step))) * step
     error = np.square(rounded - whole).mean()
     if table.later and table.later[-1].coarse_chroma:
         error += step**2 / 12 * 2 / 3

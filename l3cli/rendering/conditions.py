@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.class_rule import ClassRule, FurtherFeatures
 from l3cli.artifacts.plane_rules import GradientScale
-from l3cli.artifacts.table import CoarseChroma, Condition, MosaicLayer, PlaneLayer, PlaneRule, TransformTable
+from l3cli.artifacts.table import Clipping, CoarseChroma, Condition, MosaicLayer, PlaneLayer, PlaneRule, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes import contrast, level
 from l3cli.classes.features import further_features
@@ -100,7 +100,12 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 
     def layer(of: Any, one: Any, other: Any, share: NDArray[np.float64] | float) -> Any:
         names = ("weights", "intercept")
-        return replace(of, **{name: _between(getattr(one, name), getattr(other, name), share) for name in names})
+        made = replace(of, **{name: _between(getattr(one, name), getattr(other, name), share) for name in names})
+        if getattr(one, "clipping", None) is None or getattr(other, "clipping", None) is None:
+            return made
+        names = ("response", "white")
+        parts = (_between(getattr(one.clipping, name), getattr(other.clipping, name), share) for name in names)
+        return replace(made, clipping=Clipping(*parts))
 
     later = tuple(map(layer, common.later, warm.later, cool.later, shares[1:]))
     return replace(common, first=layer(common.first, warm.first, cool.first, shares[0]), later=later)

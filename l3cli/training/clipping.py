@@ -8,7 +8,6 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import Clipping
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.clipping import CLIPS, added_terms, grey_level
-from l3cli.training.goal import one_light
 from l3cli.training.plain_surfaces import plain_surfaces
 
 Array = NDArray[np.float64]
@@ -20,9 +19,22 @@ STEADY = 3.0  # weight of what changes between two exposures: steps are seen whe
 
 
 def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Array) -> Clipping | None:
-    """Return the response of a camera's channels; None if surfaces are not known under one light, whose white at Y = 1 is
-    `white` (output), or channels of one filter clip one after the other."""
-    if light is None or one_light(light) is None or camera.readout is not None:
+    """Learn what plain clipped areas become under a light, or the mean light of a training with several.
+
+    Parameters
+    ----------
+    camera : CameraModel
+    light : LightSpectrum or None
+        None if the light is not known.
+    white : ndarray, (output)
+        XYZ of a white of Y = 1 under the light.
+
+    Returns
+    -------
+    Clipping or None
+        None if the light is not known, or if channels of one filter clip one after the other.
+    """
+    if light is None or camera.readout is not None:
         return None
     surfaces = plain_surfaces(camera, light, light, white)
     if surfaces is None:

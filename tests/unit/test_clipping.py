@@ -16,13 +16,21 @@ from l3cli.classes.clipping import BEGINS, CLIPS, WHITE_FROM, Mosaic, block_maps
 from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.physics import spectra
 from l3cli.physics.display import daylight, delta_e_2000, displayed, displayed_xyz, lab
+from l3cli.rendering.conditions import Mix, mixed
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.training.clipping import learned_clipping
 from tests.helpers.cameras import BAYER, X_TRANS
 from tests.helpers.paths import CONFIGS
-from tests.helpers.tables import random_table, with_clipped_white, with_clipping, with_coarse_chroma, with_refinement
+from tests.helpers.tables import (
+    random_table,
+    with_clipped_white,
+    with_clipping,
+    with_coarse_chroma,
+    with_lights,
+    with_refinement,
+)
 
 ARRAYS = {"bayer": BAYER, "x-trans": X_TRANS}
 
@@ -169,3 +177,22 @@ def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
     wrong = dataclasses.replace(table.later[-1], clipping=Clipping(np.zeros((5, 5, 3)), np.ones(4)))
     with pytest.raises(ValueError, match="along channel"):
         dataclasses.replace(table, later=(wrong,))
+
+
+def test_lights_have_what_becomes_of_clipped_areas_of_their_own(tmp_path: Path) -> None:
+    table = with_lights(with_clipping(with_coarse_chroma(with_refinement(random_table(BAYER, patch=5), 5))), "A", "D65")
+    own = []
+    for number, condition in enumerate(table.conditions):
+        clipping = with_clipping(table, seed=20 + number).later[-1].clipping
+        later = dataclasses.replace(condition.later[-1], clipping=clipping)
+        own.append(dataclasses.replace(condition, later=(*condition.later[:-1], later)))
+    save(dataclasses.replace(table, conditions=tuple(own)), tmp_path / "table.h5")
+    table = load(TransformTable, tmp_path / "table.h5")
+    warm, cool, between = (mixed(table, Mix(0, 1, share)).later[-1].clipping for share in (0.0, 1.0, 0.25))
+    assert warm is not None
+    assert cool is not None
+    assert between is not None
+    np.testing.assert_array_equal(warm.response, own[0].later[-1].clipping.response)
+    np.testing.assert_array_equal(cool.response, own[1].later[-1].clipping.response)
+    np.testing.assert_allclose(between.response, 0.75 * warm.response + 0.25 * cool.response)
+    np.testing.assert_allclose(between.white, 0.75 * warm.white + 0.25 * cool.white)

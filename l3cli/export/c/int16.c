@@ -13,9 +13,10 @@ static inline L3Output changed(L3Output output, float by) {
 static inline void fade_to_white(L3Output *output, ptrdiff_t apart, const L3Output white[3]) {
     const int32_t limit = white[1], luminance = output[apart], over = L3_WHITE_SLOPE * (luminance - limit);
     const int32_t faded = over < limit ? over * ONE / limit : ONE;
-    const int32_t factor = (int32_t)(((int64_t)limit * ONE * (ONE - faded) / luminance + ONE / 2) >> 15);
-    for (int o = 0; o < 3; o++)
-        output[o * apart] = (L3Output)((factor * output[o * apart] + faded * white[o] + ONE / 2) >> 15);
+    for (int o = 0; o < 3; o++) {
+        const int64_t scaled = (int64_t)limit * (ONE - faded) * output[o * apart] / luminance;
+        output[o * apart] = (L3Output)((scaled + (int64_t)faded * white[o] + ONE / 2) >> 15);
+    }
 }
 #endif
 
