@@ -5,6 +5,7 @@ and scale are kept; then all are sorted by class, made again without noise in pi
 multiplied class by class.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
@@ -22,6 +23,7 @@ from l3cli.training.sums import add_products, add_rounded, empty_sums, grid_step
 from l3cli.training.training_pass import BATCH, TrainingPass
 
 EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
+CLIPPED_GREY_EDGES = 8.0  # weight of colourless patches at edges beside which something clips, as text on paper
 DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker patches get no more weight
 
 
@@ -170,6 +172,10 @@ class _Batch:
         weight = brightness ** np.float32(-self.pass_.recipe.brightness_power) / level ** np.float32(
             self.pass_.recipe.level_power
         )
+        if self.patches.colourless is not None:
+            edges = self.pass_.rule.split(label).further > 0
+            greys = self.patches.colourless[patch] & edges & (clean >= 1).any(axis=1)
+            weight[greys] *= np.float32(math.sqrt(CLIPPED_GREY_EDGES))
         if self.weighting is not None:
             weight *= self.weighting.weight(clean, variance, target, level, runs)
         taps = clean.shape[1]

@@ -27,6 +27,7 @@ class Patches:
     signal: Floats  # (patch, tap) share of full scale
     target: Floats  # (patch, output) in the table's output unit
     carried: Floats | None = None  # (patch, tap) noise variance that a real signal already has, full scale²; simulated: 0
+    colourless: NDArray[np.bool_] | None = None  # (patch) whether the patch shows its scene without colour; None: none does
 
     def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `scale` (patch) as far as the patches can follow. Simulated ones follow everywhere. Real ones carry noise
@@ -40,11 +41,12 @@ class Patches:
     @classmethod
     def concatenated(cls, parts: list["Patches"]) -> "Patches":
         """Return all patches of `parts`; simulated ones among real ones carry a variance of zero."""
+        colourless = [np.zeros(len(p.signal), bool) if p.colourless is None else p.colourless for p in parts]
         carried = None
         if any(part.carried is not None for part in parts):
             carried = np.concatenate([np.zeros_like(p.signal) if p.carried is None else p.carried for p in parts])
         signal, target = (np.concatenate([getattr(part, name) for part in parts]) for name in ("signal", "target"))
-        return cls(signal, target, carried)
+        return cls(signal, target, carried, np.concatenate(colourless))
 
 
 def patches_of(
@@ -71,7 +73,8 @@ def patches_of(
         patches = sample_patches(frame, head, *how, count - grey, orientations(side), rng)
         if not grey or colourless is None:
             return patches
-        return Patches.concatenated([patches, sample_patches(colourless, head, *how, grey, orientations(side), rng)])
+        without = sample_patches(colourless, head, *how, grey, orientations(side), rng)
+        return Patches.concatenated([patches, replace(without, colourless=np.ones(grey, bool))])
     return sample_pair(frame, head.camera, neighbours, site, count, rng, shared)
 
 

@@ -17,6 +17,7 @@ from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.physics import spectra
 from l3cli.physics.display import daylight, delta_e_2000, displayed, displayed_xyz, lab
 from l3cli.rendering.conditions import Mix, mixed
+from l3cli.rendering.exposure import LightMeter
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
@@ -196,3 +197,15 @@ def test_lights_have_what_becomes_of_clipped_areas_of_their_own(tmp_path: Path) 
     np.testing.assert_array_equal(cool.response, own[1].later[-1].clipping.response)
     np.testing.assert_allclose(between.response, 0.75 * warm.response + 0.25 * cool.response)
     np.testing.assert_allclose(between.white, 0.75 * warm.white + 0.25 * cool.white)
+
+
+def test_over_exposed_areas_are_exposed_as_white() -> None:
+    """Brightness that is shown white is at most that of the clipped white, so that it does not depend on what classes
+    guess."""
+    bare = random_table(BAYER, black_level=64.0, patch=5)
+    frame = soft_frame(bare, (96, 131))
+    brightness = LightMeter(bare).brightness(frame)
+    assert brightness > 0
+    for limit in (0.5, 2.0):
+        table = with_clipped_white(bare, limit * brightness)
+        assert LightMeter(table).brightness(frame) == pytest.approx(min(limit, 1.0) * brightness)
