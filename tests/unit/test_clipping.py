@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import Clipping, TransformTable
+from l3cli.artifacts.table import Clipping, Condition, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.clipping import BEGINS, CLIPS, WHITE_FROM, Mosaic, block_maps, clipping_maps, replaced
 from l3cli.frames.frame import RawFrame, shifted_cfa
@@ -182,9 +182,12 @@ def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
 
 def test_lights_have_what_becomes_of_clipped_areas_of_their_own(tmp_path: Path) -> None:
     table = with_lights(with_clipping(with_coarse_chroma(with_refinement(random_table(BAYER, patch=5), 5))), "A", "D65")
-    own = []
+    own: list[Condition] = []
+    clippings: list[Clipping] = []
     for number, condition in enumerate(table.conditions):
         clipping = with_clipping(table, seed=20 + number).later[-1].clipping
+        assert clipping is not None
+        clippings.append(clipping)
         later = dataclasses.replace(condition.later[-1], clipping=clipping)
         own.append(dataclasses.replace(condition, later=(*condition.later[:-1], later)))
     save(dataclasses.replace(table, conditions=tuple(own)), tmp_path / "table.h5")
@@ -193,8 +196,8 @@ def test_lights_have_what_becomes_of_clipped_areas_of_their_own(tmp_path: Path) 
     assert warm is not None
     assert cool is not None
     assert between is not None
-    np.testing.assert_array_equal(warm.response, own[0].later[-1].clipping.response)
-    np.testing.assert_array_equal(cool.response, own[1].later[-1].clipping.response)
+    for end, clipping in ((warm, clippings[0]), (cool, clippings[1])):
+        np.testing.assert_array_equal(end.response, clipping.response)
     np.testing.assert_allclose(between.response, 0.75 * warm.response + 0.25 * cool.response)
     np.testing.assert_allclose(between.white, 0.75 * warm.white + 0.25 * cool.white)
 
