@@ -9,6 +9,7 @@ from pathlib import Path
 
 from markup import code, table
 
+from l3cli.cli.terminal import with_options
 from l3cli.frames.packings import BAYER_ORDERS, FAMILIES, PACKINGS
 from l3cli.io.raw.files import FORMATS as RAW_FORMATS
 from l3cli.io.raw.unread import UNREAD
@@ -31,7 +32,7 @@ def packings() -> str:
 
 def raw_formats() -> str:
     """Formats of raw frames that l3 reads."""
-    rows = ([each.what, " ".join(map(code, each.suffixes)), each.read_as] for each in reversed(RAW_FORMATS))
+    rows = ([each.what, " ".join(map(code, each.suffixes)), with_options(each.read_as)] for each in reversed(RAW_FORMATS))
     return table(["format", "suffixes", "what is read"], rows)
 
 

@@ -104,11 +104,11 @@ FORMATS = (
         "an image or a cube; BAYERPAT (2×2, X-Trans), XBAYROFF, YBAYROFF, ROWORDER, EXPTIME", stackable=True,
     ),
     RawFormat(
-        (".h5", ".hdf5", ".hdf"), "hdf5", "HDF5", "a dataset, `--dataset NAME` where there are several; names of its axes",
+        (".h5", ".hdf5", ".hdf"), "hdf5", "HDF5", "a dataset, `‹dataset› NAME` where there are several; names of its axes",
         holds_frame=False, stackable=True, wants_dataset=True,
     ),
     RawFormat(
-        (".mat",), "mat", "MATLAB", "a variable (row, col, frame), `--dataset NAME` where there are several",
+        (".mat",), "mat", "MATLAB", "a variable (row, col, frame), `‹dataset› NAME` where there are several",
         holds_frame=False, stackable=True, wants_dataset=True,
     ),
     RawFormat((".ser",), "ser", "SER", "all frames; array", holds_frame=False, stackable=True, isolated=False),
