@@ -212,7 +212,7 @@ def test_another_array_than_the_stated_is_refused_until_it_is_named(
     quad_photo(tmp_path / "a.dng")
     call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
     assert "quad_bayer" in refused(3, *call)
-    named = ("--pattern", pattern)
+    named: tuple[str, ...] = ("--pattern", pattern)
     if pattern == "quad_bayer":  # the recipe begins with green
         assert "0,2" in refused(3, *call, *named)
         named = (*named, "--phase", "0,2")
