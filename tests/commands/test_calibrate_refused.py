@@ -111,11 +111,10 @@ def test_bad_frames_are_named(
     assert frame.name in line
 
 
-def test_an_8_bit_frame_is_no_raw_frame(copied: Path, tmp_path: Path, refused: Refused) -> None:
+def test_a_frame_of_another_kind_is_named(copied: Path, tmp_path: Path, refused: Refused) -> None:
     frame = sorted((copied / "dark").iterdir())[0]
     frame.write_bytes(b"P5 256 192 255\n" + bytes(192 * 256))
     line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert "uint8" in line
     assert frame.name in line
 
 

@@ -85,9 +85,9 @@ def test_arrays_share_a_file_whose_other_columns_are_left_out(folder: Path, l3: 
     text = (folder / CSV).read_text()
     mapped = camera_of(folder, text, columns='{r = "NIR", g = "g"}')
     np.testing.assert_allclose(mapped.responsivity[0], percent.mean(axis=1) / 100, rtol=1e-7)
-    (folder / CSV).write_text(text.replace(",r (%)", ",red (%)"))
+    (folder / CSV).write_text(text.replace(",r (%)", ",rot (%)"))
     (folder / "camera.toml").write_text(RECIPE.read_text())
-    words = 'no column is called "r"; there are b, NIR, red, G; name it, columns = {r = "NIR"}'
+    words = 'no column is called "r"; there are b, NIR, rot, G; name it, columns = {r = "NIR"}'
     assert words in refused(3, *simulate, "--force")
     (folder / "camera.toml").write_text(RECIPE.read_text().replace(f'"{CSV}"', f'"{CSV}"\ncolumns = {{ir = "NIR"}}'))
     assert 'responsivity.columns: "ir" is not a channel; did you mean' in refused(2, *simulate, "--force")
@@ -128,8 +128,8 @@ def percent_without_unit(nm: np.ndarray, percent: np.ndarray) -> str:
 MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     "order": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[[1, 0, *range(2, nm.size)]], percent), "must increase"),
     "names": (
-        lambda nm, percent: written("nm,r (%),green (%),b (%)", nm, percent),
-        'column "green" is none of those wanted',
+        lambda nm, percent: written("nm,r (%),leaf (%),b (%)", nm, percent),
+        'column "leaf" is none of those wanted',
     ),
     "count": (lambda nm, percent: written("nm,r (%),g (%)", nm, percent[:, :2]), "holds 2 curves, 3 are wanted"),
     "unit": (
@@ -145,7 +145,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
         lambda nm, percent: written("nm,r,g,b", nm, percent / percent.max()),
         "curves peak at 1, as relative ones do",
     ),
-    "below": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent - 0.01), "channel g has negative values"),
+    "below": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent - 5), "channel g has negative values"),
     "dark": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * [1, 0, 1]), "channel g has no light"),
     "metres": (lambda nm, percent: written("wavelength,r,g,b", nm / 1000, percent), "perhaps 390…710 nm in um"),
     "coarse": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[::8], percent[::8]), "a gap between 390 and 430 nm"),
@@ -158,7 +158,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     "cut": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[:44], percent[:44]), "ends at 605 nm where channel r"),
     "no pair": (
         lambda nm, percent: digitised(nm, percent) + "400,text,,,,\n",
-        '"400, text" is no pair of X and Y of curve 1',
+        '"400, text" of curve 1 (r (%)) is no pair of X and Y',
     ),
     "no foot": (
         lambda nm, percent: "\n".join(
@@ -168,7 +168,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
                 *(f"{x},50,{x},50,{x},50" if x <= 600 else f",,{x},50,{x},50" for x in range(400, 701, 10)),
             ]
         ),
-        '"r" ends at 600 nm, at 100% of its peak; digitise it down to its foot',
+        '"r" ends at 600 nm, at 100% of its peak, before its foot',
     ),
     "heading": (lambda nm, percent: written("nm,r (%),g (%)", nm, percent), "its heading names 3 columns, its rows have 4"),
 }

@@ -228,7 +228,7 @@ def test_pages_are_the_pictures_of_a_folder(l3: L3, desk: Path, bits: int) -> No
         for output in ("a.tif", "out"):
             options = ("--format", "tif", "--bits", bits, "--backend", "reference", "--quiet", "--force")
             assert l3("render", desk / "table.h5", *inputs, "-o", desk / output, *options)[0] == 0
-        files = sorted((desk / "out").iterdir())
+        files = sorted((desk / "out").glob("[!.]*"))
         with tifffile.TiffFile(desk / "a.tif") as file:
             assert len(file.pages) == len(files) == PAGES
             for page, alone in zip(file.pages, files, strict=True):

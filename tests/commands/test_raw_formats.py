@@ -308,7 +308,7 @@ def test_a_folder_of_graymaps_is_a_sequence(l3: L3, tmp_path: Path, raw_table: P
         "",
         "",
     )
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["10.png", "9.png"]
+    assert sorted(path.name for path in (tmp_path / "out").glob("[!.]*")) == ["10.png", "9.png"]
 
 
 # -------------------------------------------------------------------------------------------------------------- FITS

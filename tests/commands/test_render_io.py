@@ -252,7 +252,7 @@ def test_broken_inputs_are_refused_in_one_line(
         "cut.png": (whole[: len(whole) // 2], "cut.png"),
     }
     arrays = {
-        "float.npy": (mosaic / 2, "uint16"),
+        "float.npy": (mosaic / 2, "no DN"),
         "cube.npy": (mosaic[None, None], "rows × columns"),
         "object.npy": (np.array([[None]]), "numpy.save"),
         "none.npy": (mosaic[:0], "no pixels"),
