@@ -467,7 +467,7 @@ class TransformTable(Artifact):
         (docs/method.md#clipped-white). None if the outputs do not begin with X, Y, Z, or the light is not known."""
         if self.outputs[:3] != ("X", "Y", "Z") or self.light is None or self.camera is None:
             return None
-        weakest = white_signal(self.light, self.camera).min()
+        weakest = white_signal(self.light, self.camera, self.output_unit).min()
         return self.white_point[:3] / (self.white_point[1] * weakest) if weakest > 0 else None
 
     def gain_at(self, iso: float) -> float | None:

@@ -38,10 +38,15 @@ class LightSpectrum:
             raise ValueError("radiance is not that of a light")
 
 
-def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
-    """Signals (channel) of a white of Y = 1 output unit under a light, as fractions of full scale."""
+def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float | None = None) -> NDArray[np.float64]:
+    """Signals (channel) of a white of Y = 1 under a light, as fractions of full scale.
+
+    `output_unit` is the luminous exposure in cd s/m² that Y = 1 stands for. Without it that of the camera's tables is
+    computed, for which colour-science is imported.
+    """
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
-    return np.asarray(camera.signal_weights @ radiance * (camera.output_unit / camera.full_scale))
+    unit = camera.output_unit if output_unit is None else output_unit
+    return np.asarray(camera.signal_weights @ radiance * (unit / camera.full_scale))
 
 
 @dataclass(frozen=True)

@@ -124,7 +124,8 @@ def _mean_tile(frame: RawFrame) -> NDArray[np.float64]:
     """Return the mean signal (row, col) in DN above black of tiles evenly spread over a frame. All begin at the same site of
     any array whose period divides a tile."""
     tops, lefts = (
-        np.unique(np.linspace(0, max(length // TILE - 1, 0), TILES).astype(int)) * TILE for length in frame.values.shape
+        sorted({TILE * int(place) for place in np.linspace(0, max(length // TILE - 1, 0), TILES)})
+        for length in frame.values.shape
     )
     tiles = [frame.values[top : top + TILE, left : left + TILE] for top in tops for left in lefts]
     return np.asarray(np.sum(tiles, axis=0, dtype=np.float64) / len(tiles) - frame.black_level - frame.dark)
@@ -141,9 +142,19 @@ def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tupl
     """Return how much sites differ from the median of those that have the same entry of `array`, over the signal: what 30 %
     of them exceed, and the mean; of the entry whose sites differ most."""
     entries = tiled(array, means.shape)
-    off = [np.abs(means[entries == each] - np.median(means[entries == each])) for each in np.unique(array)]
+    off = [
+        np.abs(same - _median(same))
+        for same in (means[entries == each] for each in range(int(array.max()) + 1))
+        if same.size
+    ]
     worst = max(off, key=lambda each: float(each.mean()))
-    return float(np.quantile(worst, 0.7, method="lower") / means.mean()), float(worst.mean() / means.mean())
+    return float(np.sort(worst)[int(0.7 * (worst.size - 1))] / means.mean()), float(worst.mean() / means.mean())
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    """The median; np.median imports numpy.ma, a twentieth of the time that a picture takes."""
+    in_order = np.sort(values)
+    return float(in_order[(values.size - 1) // 2] + in_order[values.size // 2]) / 2
 
 
 def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]:

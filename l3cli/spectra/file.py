@@ -199,7 +199,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
     for each curve; or one curve below the other, each with its own heading.
     """
     numeric = [_is_number(row[0], decimal_comma) for row in cells]
-    above = [_is_lettered(row) or follows for row, follows in zip(cells, [*numeric[1:], False], strict=True)]
+    above = [_is_lettered(row) or follows for row, follows in zip(cells, [*numeric, False][1:], strict=True)]
     heads = [(number, pairs) for number, row in enumerate(cells) if above[number] and (pairs := _pair_heads(row))]
     lettered = [_is_lettered(cells[number]) for number, _ in heads]
     if not heads or (len(heads) == 1 and not lettered[0] and len(heads[0][1]) < 2):

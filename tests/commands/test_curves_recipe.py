@@ -145,7 +145,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
         lambda nm, percent: written("nm,r,g,b", nm, percent / percent.max()),
         "curves peak at 1, as relative ones do",
     ),
-    "below": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent - 5), "channel g has negative values"),
+    "below": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent - 5), "has negative values"),
     "dark": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * [1, 0, 1]), "channel g has no light"),
     "metres": (lambda nm, percent: written("wavelength,r,g,b", nm / 1000, percent), "perhaps 390…710 nm in um"),
     "coarse": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[::8], percent[::8]), "a gap between 390 and 430 nm"),

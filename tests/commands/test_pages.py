@@ -164,9 +164,7 @@ def test_a_description_of_another_picture_is_not_believed(tmp_path: Path) -> Non
 def test_elsewhere_a_file_has_one_picture(refused: Refused, tmp_path: Path, table: Path) -> None:
     (tmp_path / "in").mkdir()
     stack = write_pages(tmp_path / "in/a_1.tif", frames())
-    write_mosaic(tmp_path / "b_2.tif", frames()[0])
     words = "holds more than one page"
-    assert words in refused(3, "render", table, stack, tmp_path / "b_2.tif", "-o", tmp_path / "out", *FAST)
     assert words in refused(3, "render", table, tmp_path / "in/a_%d.tif", "-o", tmp_path / "out", *FAST)
     for read in (read_image, lambda path: read_frame(path, (20, 28), 12)):
         with pytest.raises(InputFileError, match=words):

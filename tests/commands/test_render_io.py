@@ -262,11 +262,11 @@ def test_broken_inputs_are_refused_in_one_line(
     for name, (array, _) in arrays.items():
         np.save(tmp_path / name, array, allow_pickle=True)
     inputs = {name: words for name, (_, words) in (files | arrays).items()}
-    inputs |= {"archive.npy": "archive", "float.tif": "8 or 16 bits", "rgb.png": "3 channels"}
+    inputs |= {"archive.npy": "archive", "float.tif": "no DN", "rgb.png": "3 channels"}
     inputs |= {"folder.dng": "folder", "missing.dng": "does not exist"}
     np.savez(tmp_path / "archive.npz", mosaic)
     (tmp_path / "archive.npz").rename(tmp_path / "archive.npy")
-    write_mono(tmp_path / "float.tif", mosaic.astype(np.float32), "float")
+    write_mono(tmp_path / "float.tif", mosaic.astype(np.float32) / 3, "float")
     write_picture(tmp_path / "rgb.png", np.zeros((4, 4, 3), np.uint8))
     (tmp_path / "folder.dng").mkdir()
     for name, word in inputs.items():

@@ -121,7 +121,7 @@ def test_a_number_is_refused_when_it_is_parsed(refused: Refused, call: str, word
 
 def test_every_option_with_a_number_declares_its_range() -> None:
     """And is fuzzed: what takes a text, but no number, is listed here."""
-    texts = {"--format", "--dataset", "--figure", "--light", "--prefix", "--watch"}
+    texts = {"--format", "--dataset", "--figure", "--light", "--prefix", "--watch", "--pattern"}
     numbers = set()
     for name in COMMANDS:
         command = every_command.get_command(click.Context(every_command), name)

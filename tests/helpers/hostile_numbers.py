@@ -35,6 +35,8 @@ OPTIONS = (  # {n} is the number; "=" holds on to what begins with a minus
     RENDER + " --exposure-time={n}",
     RENDER + " --gain={n}",
     BARE + " --size={n}x24", BARE + " --size=20x{n}", BARE + " --size=20x24 --stride={n}",
+    BARE + " --size=20x24 --skip={n}", BARE + " --size=20x24 --packing={n}",
+    "report table.h5 training.h5 -o {out}/r.html --at={n}",
     "render table.h5 - -o {out}/%d.png --backend reference --size={n}x{n}", RENDER + " --device={n}",
     SEQUENCE + " --frames={n}", SEQUENCE + " --frames=0-{n}", SEQUENCE + " --frames=0-{n} --skip-bad",
     SEQUENCE + " --every={n}",

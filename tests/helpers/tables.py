@@ -148,7 +148,7 @@ def with_clipped_white(table: TransformTable, luminance: float) -> TransformTabl
     """The table of a camera and a light whose clipped white has this luminance."""
     camera = random_camera(table.cfa, len(table.channels), table.bits, table.black_level)
     wavelength, radiance = camera.wavelength, np.ones(camera.wavelength.size, np.float32)
-    weakest = white_signal(LightSpectrum(wavelength, radiance), camera).min()
+    weakest = white_signal(LightSpectrum(wavelength, radiance), camera, table.output_unit).min()
     light = LightSpectrum(wavelength, (radiance / (weakest * luminance)).astype(np.float32))
     camera = dataclasses.replace(camera, channels=table.channels)
     return dataclasses.replace(table, camera=camera, light=light)

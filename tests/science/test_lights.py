@@ -77,8 +77,9 @@ def test_lights_at_each_noise_are_those_of_a_table_of_lights(learned: dict[str, 
     assert keys == [(None, 0.1), ("A", None), ("A", 0.1), ("D65", None), ("D65", 0.1)]
     assert [each.noise for each in mixed(both, None).conditions] == [both.conditions[0].noise]
     assert equal(dataclasses.replace(both, conditions=both.conditions[1::2]), several)
-    lit = mixed(both, mix_for(both, white("A")))
-    assert equal(dataclasses.replace(lit, conditions=()), mixed(several, mix_for(several, white("A"))))
+    under_a = both.lights[0].white_point
+    lit = mixed(both, mix_for(both, under_a))
+    assert equal(dataclasses.replace(lit, conditions=()), mixed(several, mix_for(several, under_a)))
     np.testing.assert_array_equal(lit.conditions[0].first.weights, both.conditions[2].first.weights)
     assert [each.light for each in lit.conditions] == [None]
 
