@@ -33,6 +33,7 @@ from l3cli.export.wordlengths import (
 )
 from l3cli.io.raw.cfa_codes import channel_codes, code_of
 from l3cli.physics.display import XYZ
+from l3cli.physics.gamut import CONE_SHARE, LEAST_CONE, LEAST_LIGHTNESS, LIGHTNESS, TINY, gamut_of
 from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers
 from l3cli.rendering.reference import SPECTRA_DARKEST
@@ -336,7 +337,7 @@ def _words_known(table: TransformTable, short: ShortWords) -> dict[str, str | in
 def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: str) -> str:
     """Return the text of picture.c with the constants of a table of X, Y, Z and a white, None: the table's own."""
     balance = balance or usual_balance(table)
-    matrix = linear_matrix(balance.adaptation, 1.0, SRGB)
+    matrix, gamut = linear_matrix(balance.adaptation, 1.0, SRGB), gamut_of(SRGB)
     assert SRGB.curve is not None
     least = _thresholds(SRGB.curve).astype(np.float32)
     codes = np.searchsorted(least, np.arange(BINS) / BINS, side="right")
@@ -346,7 +347,15 @@ def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: s
         codes="\n".join(f"    {', '.join(map(str, row.tolist()))}," for row in np.array_split(codes, BINS // 32)),
         gains=", ".join(f"{gain!r}" for gain in balance.gains.tolist()),
         luminance=_floats(np.array([balance.luminance])),
-        matrix=", ".join(f"{{{_floats(row)}}}" for row in matrix),
+        matrix=_rows(matrix),
+        cones=_rows(gamut.cones),
+        linear=_rows(gamut.linear),
+        lightness=_floats(LIGHTNESS),
+        y=_floats(gamut.luminance),
+        least_cone=_float(LEAST_CONE),
+        cone_share=_float(CONE_SHARE),
+        least_lightness=_float(LEAST_LIGHTNESS),
+        tiny=_float(TINY),
         top=float(math.ceil(table.white_level)),
     )
 
@@ -374,6 +383,10 @@ def _thresholds(curve: Curve) -> NDArray[np.float64]:
     encoded = (np.arange(1, CODES) - 0.5) / (CODES - 1)
     power = ((encoded + curve.offset) / curve.gain) ** (1 / curve.exponent)
     return np.where(encoded <= curve.slope * curve.knee, encoded / curve.slope, power)
+
+
+def _rows(matrix: NDArray) -> str:
+    return ", ".join(f"{{{_floats(row)}}}" for row in matrix)
 
 
 def _floats(values: NDArray) -> str:

@@ -1,4 +1,4 @@
-"""Pictures of XYZ in a colour space: matrix, clip, curve and rounding (docs/method.md#display)."""
+"""Pictures of XYZ in a colour space: matrix, gamut, curve and rounding (docs/method.md#display)."""
 
 from dataclasses import dataclass
 
@@ -8,24 +8,33 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.physics.display import CODES, Tone, codes, display_white
-from l3cli.physics.spaces import SRGB, SRGB_CURVE, Curve, Space, adaptation_matrix
+from l3cli.physics.gamut import gamut_of, into_gamut
+from l3cli.physics.spaces import SRGB, Curve, Space, adaptation_matrix
 
 MOST_LAYERS = 4
 
 
 @dataclass(frozen=True)
 class Display:
-    """Everything between XYZ and the picture, the last stage of rendering: code = top · curve(clip(tone(matrix @ XYZ), 0,
-    1)), rounded."""
+    """Everything between XYZ and the picture, the last stage of rendering: code = top · curve(clip(tone(gamut(matrix @ XYZ)),
+    0, 1)), rounded."""
 
     matrix: NDArray[np.float64]  # (3, 3) linear values from XYZ, adaptation and exposure scale folded in
     bits: int  # of a code, a key of CODES
-    curve: Curve = SRGB_CURVE
+    space: Space = SRGB  # with a curve
     tone: Tone | None = None  # None: linear values as they are
 
     def __post_init__(self) -> None:
         if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or self.bits not in CODES:
             raise ValueError("a display has a finite 3×3 matrix and 8 or 16 bits")
+        if self.space.curve is None:
+            raise ValueError(f"{self.space.title} is linear and has no codes")
+
+    @property
+    def curve(self) -> Curve:
+        """Return the transfer curve of the space."""
+        assert self.space.curve is not None
+        return self.space.curve
 
     @property
     def top(self) -> int:
@@ -50,9 +59,7 @@ def adapted_display(
 ) -> Display:
     """Return a display that shows `scale` · `adaptation` (3, 3) @ XYZ of a scene, adapted to D65, in a space that has a
     curve, through a tone curve; RecipeError if the scale is not positive."""
-    if space.curve is None:
-        raise ValueError(f"{space.title} is linear and has no codes")
-    return Display(linear_matrix(adaptation, scale, space), bits, space.curve, tone)
+    return Display(linear_matrix(adaptation, scale, space), bits, space, tone)
 
 
 def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) -> NDArray[np.float64]:
@@ -82,5 +89,6 @@ def require_known_layers(table: TransformTable) -> None:
 def encode(planes: NDArray, display: Display) -> NDArray:
     """Return XYZ planes (output, row, col) as the display's codes (row, col, 3), computed in float64."""
     linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
-    shown = linear if display.tone is None else display.tone.toned(linear)
+    within = into_gamut(linear, gamut_of(display.space), bounded=display.tone is None)
+    shown = within if display.tone is None else display.tone.toned(within)
     return codes(display.curve.encoded(shown), display.bits)

@@ -20,6 +20,109 @@ INLINE ints coarse(ints plane) {
 #endif
 #ifdef TOP
 
+// Colours outside of the gamut → inside, along lines of constant hue (l3cli/physics/gamut.py is the float64 truth).
+
+// A row of a matrix times three values.
+#define GAMUT_SUM(m, row, v) ((m)[3 * (row)] * (v)[0] + (m)[3 * (row) + 1] * (v)[1] + (m)[3 * (row) + 2] * (v)[2])
+
+INLINE floats least_of(floats a, floats b) { return a < b ? a : b; }
+INLINE floats most_of(floats a, floats b) { return a > b ? a : b; }
+
+// x^(1/3) of x ≥ LEAST_CONE, by Newton's iteration for y = x^(-1/3), whose first guess is within 4 % because a float's bits are
+// nearly its logarithm.
+INLINE floats cube_root(floats x) {
+    floats y = SAME_BITS(CONVERT(CONVERT(SAME_BITS(x, ints), floats) * (-1.0f / 3.0f) + (float)0x54a2fa8c, ints), floats);
+    #pragma unroll
+    for (int i = 0; i < 3; i++) y *= 4.0f / 3.0f - x * (1.0f / 3.0f) * (y * y * y);
+    return x * (y * y);
+}
+
+// Towards the grey of the same lightness until no value is negative: the least root of the cubics of t, by one step of Halley's.
+INLINE void less_chromatic(floats *linear) {
+    const float cones[] = {GAMUT_CONES}, back[] = {GAMUT_LINEAR}, light[] = {GAMUT_LIGHTNESS};
+    floats chroma[3], squares[3], cubes[3], ends[3], lowest = (floats)0.0f, least = (floats)1.0f;
+    #pragma unroll
+    for (int c = 0; c < 3; c++) chroma[c] = GAMUT_SUM(cones, c, linear);
+    const floats least_cone = most_of(most_of(most_of(chroma[0], chroma[1]), chroma[2]) * CONE_SHARE, (floats)LEAST_CONE);
+    #pragma unroll
+    for (int c = 0; c < 3; c++) chroma[c] = cube_root(most_of(chroma[c], least_cone));
+    const floats lightness = most_of(GAMUT_SUM(light, 0, chroma), (floats)LEAST_LIGHTNESS), over = 1.0f / lightness;
+    #pragma unroll
+    for (int c = 0; c < 3; c++) {
+        chroma[c] = chroma[c] * over - 1.0f;
+        squares[c] = chroma[c] * chroma[c];
+        cubes[c] = squares[c] * chroma[c];
+        ends[c] = linear[c] * (over * over * over);
+        lowest = least_of(lowest, ends[c]);
+    }
+    const floats t = 1.0f / (1.0f - lowest);
+    #pragma unroll
+    for (int p = 0; p < 3; p++) {
+        const floats first = 3.0f * GAMUT_SUM(back, p, chroma), second = 3.0f * GAMUT_SUM(back, p, squares);
+        const floats third = GAMUT_SUM(back, p, cubes);
+        const floats value = 1.0f + t * (first + t * (second + t * third));
+        const floats slope = first + t * (2.0f * second + t * (3.0f * third)), bend = 2.0f * second + t * (6.0f * third);
+        const floats square = slope * slope + (floats)GAMUT_TINY;
+        const floats root = t - 2.0f * value * slope / most_of(2.0f * square - value * bend, square);
+        least = ends[p] < 0.0f ? least_of(least, root) : least;
+    }
+    least = most_of(least, (floats)0.0f);
+    #pragma unroll
+    for (int c = 0; c < 3; c++) {
+        const floats root = lightness + least * (chroma[c] * lightness);
+        cubes[c] = root * root * root;
+    }
+    const floats lowest_value = least_of(least_of(linear[0], linear[1]), linear[2]);
+    #pragma unroll
+    for (int p = 0; p < 3; p++) linear[p] = lowest_value < 0.0f ? GAMUT_SUM(back, p, cubes) : linear[p];
+}
+
+#ifndef TONE_A
+// Darkened until no value is above 1, or clipped the nearer to white the colour is.
+INLINE void darker(floats *linear) {
+    const float luminance[] = {GAMUT_LUMINANCE};
+    const floats most = most_of(most_of(linear[0], linear[1]), linear[2]), share = 1.0f / most;
+    floats clipped = GAMUT_SUM(luminance, 0, linear);
+    clipped = least_of(most_of(clipped, (floats)0.0f), (floats)1.0f);
+    clipped *= clipped;
+    clipped *= clipped;
+    #pragma unroll
+    for (int p = 0; p < 3; p++) {
+        const floats scaled = linear[p] * share;
+        linear[p] = most > 1.0f ? scaled + clipped * (least_of(linear[p], (floats)1.0f) - scaled) : linear[p];
+    }
+}
+#endif
+
+// Whether any of the values that are side by side is negative, or -0.
+INLINE bool any_negative(floats value) {
+#if LANES == 1
+    return value < 0.0f;
+#elif LANES == 8 && defined(__AVX__)
+    return __builtin_ia32_movmskps256(value);
+#else
+    return any(SAME_BITS(value, ints));
+#endif
+}
+
+// Colours inside are left as they are. Few lie outside, so the rest is a call, which is skipped where none of those side by side does.
+static __attribute__((noinline)) void brought_into_gamut(floats *linear) {
+    if (any_negative(least_of(least_of(linear[0], linear[1]), linear[2]))) less_chromatic(linear);
+#ifndef TONE_A
+    darker(linear);
+#endif
+}
+
+INLINE void into_gamut(floats *linear) {
+    const floats least = least_of(least_of(linear[0], linear[1]), linear[2]);
+#ifdef TONE_A
+    const floats room = least;
+#else
+    const floats room = least_of(least, 1.0f - most_of(most_of(linear[0], linear[1]), linear[2]));
+#endif
+    if (any_negative(room)) brought_into_gamut(linear);
+}
+
 // Linear values as a tone curve shows them.
 INLINE floats toned(floats linear) {
 #ifdef TONE_A

@@ -109,10 +109,14 @@ INLINE void interleave(two_codes *low, codes *high, uints a, uints b, uints c) {
 INLINE void write_pixels(__global CODE *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     __global CODE *to = picture + 3 * at;
-    uints value[3];
+    floats linear[3];
     #pragma unroll
     for (int p = 0; p < 3; p++)
-        value[p] = encode(matrix[3 * p] * made[0] + matrix[3 * p + 1] * made[1] + matrix[3 * p + 2] * made[2]);
+        linear[p] = matrix[3 * p] * made[0] + matrix[3 * p + 1] * made[1] + matrix[3 * p + 2] * made[2];
+    into_gamut(linear);
+    uints value[3];
+    #pragma unroll
+    for (int p = 0; p < 3; p++) value[p] = encode(linear[p]);
     two_codes low;
     codes high;
     interleave(&low, &high, value[0], value[1], value[2]);

@@ -9,6 +9,8 @@ void encode_1(__global const float *restrict outputs,  // (output, row, col)
     if (x >= columns || y >= rows) return;
     const size_t at = (size_t)y * columns + x, pixels = (size_t)rows * columns;
     const float X = outputs[at], Y = outputs[pixels + at], Z = outputs[2 * pixels + at];
-    for (int p = 0; p < 3; p++)
-        picture[3 * at + p] = (CODE)encode(matrix[3 * p] * X + matrix[3 * p + 1] * Y + matrix[3 * p + 2] * Z);
+    float linear[3];
+    for (int p = 0; p < 3; p++) linear[p] = matrix[3 * p] * X + matrix[3 * p + 1] * Y + matrix[3 * p + 2] * Z;
+    into_gamut(linear);
+    for (int p = 0; p < 3; p++) picture[3 * at + p] = (CODE)encode(linear[p]);
 }

@@ -130,9 +130,11 @@ INLINE void write(__global float *picture, const float *output, __global const f
 }
 #else
 INLINE void write(__global CODE *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
+    float linear[3];
     for (int p = 0; p < 3; p++)
-        picture[3 * at + p] = (CODE)encode(matrix[3 * p] * output[0] + matrix[3 * p + 1] * output[1]
-                                           + matrix[3 * p + 2] * output[2]);
+        linear[p] = matrix[3 * p] * output[0] + matrix[3 * p + 1] * output[1] + matrix[3 * p + 2] * output[2];
+    into_gamut(linear);
+    for (int p = 0; p < 3; p++) picture[3 * at + p] = (CODE)encode(linear[p]);
 }
 #endif
 

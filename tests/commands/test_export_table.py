@@ -17,6 +17,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.io.images import read_image
 from l3cli.io.raw.files import read_raw
+from l3cli.rendering.display import Display, encode
 from tests.helpers.artifacts import some_sums
 from tests.helpers.calls import L3, Refused
 from tests.helpers.tables import random_table, with_low_noise, with_refinement
@@ -140,6 +141,10 @@ def test_c_source_shows_what_l3_render_shows(
     assert np.abs(picture.astype(int) - expected).max() <= 1
     # 1 % of the values differ by dark current, a fraction of a DN that codes cannot take off, 0.5 % by the kernels' curve.
     assert np.abs(picture.astype(int) - expected).mean() < 0.02
+    outputs[:] = np.random.default_rng(1).uniform(-0.1, 1.4, outputs.shape)  # colours of which most are outside of sRGB
+    eye.eye_2_picture(of[3], rows, columns, ctypes.c_float(1.0), ctypes.byref(shows), of[4])
+    truth = encode(outputs, Display(np.reshape(shows.matrix, (3, 3)).astype(np.float64), 8))
+    assert np.abs(picture.astype(int) - truth).max() <= 1
     texts = [path.read_text() for path in (tmp_path / "c").glob("*.[ch]")]
     assert not re.search(r"\bl3_|\bL3[_A-Z]", "".join(re.sub('(?m)^".*$', "", text) for text in texts))
 

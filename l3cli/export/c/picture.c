@@ -84,14 +84,78 @@ static uint8_t code_of(float linear) {
     return (uint8_t)(code + (linear >= threshold[code]));
 }
 
+/* Colours outside of sRGB, linear, are brought inside along lines of constant hue, as l3cli/physics/gamut.py describes. */
+static const float cones[3][3] = {$cones}; /* OkLab's cone responses from linear sRGB */
+static const float back[3][3] = {$linear}; /* its inverse */
+static const float lightness_of[3] = {$lightness};
+static const float luminance_of[3] = {$y};
+
+static float sum(const float row[3], const float value[3]) { return row[0] * value[0] + row[1] * value[1] + row[2] * value[2]; }
+
+static float smaller(float a, float b) { return a < b ? a : b; }
+
+static float larger(float a, float b) { return a > b ? a : b; }
+
+/* x^(1/3) of a positive x, by Newton's iteration for x^(-1/3). */
+static float cube_root(float x) {
+    union { float value; uint32_t bits; } y = {x};
+    y.bits = UINT32_C(0x54a2fa8c) - y.bits / 3;
+    for (int i = 0; i < 3; i++) y.value *= 4.0f / 3 - x / 3 * (y.value * y.value * y.value);
+    return x * (y.value * y.value);
+}
+
+/* Towards the grey of the same lightness until no value is negative. */
+static void less_chromatic(float linear[3]) {
+    float chroma[3], squares[3], cubes[3], lowest = 0, least = 1;
+    for (int c = 0; c < 3; c++) chroma[c] = sum(cones[c], linear);
+    const float least_cone = larger(larger(larger(chroma[0], chroma[1]), chroma[2]) * $cone_share, $least_cone);
+    for (int c = 0; c < 3; c++) chroma[c] = cube_root(larger(chroma[c], least_cone));
+    const float lightness = larger(sum(lightness_of, chroma), $least_lightness), volume = lightness * lightness * lightness;
+    for (int c = 0; c < 3; c++) {
+        chroma[c] = chroma[c] / lightness - 1;
+        squares[c] = chroma[c] * chroma[c];
+        cubes[c] = squares[c] * chroma[c];
+        lowest = smaller(lowest, linear[c] / volume);
+    }
+    const float t = 1 / (1 - lowest);
+    for (int p = 0; p < 3; p++) {
+        const float first = 3 * sum(back[p], chroma), second = 3 * sum(back[p], squares), third = sum(back[p], cubes);
+        const float value = 1 + t * (first + t * (second + t * third));
+        const float slope = first + t * (2 * second + t * (3 * third)), bend = 2 * second + t * (6 * third);
+        const float square = slope * slope + $tiny;
+        const float root = t - 2 * value * slope / larger(2 * square - value * bend, square);
+        if (linear[p] < 0) least = smaller(least, root);
+    }
+    least = larger(least, 0);
+    for (int c = 0; c < 3; c++) {
+        const float root = 1 + least * chroma[c];
+        cubes[c] = volume * (root * root * root);
+    }
+    for (int p = 0; p < 3; p++) linear[p] = sum(back[p], cubes);
+}
+
+/* Darkened until no value is above 1, or clipped the nearer to white the colour is. */
+static void darker(float linear[3], float most) {
+    const float luminance = larger(smaller(sum(luminance_of, linear), 1), 0), square = luminance * luminance;
+    for (int p = 0; p < 3; p++) {
+        const float scaled = linear[p] / most;
+        linear[p] = scaled + square * square * (smaller(linear[p], 1) - scaled);
+    }
+}
+
+static void into_gamut(float linear[3]) {
+    if (smaller(smaller(linear[0], linear[1]), linear[2]) < 0) less_chromatic(linear);
+    const float most = larger(larger(linear[0], linear[1]), linear[2]);
+    if (most > 1) darker(linear, most);
+}
+
 void l3_picture(const L3Output *outputs, int rows, int columns, float scale, const L3White *white, uint8_t *picture) {
     const ptrdiff_t count = (ptrdiff_t)rows * columns;
     for (ptrdiff_t i = 0; i < count; i++) {
-        const float x = (float)outputs[i] * STEP * scale, y = (float)outputs[count + i] * STEP * scale;
-        const float z = (float)outputs[2 * count + i] * STEP * scale;
-        for (int p = 0; p < 3; p++) {
-            const float *row = white->matrix[p];
-            picture[3 * i + p] = code_of(row[0] * x + row[1] * y + row[2] * z);
-        }
+        float xyz[3], linear[3];
+        for (int o = 0; o < 3; o++) xyz[o] = (float)outputs[o * count + i] * STEP * scale;
+        for (int p = 0; p < 3; p++) linear[p] = sum(white->matrix[p], xyz);
+        into_gamut(linear);
+        for (int p = 0; p < 3; p++) picture[3 * i + p] = code_of(linear[p]);
     }
 }

@@ -18,7 +18,8 @@ from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, plan
 from l3cli.classes.refinement import RATIO_DARKEST, first_label_words
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.display import TONE_LIMIT
-from l3cli.physics.spaces import Curve
+from l3cli.physics.gamut import CONE_SHARE, LEAST_CONE, LEAST_LIGHTNESS, LIGHTNESS, TINY, gamut_of
+from l3cli.physics.spaces import Curve, Space
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display
 
@@ -59,6 +60,20 @@ def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
     first = int(np.float32(start).view(np.int32)) >> 21 & 31
     numbered = np.roll(terms, first, axis=1).ravel()
     return {"CURVE_SHARE": _literal(share), "CURVE_PIECES": ",".join(_literal(term) for term in numbered)}
+
+
+@functools.cache
+def gamut_macros(space: Space) -> dict[str, int | str]:
+    """Return the macros of the gamut of a space (encoding.cl)."""
+    gamut = gamut_of(space)
+    arrays = {"CONES": gamut.cones, "LINEAR": gamut.linear, "LUMINANCE": gamut.luminance, "LIGHTNESS": LIGHTNESS}
+    return {
+        **{f"GAMUT_{name}": ",".join(_literal(value) for value in array.flat) for name, array in arrays.items()},
+        "GAMUT_TINY": _literal(TINY),
+        "LEAST_CONE": _literal(LEAST_CONE),
+        "CONE_SHARE": _literal(CONE_SHARE),
+        "LEAST_LIGHTNESS": _literal(LEAST_LIGHTNESS),
+    }
 
 
 def _literal(value: float) -> str:
@@ -233,7 +248,7 @@ NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: one num
 
 def display_macros(display: Display) -> Macros:
     """Return the macros of the codes that the last stage writes."""
-    macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top}
+    macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top, **gamut_macros(display.space)}
     if display.tone is not None:
         terms = {**vars(display.tone), "limit": TONE_LIMIT}
         macros = macros | {f"TONE_{name.upper()}": _literal(value) for name, value in terms.items()}
