@@ -130,9 +130,10 @@ class Renderer:
         32 float32, linear and not clipped.
 
         `exposure`: factor of Y, None: the frame's 99th percentile is shown white. `white`: name ("D50", "3200K") or "x,y" of
-        the scene's white, "camera" as the file states it, "auto" estimated on the frame, "chart" of a ColorChecker in it,
-        "ROW,COL" or "ROW,COL,SIZE" of a grey in the picture, "table" that of training, None: the file's where it states
-        one, else the table's. `space`: "srgb", "display-p3", "rec2020" or, linear, "acescg", "xyz".
+        the scene's white, a multiplier for each channel ("2.1,1,1.4"), "camera" as the file states it, "auto" estimated on
+        the frame, "chart" of a ColorChecker in it, "ROW,COL" or "ROW,COL,SIZE" of a grey in the picture, "table" that of
+        training, None: the file's where it states one, else the table's. `space`: "srgb", "display-p3", "rec2020" or,
+        linear, "acescg", "xyz".
         RecipeError unless the table's outputs are X, Y, Z, InputFileError if the white cannot be taken from the frame.
         """
         return next(self.pictures([frame], exposure=exposure, white=white, space=space, bits=bits))

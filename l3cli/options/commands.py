@@ -233,7 +233,7 @@ class ExportOptions(ForceOptions):
     white: str | None = option(
         None,
         "Of a table: C source shows this white neutral; transforms of several lights are mixed for it. [the table's]",
-        metavar="LIGHT|X,Y",
+        metavar="LIGHT|X,Y|R,G,B",
     )
     gain: float | None = option(
         None, "Of a table: analog gain, over its camera's, that transforms are for. [1]", Number(1 / 1024, 1024, "times"),

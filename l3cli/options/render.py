@@ -148,9 +148,9 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     white: str | None = option(
         None,
-        "Scene white shown neutral: light, chromaticity, the table's, the file's, estimated, a ColorChecker's, a grey's "
-        "pixels [default: the file's where a camera's raw files state it, else the table's].",
-        metavar="NAME|x,y|table|camera|auto|chart|ROW,COL[,SIZE]",
+        "Scene white shown neutral: light, chromaticity, multipliers of the channels, the table's, the file's, estimated, a "
+        "ColorChecker's, a grey's pixels [default: the file's where a camera's raw files state it, else the table's].",
+        metavar="NAME|x,y|R,G,B|table|camera|auto|chart|ROW,COL[,SIZE]",
     )
     space: Literal["srgb", "display-p3", "rec2020", "acescg", "xyz"] | None = option(
         None, "Colour space [default: srgb; of .exr and 32 bits the table's outputs as they are]."

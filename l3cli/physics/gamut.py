@@ -1,8 +1,8 @@
 """Colours that a space cannot show, brought into its gamut along lines of constant hue (docs/method.md#gamut).
 
-A colour is linear values c of a space. Its OkLab cone responses are s = (A c)^(1/3), with rows of A that give 1 for white, and
-its lightness is L = λ · s. Greys have s = (L, L, L), so the colours of one lightness and hue lie on the line s(t) = L + t (s − L),
-and linear values along it are cubic polynomials in t.
+A colour is linear values c of a space. Its OkLab cone responses are s = (A c)^(1/3), with rows of A that give 1 for
+white, and its lightness is L = λ · s. Greys have s = (L, L, L), so the colours of one lightness and hue lie on the line
+s(t) = L + t (s − L), and linear values along it are cubic polynomials in t.
 
 1. Negative values: the colour moves towards grey until none is below 0. t is the least root of the cubics, by one step of
    Halley's method from where the straight line through both ends of the cubic that ends lowest is 0.
@@ -71,7 +71,8 @@ def into_gamut(linear: NDArray[np.float64], gamut: Gamut, bounded: bool = True) 
     Returns
     -------
     ndarray, (…, 3)
-        Linear values. A few may still lie outside of 0…1, deep blues by up to 4 % of their largest value, and are to be clipped.
+        Linear values. A few may still lie outside of 0…1, deep blues by up to 2 % of their largest value, and are to be
+        clipped.
     """
     shown = linear.copy()
     negative = linear.min(axis=-1) < 0

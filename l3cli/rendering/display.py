@@ -16,8 +16,10 @@ MOST_LAYERS = 4
 
 @dataclass(frozen=True)
 class Display:
-    """Everything between XYZ and the picture, the last stage of rendering: code = top · curve(clip(tone(gamut(matrix @ XYZ)),
-    0, 1)), rounded."""
+    """Everything between XYZ and the picture, the last stage of rendering.
+
+    code = top · curve(clip(tone(gamut(matrix @ XYZ)), 0, 1)), rounded.
+    """
 
     matrix: NDArray[np.float64]  # (3, 3) linear values from XYZ, adaptation and exposure scale folded in
     bits: int  # of a code, a key of CODES

@@ -462,9 +462,14 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
             stated, prior
         ), f"of {what} for {lights}; a photo of a ColorChecker tells more"
     if prior.source == MEASURED:
-        return responsivity.usual_curves(
-            prior
-        ), "assumed: the mean of 52 measured cameras, for the file states no colour matrix"
+        curves = responsivity.usual_curves(prior)
+        origin = "assumed: the mean of 52 measured cameras, for the file states no colour matrix"
+        neutral = measured.photos[0].frames[0].neutral
+        if neutral is None or np.ptp(neutral) > 0:
+            return curves, origin
+        # A raw file whose values are balanced already: no sensor alone gives equal signals of a grey.
+        balanced = responsivity.balanced_curves(curves, "D65")
+        return balanced, f"{origin}; balanced for D65, as the file's values are for its white"
     raise InputFileError(
         f"{path} shows no chart and states no colour matrix, so nothing tells the curves of {', '.join(channels)}; "
         'photograph a ColorChecker, or start from curves, "l3 init from_curves DIR"'

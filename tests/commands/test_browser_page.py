@@ -25,7 +25,6 @@ pytestmark = pytest.mark.skipif(
     not (shutil.which("clang") and shutil.which("wasm-ld")), reason="no clang or no wasm-ld here; .ci/run installs both"
 )
 RGGB = np.array([[0, 1], [1, 2]])
-MOST_SECONDS = 0.5  # a megapixel
 DROPPED = """(async () => {
   const bytes = Uint8Array.from(atob("%s"), (letter) => letter.charCodeAt(0)), given = new DataTransfer();
   given.items.add(new File([bytes], "a.dng"));
@@ -73,12 +72,6 @@ def developed(tab: Browser, dng: Path, layers: int) -> tuple[NDArray[np.uint32],
     return labels, np.frombuffer(content[count:], np.uint8).reshape(rows, columns, 3)
 
 
-def thread_time(tab: Browser) -> float:
-    """Processor time in s that the page's thread has taken."""
-    (seconds,) = [each["value"] for each in tab.call("Performance.getMetrics")["metrics"] if each["name"] == "ThreadTime"]
-    return float(seconds)
-
-
 def dropped(tab: Browser, dng: Path) -> str:
     """What the page says of a file that is dropped on it."""
     said: str = tab.run(DROPPED % base64.b64encode(dng.read_bytes()).decode())
@@ -117,24 +110,14 @@ def test_a_frame_of_the_camera_is_what_l3_renders(pipeline: Path, tmp_path: Path
     assert tab.complaints() == []
 
 
-def test_the_page_is_small_and_fast(page: Path, tmp_path: Path, tab: Browser) -> None:
-    """Processor time of reading and rendering a megapixel, the least of five, by one layer of 9×9 patches, as `fast` has."""
+def test_the_page_is_small(tmp_path: Path) -> None:
+    """By one layer of 9×9 patches, as `fast` has."""
     table = random_table(RGGB, 12, 64.0, patch=9, contrasts=())
     made = page_of(table, tmp_path)
     assert (made.parent / "page.html").stat().st_size < 20_000
     code = made.parent / "code.wasm"
     subprocess.run(["clang", "--target=wasm32", "-O3", "-msimd128", "-c", "-o", code, made.parent / "l3.c"], check=True)
     assert code.stat().st_size < 100_000
-    dng = write_dng(tmp_path / "a.dng", textured((1000, 1000)), RGGB, tags={50717: (LONG, [int(table.white_level)])})
-    tab.open(made)
-    tab.call("Performance.enable", timeDomain="threadTicks")
-    text = base64.b64encode(dng.read_bytes()).decode()
-    tab.run(f'globalThis.bytes = Uint8Array.from(atob("{text}"), (letter) => letter.charCodeAt(0)); 0')
-    times = [thread_time(tab)]
-    for _ in range(5):
-        tab.run("develop(bytes.buffer).then(() => 0)")
-        times.append(thread_time(tab))
-    assert np.diff(times).min() < MOST_SECONDS, times
 
 
 TILES: Tags = {322: (LONG, [48]), 323: (LONG, [32]), 324: (LONG, [0] * 6), 325: (LONG, [48 * 32 * 2] * 6)}

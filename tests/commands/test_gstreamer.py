@@ -49,7 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(folder: Path, lines: Sequence[str]) -> list[list[str] | None]:
     """Run pipelines; the element and the message that each ends with, None: it has run to its end."""
     call = [PYTHON, "-c", RUN, json.dumps(lines)]
-    done = subprocess.run(call, cwd=folder, env=environment(), capture_output=True, text=True, timeout=100, check=True)
+    done = subprocess.run(call, cwd=folder, env=environment(), capture_output=True, text=True, timeout=600, check=True)
     assert "Traceback" not in done.stderr
     listed: list[list[str] | None] = json.loads(done.stdout)
     return listed
@@ -73,7 +73,7 @@ def test_the_example_of_gst_launch_gives_the_pixels_of_the_command(l3: L3, folde
     """The plugin as the loader finds it; exposure follows the light, as in the command."""
     (line,) = (text for text in fenced(PAGES["video.md"], "sh") if "l3render" in text)
     env = {**environment(), "GST_REGISTRY": str(tmp_path / "registry.bin")}
-    done = subprocess.run(["sh", "-c", line], cwd=folder, env=env, capture_output=True, text=True, timeout=100)
+    done = subprocess.run(["sh", "-c", line], cwd=folder, env=env, capture_output=True, text=True, timeout=600)
     if 'no element "l3render"' in done.stderr:
         pytest.skip("GStreamer's loader of Python plugins is missing (gstreamer1.0-python3-plugin-loader)")
     assert done.returncode == 0, done.stderr
@@ -83,7 +83,7 @@ def test_the_example_of_gst_launch_gives_the_pixels_of_the_command(l3: L3, folde
 def test_the_example_in_python_gives_the_pixels_of_the_command(l3: L3, folder: Path, tmp_path: Path) -> None:
     (script,) = (text for text in fenced(PAGES["video.md"], "python") if "gstreamer" in text)
     assert len(script.splitlines()) <= 11
-    subprocess.run([PYTHON, "-c", script], cwd=folder, env=environment(), check=True, timeout=100)
+    subprocess.run([PYTHON, "-c", script], cwd=folder, env=environment(), check=True, timeout=600)
     film = read(folder / "film16.rgba", "<u2", 4)
     expected = rendered(l3, folder / "clip.npy", tmp_path / "out", "--bits", 16)
     np.testing.assert_array_equal(film[..., :3], expected)

@@ -104,7 +104,31 @@ def test_pictures_hold_the_raw_frame_and_a_white_that_is_white(l3: L3, bayer_rec
     rows, cols = procedural.colorchecker_patches((128, 192))[21]  # neutral 5
     patch = ideal[rows, cols].reshape(-1, 3).astype(int)
     assert np.ptp(patch.mean(axis=0)) < 4
-    assert 110 < patch.mean() < 130
+    assert 128 < patch.mean() < 135  # of its white, the 99th percentile of Y
+
+
+def test_the_ideal_picture_has_exposure_and_white_of_the_rendered_one(
+    l3: L3, bayer_recipe: Path, bayer: CameraModel, tmp_path: Path
+) -> None:
+    """By default, of every frame: the greys of the chart are within three codes, whatever share of the range they fill."""
+    from l3cli.artifacts.store import save
+    from l3cli.io.images import read_image
+    from tests.helpers.tables import colorimetric_table
+
+    recipe, table = tmp_path / "chart.toml", tmp_path / "table.h5"
+    recipe.write_text('exposure_share = [0.9, 0.3]\n[[scene]]\nsource = "colorchecker"\nsize = [128, 192]\n')
+    simulate = ("simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "t.h5", "--pictures", tmp_path / "p")
+    assert l3(*simulate, "--quiet")[0] == 0
+    save(colorimetric_table(bayer), table)
+    patches = procedural.colorchecker_patches((128, 192))[18:24]
+    for raw in sorted((tmp_path / "p").glob("*_raw.tif")):
+        assert l3("render", table, raw, "-o", tmp_path / "picture.png", "--force", "--quiet")[0] == 0
+        shown = [
+            read_image(path)[0] for path in (tmp_path / "picture.png", Path(str(raw).replace("_raw.tif", "_ideal.png")))
+        ]
+        rendered, ideal = ([np.median(each[patch].reshape(-1, 3), axis=0) for patch in patches] for each in shown)
+        np.testing.assert_allclose(rendered, ideal, atol=3)
+        assert np.max(ideal) > 245
 
 
 @pytest.mark.usefixtures("same_workers")

@@ -107,7 +107,7 @@ def test_frames_in_any_order_from_many_threads(folder: Path) -> None:
         asked = [(clip, number) for clip in range(2) for number in [*range(COUNT)] * 4]
         random.Random(1).shuffle(asked)
         waiting = [(clip, number, clips[clip].get_frame_async(number)) for clip, number in asked]
-        got = [(clip, number, pixels(future.result(timeout=60))) for clip, number, future in waiting]
+        got = [(clip, number, pixels(future.result(timeout=600))) for clip, number, future in waiting]
     vs.core.num_threads = before
     assert len(made) == 2
     renderer = l3cli.Renderer(RGGB)
@@ -138,7 +138,7 @@ def test_frames_filtered_in_time_are_those_of_the_command_in_any_order(
     random.Random(2).shuffle(asked)
     jumping = render(raw, tmp_path / "table.h5", **options)
     waiting = [(number, jumping.get_frame_async(number)) for number in asked]
-    got = [(number, pixels(future.result(timeout=60))) for number, future in waiting]
+    got = [(number, pixels(future.result(timeout=600))) for number, future in waiting]
     vs.core.num_threads = before
     np.testing.assert_array_equal(in_order, expected)
     assert all(np.array_equal(picture, expected[number]) for number, picture in got)

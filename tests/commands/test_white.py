@@ -100,6 +100,33 @@ def test_a_grey_of_the_picture_or_a_name_shows_it_neutral(
     assert abs(grey(tmp_path / "a.png")[..., 1].mean() - grey(tmp_path / "b.png")[..., 1].mean()) < 4
 
 
+def test_multipliers_of_the_channels_are_a_white(
+    l3: L3, table: Path, warm: Path, bayer: CameraModel, tmp_path: Path
+) -> None:
+    """As raw developers show them, of any scale; what the file states gives the same picture."""
+    signals = bayer.electron_weights @ spectra.illuminant("3200K", bayer.wavelength)
+    of_file = ("render", table, warm, "-o", tmp_path / "a.png", "--exposure", "1", *FAST)
+    assert l3(*of_file, "--quiet")[0] == 0
+    for scale in (1.0, 1.7):
+        multipliers = ",".join(f"{scale * signals[1] / each:.4f}" for each in signals)
+        assert l3(*of_file, "--white", multipliers, "--quiet", "--force")[0] == 0
+        assert cast(tmp_path / "a.png") <= ROUNDING
+        renderer = l3cli.Renderer(table, backend="reference")
+        frame = l3cli.read_raw(warm, renderer.table)
+        python = renderer.picture(frame, white=multipliers, exposure=1.0)
+        np.testing.assert_array_equal(python, read_image(tmp_path / "a.png")[0])
+
+
+def test_stated_multipliers_of_1_are_a_white(l3: L3, table: Path, bayer: CameraModel, tmp_path: Path) -> None:
+    """Values that are balanced already: a grey has equal signals, which the table shows in colour without gains."""
+    values = np.full((60, 160), bayer.black_level + 1000, np.uint16)
+    write_dng(tmp_path / "even.dng", values, bayer, dict.fromkeys(LIGHT_CODES, np.eye(3)), np.ones(3), 0.01)
+    for number, options in enumerate([(), ("--white", CAMERA), ("--white", "1,1,1"), ("--white", "1.0,1,1")]):
+        picture = tmp_path / f"{number}.png"
+        assert l3("render", table, tmp_path / "even.dng", *options, "-o", picture, "--quiet", *FAST)[0] == 0
+        assert cast(picture) <= ROUNDING
+
+
 def test_automatic_white_is_reported_and_takes_most_of_a_cast_away(l3: L3, table: Path, warm: Path, tmp_path: Path) -> None:
     code, _, err = l3("render", table, warm, "--white", "auto", "-o", tmp_path / "a.png", *FAST)
     assert code == 0
@@ -113,7 +140,13 @@ def test_automatic_white_is_reported_and_takes_most_of_a_cast_away(l3: L3, table
         (2, "30,40,0", "2…1000 pixels"),
         (2, "30,40,2.5", "whole number"),
         (2, "-3,40", "0…1000000 pixels"),
-        (2, "30,40,3,5", "is not a chromaticity"),
+        (2, "30,40,3,5", "has 4 multipliers, and the channels are r, g, b"),
+        (2, "2,1,1,1.5", "has 4 multipliers"),
+        (2, "2.1,0,1.4", "0.05…20"),
+        (2, "2.1,-1,1.4", "0.05…20"),
+        (2, "2.1,nan,1.4", "not a number"),
+        (2, "2.1,1,", "not a number"),
+        (2, "30,40,1", "0.05…20"),
         (2, "cameras", "unknown"),
         (2, "AUTO", "unknown"),
         (3, "58,40", "not inside its 60×160 pixels"),

@@ -22,7 +22,7 @@ from l3cli.recipes.toml import parse_recipe
 from l3cli.system.text import NoSuchNumber, Quantity
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.calls import L3, Refused
-from tests.helpers.hostile import timed
+from tests.helpers.hostile import HANGS, timed
 from tests.helpers.hostile_numbers import OPTIONS
 from tests.helpers.recipes import CLASSES
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_raw_video
@@ -219,10 +219,10 @@ def test_frames_that_are_far_away_are_listed_at_once(l3: L3, tmp_path: Path, tab
     for output in ("out", "out/%d.png"):
         words = [*map(str, call), "-o", str(tmp_path / output), "--force"]
         if kind == "stdin":
-            run = subprocess.run([sys.executable, "-c", RUN, *words], input=given, capture_output=True, timeout=20)
+            run = subprocess.run([sys.executable, "-c", RUN, *words], input=given, capture_output=True, timeout=HANGS)
             code, message = run.returncode, run.stderr.decode()
         else:
-            with timed(20):
+            with timed(HANGS):
                 code, _, message = l3(*words)
         assert code == 1, message
         assert message.count("\n") == 2, message
@@ -292,7 +292,7 @@ def test_too_little_address_space_is_reported_before_any_work(
 ) -> None:
     """Libraries end the program, hang or send it signals where they get no memory."""
     command = f"ulimit -v {kilobytes}; exec {sys.executable} -m l3cli render {table} {stack} -o {tmp_path}/out"
-    run = subprocess.run(["bash", "-c", command], capture_output=True, timeout=20, text=True)
+    run = subprocess.run(["bash", "-c", command], capture_output=True, timeout=HANGS, text=True)
     assert run.returncode == 1
     assert (run.stdout, run.stderr.count("\n")) == ("", 1), run.stderr
     assert "ulimit -v" in run.stderr

@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import struct
-import time
 import tracemalloc
 import zlib
 from collections.abc import Callable
@@ -24,6 +23,7 @@ from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.system.limits import MEGAPIXELS, MOST_TEXT, TRUST
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER
+from tests.helpers.hostile import HANGS, timed
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.tables import random_table
 
@@ -73,10 +73,9 @@ def test_bombs_are_refused_before_they_go_off(refused: Refused, tmp_path: Path, 
     save(random_table(BAYER, bits=12, black_level=64.0), tmp_path / "table.h5")
     for name, content in bombs().items():
         (tmp_path / name).write_bytes(content)
-        start = time.monotonic()
-        line = refused(3, "render", tmp_path / "table.h5", tmp_path / name, "-o", tmp_path / "a.png")
+        with timed(HANGS):
+            line = refused(3, "render", tmp_path / "table.h5", tmp_path / name, "-o", tmp_path / "a.png")
         assert name in line
-        assert time.monotonic() - start < 5
 
 
 def test_a_sparse_file_of_honest_size_is_refused_too(refused: Refused, tmp_path: Path) -> None:

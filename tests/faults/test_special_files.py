@@ -11,10 +11,8 @@ from l3cli.errors import InputFileError
 from l3cli.system.files import open_regular, require_regular, sha256
 from l3cli.system.limits import read_bounded
 from tests.helpers.calls import Refused
-from tests.helpers.hostile import timed
+from tests.helpers.hostile import HANGS, timed
 from tests.helpers.sequences import FAST, RGGB
-
-SECONDS = 5
 
 
 @pytest.fixture
@@ -48,7 +46,7 @@ KINDS = {
 def test_only_regular_files_are_opened(places: Path, kind: str) -> None:
     path = places / kind
     for reader in (require_regular, open_regular, sha256, read_bounded):
-        with timed(SECONDS), pytest.raises((InputFileError, OSError)) as caught:
+        with timed(HANGS), pytest.raises((InputFileError, OSError)) as caught:
             reader(path)
         assert isinstance(caught.value, InputFileError)
         assert KINDS[kind] in str(caught.value)
@@ -59,7 +57,7 @@ def test_a_file_is_opened_without_waiting(tmp_path: Path, monkeypatch: pytest.Mo
     """A pipe that takes the name between check and opening is refused when it is open."""
     os.mkfifo(tmp_path / "pipe")
     monkeypatch.setattr("l3cli.system.files.require_regular", lambda *_: None)
-    with timed(SECONDS), pytest.raises(InputFileError, match="is a pipe"):
+    with timed(HANGS), pytest.raises(InputFileError, match="is a pipe"):
         open_regular(tmp_path / "pipe")
     (tmp_path / "file").write_bytes(b"content")
     with open_regular(tmp_path / "file") as stream:

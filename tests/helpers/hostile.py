@@ -225,6 +225,9 @@ def verdict(
     return None
 
 
+HANGS = 300  # seconds after which a call is taken to hang, on however busy a machine
+
+
 @contextlib.contextmanager
 def timed(seconds: float) -> Iterator[None]:
     """Raise Hang if the block takes longer by the clock."""

@@ -111,5 +111,5 @@ class Pipelines:
             (folder / "config.json").write_text(json.dumps({"shards": 1, place: name}))
             command = ["snakemake", "--cores", "1", "--quiet", "progress", "--configfile", "config.json"]
         return subprocess.run(
-            command, cwd=folder, env=environment, text=True, errors="replace", capture_output=True, check=False, timeout=60,
+            command, cwd=folder, env=environment, text=True, errors="replace", capture_output=True, check=False, timeout=600,
         )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from l3cli.errors import L3Error
 
-PATIENCE = 60.0  # seconds that a busy machine may take
+PATIENCE = 300.0  # seconds that a busy machine may take
 
 
 def squared(number: int) -> int:

@@ -27,5 +27,5 @@ def in_terminal(command: list[str], environment: dict[str, str], columns: int = 
         while part := os.read(ours, 65536):
             shown += part
     os.close(ours)
-    assert run.wait(timeout=60) == 0, shown
+    assert run.wait(timeout=600) == 0, shown
     return shown.decode()

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 import l3cli
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
 from l3cli.io.images import read_image
+from l3cli.io.raw.files import read_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, daylight, delta_e_2000, displayed_xyz, lab, srgb_decoded
 from tests.helpers.calls import L3, Refused
+from tests.helpers.tables import colorimetric_table
 
 # The camera: published curves of the Canon 600D, whose sensor is that of the 550D that took colorchart.dng. The noise
 # figures are plausible for that generation; black, white and depth are those of the file.
@@ -131,6 +136,21 @@ def test_another_phase_and_other_levels(table: Path, l3: L3) -> None:
     flat = picture[:, :, 1] - np.roll(picture[:, :, 1], 1, axis=1)
     # No column pattern of the mosaic; 0.006 to 0.011 by the seed of so small a table.
     assert np.abs(flat[:, ::2].mean() - flat[:, 1::2].mean()) < 0.013
+
+
+def test_a_raw_file_that_is_balanced_already_gets_a_neutral_picture(tmp_path: Path, l3: L3) -> None:
+    """The file's multipliers are 1, 1, 1: its grey has equal signals. By a table that shows plain areas as they are."""
+    raw = Path(os.environ["L3_DATA"]) / "raw/kodak_dc50.kdc"
+    assert l3("init", "--from", raw, tmp_path / "mine", "--quiet")[0] == 0
+    camera = load_camera(tmp_path / "mine/camera.toml")
+    grey = camera.signal_weights @ spectra.illuminant("D65", camera.wavelength)
+    np.testing.assert_allclose(grey / grey.max(), 1, atol=0.01)
+    save(colorimetric_table(camera), tmp_path / "table.h5")
+    assert read_raw(raw, load(TransformTable, tmp_path / "table.h5")).neutral == (1.0, 1.0, 1.0)
+    for white, most in (("camera", 12), ("auto", 25), ("1,1,1", 12)):
+        picture = tmp_path / f"{white}.png"
+        assert l3("render", tmp_path / "table.h5", raw, "--white", white, "-o", picture, "--quiet")[0] == 0
+        assert np.ptp(read_image(picture)[0].reshape(-1, 3).mean(axis=0)) < most  # 60 pink without
 
 
 def test_a_linear_dng_is_refused(table: Path, tmp_path: Path, refused: Refused) -> None:

@@ -1,6 +1,5 @@
 """Colours outside of a gamut: hue, lightness, steps along ramps, the kernels; those inside stay as they are."""
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -25,8 +24,8 @@ Array = NDArray[np.float64]
 
 
 def surfaces(count: int = 3000, seed: int = 0) -> Array:
-    """XYZ (surface, 3) of surfaces with one band or notch, from spectral colours to greys, under two lamps: lit by the one, seen
-    with the white of the other, and up to 1.5 times as bright."""
+    """XYZ (surface, 3) of surfaces with one band or notch, from spectral colours to greys, under two lamps: lit by either,
+    seen with the white of one, and up to 1.5 times as bright."""
     rng = np.random.default_rng(seed)
     centre, width = rng.uniform(420, 680, (count, 1)), rng.uniform(4, 60, (count, 1))
     floor = rng.uniform(0, 0.6, (count, 1))
@@ -78,9 +77,10 @@ def test_colours_outside_keep_hue_and_lightness(space: Any) -> None:
     assert np.percentile(turned_by_clipping, 95) > 1e-2
     assert np.abs(after[vivid, 0] - before[vivid, 0]).max() < 0.02
     too_bright = (linear.max(axis=1) > 1.02) & (linear @ back[:, 1] < 0.6)
-    assert hue_error(before[too_bright], after[too_bright]).mean() < 0.4 * hue_error(
-        before[too_bright], clipped[too_bright]
-    ).mean()
+    assert (
+        hue_error(before[too_bright], after[too_bright]).mean()
+        < 0.4 * hue_error(before[too_bright], clipped[too_bright]).mean()
+    )
     assert (after[too_bright, 0] <= before[too_bright, 0] + 1e-6).all()
 
 

@@ -42,7 +42,7 @@ def test_a_script_is_run_once(tmp_path: Path, guarded: bool) -> None:
         lines += ["print(list(ordered_map(abs, [-1, -2], 2)), __file__)"]
     script = tmp_path / "script.py"
     script.write_text("\n".join(lines))
-    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=50)
+    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=PATIENCE)
     assert (ended.returncode, ended.stderr) == (0, "")
     words = ended.stdout.splitlines()
     assert words[-1] == (f"[1.0, 2.0] {script}" if guarded else f"[1, 2] {script}")
@@ -120,7 +120,7 @@ def work(*_, **__):
 cli.l3.main = work
 cli.main()
 """
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50)
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE)
     assert (ended.returncode, ended.stderr) == (143, "l3: terminated\n")
 
 
@@ -142,7 +142,7 @@ from l3cli.__main__ import main
 main()
 """
     env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
-    ended = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=50)
+    ended = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=PATIENCE)
     assert (ended.returncode, ended.stdout, ended.stderr) == (code, "", f"l3: {word}\n")
 
 
@@ -176,7 +176,7 @@ cli.main()
 """
     env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
     ended = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=50
+        [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=PATIENCE
     )
     assert (ended.returncode, ended.stdout, ended.stderr) == (143, "True\n", "l3: terminated\n")
 
@@ -208,7 +208,7 @@ if __name__ == "__main__":
     env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
     run = subprocess.Popen([sys.executable, "-c", program], env=env, stderr=subprocess.PIPE, text=True)
     try:
-        assert run.communicate(timeout=50) == (None, "l3: terminated\n")
+        assert run.communicate(timeout=PATIENCE) == (None, "l3: terminated\n")
     finally:
         run.kill()
     assert run.returncode == 143

@@ -13,6 +13,7 @@ from l3cli.errors import InputFileError
 from l3cli.parallel import threads
 from l3cli.parallel.threads import BackgroundTask, WriteBehind, prefetched
 from l3cli.system import signals
+from tests.helpers.hostile import HANGS, timed
 
 
 def test_reading_runs_ahead_no_further_than_asked() -> None:
@@ -94,7 +95,7 @@ def test_work_done_during_it_ends_with_the_block_and_leaves_its_errors_to_others
         raise InputFileError("said where it is needed")
 
     with BackgroundTask(work):
-        assert begun.wait(10)
+        assert begun.wait(300)
         assert not done.is_set()
     assert done.is_set()
     done.clear()
@@ -164,7 +165,7 @@ def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch: pytes
 
     def stuck(item: int) -> None:
         begun.set()
-        gate.wait(20)
+        gate.wait()
 
     def interrupted() -> None:
         with WriteBehind(stuck, 3) as writing:
@@ -172,12 +173,11 @@ def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch: pytes
             begun.wait()
             raise KeyboardInterrupt
 
-    start = time.monotonic()
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert time.monotonic() - start < 10
-    gate.set()
+    try:
+        with timed(HANGS), pytest.raises(KeyboardInterrupt):
+            interrupted()
+    finally:
+        gate.set()
 
 
 def test_no_interrupt_makes_threads_wait_for_ever() -> None:
@@ -204,7 +204,7 @@ for _ in range(100):
         time.sleep(0.05)  # it may come again
         print("terminated")
 """
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50)
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=HANGS)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, 100 * "terminated\n", "")
 
 

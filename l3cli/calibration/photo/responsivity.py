@@ -349,6 +349,13 @@ def usual_curves(prior: Prior) -> Curves:
     return Curves(WAVELENGTH, mean, COVERAGE * deviation * peaks).to_common_peak()
 
 
+def balanced_curves(curves: Curves, light: str) -> Curves:
+    """Return curves scaled so that a grey under a light gives equal signals in all channels."""
+    signals = curves.relative @ spectra.illuminant(light, curves.wavelength)
+    scale = (signals.min() / signals)[:, None]
+    return Curves(curves.wavelength, curves.relative * scale, curves.band * scale).to_common_peak()
+
+
 def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
     """Return the prior of measured cameras for channels r, g and b, that of smoothness for others."""
     if sorted(channels) != sorted(ROLES):

@@ -86,10 +86,11 @@ def _visible(path: Path, raw: Any) -> RawContent:
 
 def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
     """Return codes of the colours and the signals that the camera took for those of a grey: one over its multipliers.
-    None where it states none, or LibRaw does not know them: then all are 1 or 0."""
+    Multipliers of 1 are those of values that are balanced already. None where the file states none, for which LibRaw has
+    0, or where there is one colour."""
     multipliers = np.array(raw.camera_whitebalance[: len(letters)], np.float64)
     stated = {code: 1 / each for code, each in zip(codes_of(letters).tolist(), multipliers, strict=False) if each > 0}
-    if len(stated) < len(set(letters)) or len(set(stated.values())) == 1:
+    if len(stated) < max(len(set(letters)), 2):
         return None
     return np.array(list(stated.items()))
 

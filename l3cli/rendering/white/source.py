@@ -2,7 +2,7 @@
 or the whole frame, by grey edges and the white patch, kept near daylight and black bodies."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -207,6 +207,7 @@ def _turned(places: NDArray[np.floating], frame: RawFrame, axis: int) -> NDArray
 TABLE, CAMERA, AUTO, CHART = "table", "camera", "auto", "chart"
 USUAL_SIZE = 32  # pixels
 PLACE, SIZE = Quantity(0, 1_000_000, "pixels", whole=True), Quantity(2, 1000, "pixels", whole=True)
+MULTIPLIER = Quantity(0.05, 20)  # of a channel, over the others
 
 
 class WhiteSource(Protocol):
@@ -266,7 +267,7 @@ def white_source(
     text: str | None, table: TransformTable, photos: bool = False, estimated_by: TransformTable | None = None
 ) -> WhiteSource | None:
     """Return the source that "camera", "auto", "chart" or "ROW,COL[,SIZE]" asks for; None where `text` is a white by
-    itself, a name, "x,y" or "table"; None: "camera" of `photos`, where their files state it, else "table".
+    itself, a name, "x,y", multipliers or "table"; None: "camera" of `photos`, where their files state it, else "table".
     `estimated_by`: the statistics of estimates; None: the table's (docs/method.md#several-lights)."""
     if text is None:
         return CameraWhite(table, asked=False) if photos else None
@@ -277,7 +278,7 @@ def white_source(
     if text == CHART:
         return ChartWhite(table)
     parts = text.split(",")
-    if not (2 <= len(parts) <= 3 and (len(parts) == 3 or all(re.fullmatch(r"[+-]?\d+", part) for part in parts))):
+    if not _is_place(parts):
         return None
     try:
         row, col = (int(PLACE.read(part)) for part in parts[:2])
@@ -289,11 +290,54 @@ def white_source(
     return SquareWhite(table, Square(row, col, size))
 
 
+def _is_place(parts: list[str]) -> bool:
+    """Return whether the parts of a white are ROW,COL or ROW,COL,SIZE, in whole numbers. A square of one pixel is none, so
+    1,1,1 are multipliers."""
+    return 2 <= len(parts) <= 3 and all(re.fullmatch(r"[+-]?\d+", part) for part in parts) and parts[2:] != ["1"]
+
+
 def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
-    """Return the white that a name or "x,y" means; None: that of the table. RecipeError if it is neither."""
-    if text in (None, TABLE):
+    """Return the white that is given by itself.
+
+    Parameters
+    ----------
+    text : str or None
+        The name of an illuminant, "x,y", or a multiplier for each channel such as "2.1,1,1.4"; "table" or None for the
+        table's white.
+    table : TransformTable
+        The table that renders.
+
+    Returns
+    -------
+    SceneWhite or None
+        None for the table's white.
+
+    Raises
+    ------
+    RecipeError
+        If the text is none of these.
+    """
+    if text is None or text == TABLE:
         return None
+    if text.count(",") > 1:
+        return Whites(table).of_neutral(1 / _multipliers(text, table.channels))
     return Whites(table).of_chromaticity(scene_white(text)) if "," in text else Whites(table).of_light(text)
+
+
+def _multipliers(text: str, channels: Sequence[str]) -> Array:
+    """Return the multipliers (channel) of a white; RecipeError if they are not one for each channel, or out of range."""
+    parts, names = text.split(","), ", ".join(channels)
+    if len(parts) != len(channels):
+        raise RecipeError(
+            f'white "{shortened(text)}" has {len(parts)} multipliers, and the channels are {names}; give one for each'
+        )
+    try:
+        return np.array([MULTIPLIER.read(part) for part in parts])
+    except NoSuchNumber as error:
+        raise RecipeError(
+            f'white "{shortened(text)}" is not a multiplier for each of {names}: {error}; for a grey in the picture give '
+            "ROW,COL,SIZE in whole numbers"
+        ) from None
 
 
 def usual_balance(table: TransformTable) -> WhiteBalance:

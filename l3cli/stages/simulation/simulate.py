@@ -143,7 +143,8 @@ def write_pictures(
     it is said how they are rendered as bright as the ideal pictures."""
     if options.pictures:
         lengths = _write_motion(run, files, options.pictures)
-        for index, scale in _write_pictures(run, frames, options.pictures).items():
+        first_of = {index: first for first, count in lengths.items() for index in range(first, first + count)}
+        for index, scale in _write_pictures(run, frames, options.pictures, first_of).items():
             if index in lengths:
                 last = index + lengths[index] - 1
                 options.console.info(
@@ -153,16 +154,38 @@ def write_pictures(
         _write_dng(run, frames, options.dng)
 
 
-def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> dict[int, float]:
-    """Return each frame as raw mosaic and as the picture it should become, white at display white; of those that are sRGB
-    the factor of Y at which a table shows the same."""
+def _write_pictures(
+    run: SimulationRun, frames: Iterable[TrainingPair], folder: Path, first_of: dict[int, int]
+) -> dict[int, float]:
+    """Write each frame as a raw mosaic and as the ideal picture of it.
+
+    Ideal pictures are exposed as `l3 render` exposes: the 99th percentile of Y is shown white.
+
+    Parameters
+    ----------
+    run : SimulationRun
+        The camera and the outputs of the frames.
+    frames : iterable of TrainingPair
+        The frames in their order.
+    folder : Path
+        Where the pictures are written.
+    first_of : dict
+        Of each frame of a clip, by its number, the number of the clip's first frame, whose exposure all of them have.
+
+    Returns
+    -------
+    dict
+        For each frame whose picture is sRGB, by its number, the factor of a table's Y that shows a picture as bright as
+        the ideal.
+    """
     import numpy as np
 
     from l3cli.io.pictures.openimageio import write_mosaic
     from l3cli.io.pictures.registry import write_picture
+    from l3cli.physics.display import exposure_scale
     from l3cli.rendering.display import encode, make_display
 
-    scales = {}
+    scales, exposures = {}, {}
     for index, frame in enumerate(frames):
         name = frame_name(index, frame.scene)
         write_mosaic(folder / f"{name}{RAW}", frame.raw, frame.dark_time)
@@ -170,9 +193,12 @@ def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: 
             planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
             write_picture(folder / f"{name}_ideal.exr", planes, run.target.outputs)
             continue
-        display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
+        first = first_of.get(index, index)
+        if first not in exposures:
+            exposures[first] = exposure_scale(frame.target[1])
+        display = make_display(frame.white, exposures[first], bits=8)
         write_picture(folder / f"{name}{IDEAL}", encode(frame.target, display))
-        scales[index] = run.camera.output_unit / (frame.white[1] * frame.exposure)
+        scales[index] = run.camera.output_unit * exposures[first] / frame.exposure
     return scales
 
 
