@@ -100,8 +100,15 @@ INLINE bool any_negative(floats value) {
     return value < 0.0f;
 #elif LANES == 8 && defined(__AVX__)
     return __builtin_ia32_movmskps256(value);
+#elif LANES == 16 && defined(__AVX__)
+    return __builtin_ia32_movmskps256(__builtin_shufflevector(value, value, 0, 1, 2, 3, 4, 5, 6, 7))
+           | __builtin_ia32_movmskps256(__builtin_shufflevector(value, value, 8, 9, 10, 11, 12, 13, 14, 15));
 #else
-    return any(SAME_BITS(value, ints));
+    const ints bits = SAME_BITS(value, ints);
+    int signs = 0;
+    #pragma unroll
+    for (int i = 0; i < LANES; i++) signs |= bits[i];
+    return signs < 0;
 #endif
 }
 

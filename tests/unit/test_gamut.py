@@ -18,7 +18,7 @@ from tests.helpers.tables import random_table, with_first
 ENCODED = [space for space in SPACES.values() if space.curve]
 WAVELENGTHS = np.arange(400.0, 701.0, 5.0)
 KINDS: dict[str, dict[str, Any]] = {
-    "processor": {}, "8 lanes": {"lanes": 8}, "graphics": {"variant": "graphics"},
+    "processor": {}, "16 lanes": {"lanes": 16}, "graphics": {"variant": "graphics"},
 }  # fmt: skip
 Array = NDArray[np.float64]
 
