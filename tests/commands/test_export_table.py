@@ -116,7 +116,8 @@ def library_of(folder: Path, prefix: str) -> Any:
 def test_c_source_shows_what_l3_render_shows(
     pipeline: Path, tmp_path: Path, l3: L3, white: str | None, exposure: str | None
 ) -> None:
-    """Within one code, under symbols of one's own."""
+    """Within one code, under symbols of one's own. Colours outside of sRGB may differ by two: moving them inside magnifies
+    the fraction of a DN of dark current that codes cannot take off."""
     options = ("--white", white) if white else ()
     assert l3("export", pipeline / "table.h5", "-o", tmp_path / "c", "--prefix", "eye_2", *options, "--quiet")[0] == 0
     raw = next((pipeline / "unseen").glob("*_raw.tif"))
@@ -138,9 +139,11 @@ def test_c_source_shows_what_l3_render_shows(
     assert eye.eye_2_render(of[0], rows, columns, *frame.phase, *of[1:4]) == 0
     scale = float(exposure) * shows.luminance if exposure else eye.eye_2_auto_scale(of[3], rows, columns)
     eye.eye_2_picture(of[3], rows, columns, ctypes.c_float(scale), ctypes.byref(shows), of[4])
-    assert np.abs(picture.astype(int) - expected).max() <= 1
+    difference = np.abs(picture.astype(int) - expected)
+    assert difference.max() <= 2
+    assert (difference > 1).mean() < 1e-3
     # 1 % of the values differ by dark current, a fraction of a DN that codes cannot take off, 0.5 % by the kernels' curve.
-    assert np.abs(picture.astype(int) - expected).mean() < 0.02
+    assert difference.mean() < 0.02
     outputs[:] = np.random.default_rng(1).uniform(-0.1, 1.4, outputs.shape)  # colours of which most are outside of sRGB
     eye.eye_2_picture(of[3], rows, columns, ctypes.c_float(1.0), ctypes.byref(shows), of[4])
     truth = encode(outputs, Display(np.reshape(shows.matrix, (3, 3)).astype(np.float64), 8))
