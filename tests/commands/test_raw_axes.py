@@ -139,9 +139,10 @@ def test_pages_of_tiff_that_are_channels(tmp_path: Path, case: str) -> None:
     TIFFS[case](path)
     with pytest.raises(InputFileError, match="channels"):
         read(path)
-    for number, options in enumerate([{}, {"imagej": True}, {"ome": True}, {"metadata": {"axes": "TYX"}}]):
+    kinds: list[dict[str, Any]] = [{}, {"imagej": True}, {"ome": True}, {"metadata": {"axes": "TYX"}}]
+    for number, options in enumerate(kinds):
         named = tmp_path / f"b{number}{'.ome' if 'ome' in options else ''}.tif"
-        tifffile.imwrite(named, FRAMES, photometric="minisblack", **options)  # type: ignore[arg-type]
+        tifffile.imwrite(named, FRAMES, photometric="minisblack", **options)
         np.testing.assert_array_equal(read(named), FRAMES)
 
 
