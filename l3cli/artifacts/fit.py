@@ -75,6 +75,14 @@ class ChartFit:
 
 
 @dataclass(frozen=True)
+class DriftFit:
+    """Drift of the lamps that the charts show and the measurement file does not declare."""
+
+    deviation: float = data("float64", doc="relative standard deviation of lamps about their measured spectra, estimated")
+    declared: float = data("float64", doc="the same as the measurement file declares it")
+
+
+@dataclass(frozen=True)
 class SeriesFit:
     """A chart under narrow bands at several exposures: each capture predicted from the other exposures of its band."""
 
@@ -184,6 +192,7 @@ class Fit:
     chart: ChartFit | None = group(default=None)
     series: SeriesFit | None = group(default=None)
     photo: PhotoFit | None = group(default=None)
+    drift: DriftFit | None = group(default=None)  # None: charts show no more drift than is declared
 
     @property
     def validation(self) -> ChartFit | SeriesFit | None:

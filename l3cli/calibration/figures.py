@@ -65,6 +65,7 @@ def figures(camera: CameraModel) -> dict[str, Any]:
         "prior": fit.photo.prior if fit.photo else None,
         "next light": {"light": fit.photo.next_light, "remaining %": 100.0 * fit.photo.next_share} if fit.photo else None,
         "curves": _curves(camera),
+        "lamp drift %": 100.0 * fit.drift.deviation if fit.drift else None,
         "smoothing": fit.sweep.chosen_smoothing if fit.sweep else None,
         "responsivity": "absolute" if camera.absolute else "relative",
         "declared": list(camera.declared),
@@ -324,7 +325,15 @@ def _photo_lines(result: dict[str, Any]) -> list[str]:
 
 
 def doubts(camera: CameraModel) -> list[str]:
-    """Return a sentence on each photo whose patches contradict the light that was named for it."""
+    """Return a sentence on lamps that drifted more than is declared, and on each photo whose patches contradict the light
+    that was named for it."""
+    if camera.fit and camera.fit.drift:
+        drift = camera.fit.drift
+        return [
+            f"the charts disagree as if the lamps had drifted by {100 * drift.deviation:.2g} %, beyond the "
+            f"{100 * drift.declared:.2g} % that [uncertainty] lamp_drift declares; the confidence bands allow for it; give "
+            "readings of the lamps as monitor"
+        ]
     fit = camera.fit.photo if camera.fit else None
     if fit is None:
         return []

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import AnalogGains, CameraModel, Noise, Readout
-from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
+from l3cli.artifacts.fit import ChartFit, DriftFit, Fit, NoiseFit, SweepFit
 from l3cli.calibration import agreement, responsivity
 from l3cli.calibration.captures import (
     Charts,
@@ -18,6 +18,7 @@ from l3cli.calibration.captures import (
     measure_sweep,
     with_corrections,
 )
+from l3cli.calibration.drift import DriftError, estimate_drift
 from l3cli.calibration.photo.responsivity import fit_photos
 from l3cli.calibration.responsivity import Curves, check_efficiency, efficiency
 from l3cli.calibration.statistics import Each, channel_shares
@@ -47,11 +48,11 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
         return from_data_sheet(measurements, measurements.datasheet)
     sensor = measure_sensor(measurements, each)
     figures = describe_noise(sensor, body)
-    sweep_fit = None
+    sweep_fit, drifted = None, None
     if measurements.curve is None:
         sweep, left_out = measure_sweep(measurements.mono, body, sensor, each)
         charts = measure_charts(measurements.charts, sweep.nodes, body, sensor, each)
-        curves, sweep_fit = fit_curves(sweep, charts, sensor.dark.black_level, measurements, left_out)
+        curves, sweep_fit, drifted = fit_curves(sweep, charts, sensor.dark.black_level, measurements, left_out)
         if not sweep_fit.odd:
             check_charts(measurements, charts, sweep, sweep_fit.chosen_smoothing, sensor.dark.black_level)
     else:
@@ -63,7 +64,12 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     chart_fit = (
         fit_charts(charts, curves.relative, sensor.dark.black_level, drift, body, odd) if measurements.charts else None
     )
-    fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit)
+    drift_fit = None
+    if drifted is not None and chart_fit is not None:
+        drift_fit = DriftFit(deviation=drifted.deviation, declared=drift)
+        error = np.maximum(chart_fit.alpha_error, drifted.scale_error * chart_fit.alpha)
+        chart_fit = replace(chart_fit, alpha_error=error)
+    fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit, drift=drift_fit)
     camera = assemble(body, summarise(sensor, figures, body), curves, fit)
     camera = replace(camera, gains=measure_gains(measurements, camera, each))
     return with_corrections(camera, sensor, body)
@@ -121,16 +127,20 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> Camer
 
 def fit_curves(
     sweep: responsivity.Sweep, charts: Charts, black_level: Array, measurements: Measurements, left_out: tuple[str, ...]
-) -> tuple[Curves, SweepFit]:
-    """Fit Eq. 1 with the smoothing that predicts the charts best, each channel scaled to a peak of 1, and its band."""
+) -> tuple[Curves, SweepFit, DriftError | None]:
+    """Fit Eq. 1 with the smoothing that predicts the charts best, each channel scaled to a peak of 1, and its band, which
+    holds the drift of lamps that the charts show, if they show more than is declared."""
     errors = np.array([_validation_error(sweep, charts, delta, black_level) for delta in DELTAS])
     delta = responsivity.choose_smoothing(DELTAS, errors)
     curves = responsivity.solve_channels(sweep, delta)
     drift, shift = measurements.lamp_drift, measurements.wavelength_uncertainty
     band = responsivity.confidence_bands(sweep, curves, delta, drift, shift)
     odd = agreement.odd_steps(measurements.mono, sweep)
+    drifted = None if odd else estimate_drift(sweep, charts, curves, delta, black_level, drift)
+    if drifted is not None:
+        band = np.hypot(band, responsivity.COVERAGE * drifted.curve_error)
     fit = SweepFit(responsivity.residuals(sweep, curves), left_out, DELTAS, errors, delta, odd)
-    return Curves(sweep.nodes, curves, band).to_channel_peaks(), fit
+    return Curves(sweep.nodes, curves, band).to_channel_peaks(), fit, drifted
 
 
 def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black_level: Array) -> float:

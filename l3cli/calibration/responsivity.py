@@ -144,6 +144,17 @@ def _smoother(design: Array, delta: float) -> Array:
     return np.asarray(np.linalg.solve(design.T @ design + delta * penalty.T @ penalty, design.T), dtype=np.float64)
 
 
+def smoothers(sweep: Sweep, delta: float) -> list[Array]:
+    """Return for each channel (node, capture): what turns its values into its responsivity, zeros for captures that
+    saturate it."""
+    matrices = []
+    for valid in sweep.valid.T:
+        matrix = np.zeros((sweep.nodes.size, valid.size))
+        matrix[:, valid] = _smoother(sweep.design[valid], delta)
+        matrices.append(matrix)
+    return matrices
+
+
 @dataclass(frozen=True)
 class Curves:
     """Relative responsivities per photon, and how well they are known."""
@@ -323,10 +334,16 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
 def gain_error(photons: Array, values: Array, black_level: float, alpha: float, beta: float, drift: float) -> float:
     """Return the standard deviation of alpha: its spread over charts (chart, patch) fitted one by one, or the declared
     drift's."""
-    weight = 1.0 / np.hypot(RELATIVE_ERROR * (values - black_level), ABSOLUTE_ERROR) ** 2
-    single = (weight * photons * (values - beta)).sum(axis=1) / (weight * photons**2).sum(axis=1)
+    single, _ = chart_factors(photons, values, black_level, beta)
     charts = len(single)
     return float(max(single.std(ddof=1), drift * alpha) / np.sqrt(charts))
+
+
+def chart_factors(photons: Array, values: Array, black_level: float, beta: float) -> tuple[Array, Array]:
+    """Return the slope (chart) of Eq. 2 of each chart (chart, patch) alone, with the offset `beta` of all, and the weights
+    (chart, patch) of its patches."""
+    weight = 1.0 / np.hypot(RELATIVE_ERROR * (values - black_level), ABSOLUTE_ERROR) ** 2
+    return (weight * photons * (values - beta)).sum(axis=1) / (weight * photons**2).sum(axis=1), weight
 
 
 def relative_rmse(measured: Array, predicted: Array, black_level: Array | float) -> Array:

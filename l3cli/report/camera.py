@@ -53,7 +53,17 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
     worst = int(np.argmax(validation.relative_rmse))
     return (
         f"{text} Its values are predicted with a relative RMSE of {tidy(100 * float(validation.relative_rmse[worst]))} % "
-        f"(R² {float(validation.r_squared[worst]):.5f}) in its worst channel, {camera.channels[worst]}."
+        f"(R² {float(validation.r_squared[worst]):.5f}) in its worst channel, {camera.channels[worst]}.{drift_note(camera)}"
+    )
+
+
+def drift_note(camera: CameraModel) -> str:
+    """Return a sentence, after a blank, on lamps that drifted more than was declared; "": none did."""
+    if camera.fit is None or camera.fit.drift is None:
+        return ""
+    return (
+        f" The charts disagree as if the lamps had drifted by {tidy(100 * camera.fit.drift.deviation, 2)} %; the confidence "
+        "bands allow for it."
     )
 
 
@@ -216,7 +226,7 @@ def data_sheet(camera: CameraModel) -> Section:
         Subsection("Figures", (figures_table(camera, noise), Text(MEANINGS))),
         Subsection("Plots", (Figures((*plots, snr_figure(camera, noise), *responsivity_figures(camera))),)),
     )
-    return Section("EMVA 1288 data sheet", f"{camera.name}: as measured, channel by channel.", parts)
+    return Section("EMVA 1288 data sheet", f"{camera.name}: as measured, channel by channel.{drift_note(camera)}", parts)
 
 
 MEANINGS = (

@@ -1,0 +1,107 @@
+"""Drift of lamps that nobody watched, from the disagreement of the charts (docs/method.md#drift-of-lamps).
+
+A lamp that is brighter during a capture than when its spectrum was measured makes the responses of all channels too large
+by one factor. Of the steps of a monochromator such factors deform the curves, slowly over wavelength, so that they look
+like the curves' own shape; of charts they change the scale. The charts show both: by how much each of them, in each
+channel, exceeds what the curves predict.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.calibration.captures import Charts
+from l3cli.calibration.responsivity import Sweep, chart_factors, fit_gain, smoothers
+
+MEMORY = 0.8  # correlation of a lamp's drift from one capture to the next, in the order of the measurement file
+CHART_ERROR = 0.002  # relative, of a chart's mean in a channel: 24 patches, each known to 0.5 %, leave half of it
+TRIED = np.geomspace(2e-4, 0.2, 100)  # relative standard deviations of a drift that are compared
+EVIDENCE = 4.0  # natural logarithm of how much more probable than the declared drift another must be
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DriftError:
+    """A drift that the charts show, and what it leaves uncertain."""
+
+    deviation: float  # relative standard deviation of lamps about their measured spectra
+    curve_error: Array  # (channel, wavelength) standard deviation of the responsivities, their scale apart
+    scale_error: float  # relative standard deviation of the scale that the charts give
+
+
+def estimate_drift(
+    sweep: Sweep, charts: Charts, curves: Array, delta: float, black_level: Array, declared: float
+) -> DriftError | None:
+    """Estimate how much the lamps drifted from the disagreement of the charts.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        The monochromatic captures.
+    charts : Charts
+        The chart captures.
+    curves : ndarray, (channel, wavelength)
+        Responsivities from `sweep` with the smoothing `delta`.
+    delta : float
+        Smoothing of Eq. 1.
+    black_level : ndarray, (channel)
+        DN.
+    declared : float
+        Relative standard deviation of the drift that the measurement file declares.
+
+    Returns
+    -------
+    DriftError or None
+        None if the declared drift explains the charts.
+
+    Notes
+    -----
+    Logarithms of the charts' factors are linear in the unknown drifts of all captures, which are normally distributed with
+    an exponential correlation. The probability of each deviation follows from its likelihood, with a uniform prior of its
+    logarithm. The root of the mean variance is returned, which is larger than the most probable deviation the fewer charts
+    there are.
+    """
+    steps, count = len(sweep.values), len(charts.values)
+    order = np.arange(steps + count)
+    correlation = MEMORY ** np.abs(order[:, None] - order)
+    factors = np.empty((count, len(curves)))
+    response = np.zeros((count, len(curves), steps + count))  # change of the logarithm of each factor per drift of a capture
+    deformations = []
+    for channel, (curve, smoother) in enumerate(zip(curves, smoothers(sweep, delta), strict=True)):
+        deformation = smoother * np.where(sweep.valid[:, channel], sweep.values[:, channel], 0.0)
+        seen, values = charts.photons @ curve, charts.values[..., channel]
+        level = float(black_level[channel])
+        beta = fit_gain(seen.ravel(), values.ravel(), level)[1]
+        factors[:, channel], weight = chart_factors(seen, values, level, beta)
+        light = np.einsum("cp,cpn->cn", weight * seen, charts.photons)
+        response[:, channel, :steps] = -(light @ deformation) / (light @ curve)[:, None]
+        response[:, channel, steps:] = np.eye(count)
+        scale = response[:, channel, :steps].mean(axis=0)
+        deformations.append(deformation + curve[:, None] * scale)
+    if not (factors > 0).all():
+        return None  # charts that contradict the curves altogether are refused elsewhere
+    seen_factors, cause = np.log(factors).ravel(), response.reshape(factors.size, -1)
+    seen_factors, cause = seen_factors - seen_factors.mean(), cause - cause.mean(axis=0)
+    deviation = _deviation(seen_factors, cause @ correlation @ cause.T, declared)
+    if deviation is None:
+        return None
+    among_steps, among_charts = correlation[:steps, :steps], correlation[steps:, steps:]
+    variance = [np.einsum("nj,jk,nk->n", each, among_steps, each, optimize=True) for each in deformations]
+    scale_error = deviation * float(np.sqrt(among_charts.mean()))
+    return DriftError(deviation, deviation * np.sqrt(np.maximum(variance, 0.0)), scale_error)
+
+
+def _deviation(factors: Array, covariance: Array, declared: float) -> float | None:
+    """Return the deviation that explains logarithms of factors (factor), which have this `covariance` for a deviation of 1;
+    None if the declared one explains them."""
+    variance, directions = np.linalg.eigh(covariance)
+    seen = (directions.T @ factors) ** 2
+    tried = np.append(TRIED, declared)
+    expected = tried[:, None] ** 2 * np.maximum(variance, 0.0) + CHART_ERROR**2
+    likelihood = -0.5 * (np.log(expected) + seen / expected).sum(axis=1)
+    best = int(likelihood[:-1].argmax())
+    if TRIED[best] <= declared or likelihood[best] - likelihood[-1] < EVIDENCE:
+        return None
+    probability = np.exp(likelihood[:-1] - likelihood[best])
+    return float(np.sqrt(probability @ TRIED**2 / probability.sum()))
