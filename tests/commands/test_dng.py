@@ -458,7 +458,6 @@ def test_the_grey_of_a_white_that_is_stated_by_its_chromaticity(tmp_path: Path, 
     grey = matrix @ (x / y, 1, (1 - x - y) / y)
     frame = read(tmp_path, tags | {50729: white(x, y)})
     assert frame.neutral is not None
-    assert frame.neutral is not None
     np.testing.assert_allclose(frame.neutral, grey / grey.max(), atol=4e-4)
 
 
