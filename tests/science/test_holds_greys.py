@@ -157,7 +157,8 @@ def test_plain_areas_show_no_pattern_under_noise(learned: Learned) -> None:
         count = 256**2 / learned.camera.cfa.size
         chance = planes[:, 8:-8, 8:-8].std(axis=(1, 2)) * 4.5 / np.sqrt(count)  # the spread of up to 16 means
         about_to_clip = (np.abs(exposure * clip - 0.99) < 0.04).any()
-        bound = 0.011 if about_to_clip or exposure <= 0.01 else 0.002
+        most_clip = (exposure * clip > 1).mean() > 0.5  # classes of edges answer greys a little otherwise than plain ones
+        bound = 0.011 if about_to_clip or most_clip or exposure <= 0.01 else 0.002
         if about_to_clip and learned.table.first.rule.contrasts == 1:
             bound = 0.025  # less than one step of L*
         spread = np.ptp(means, axis=0) / means.mean(axis=0)
