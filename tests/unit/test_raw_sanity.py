@@ -182,9 +182,7 @@ def real(name: str) -> tuple[np.ndarray, float, float, np.ndarray, np.ndarray | 
     content = raw_content(path)
     neutral = content.get("neutral")
     levels = content["black_level"], content["white_level"]
-    tells = (
-        neutral is not None and np.ptp(neutral[:, 1]) > 0
-    )  # a raw frame that is balanced already has equal signals of any array
+    tells = neutral is not None and np.ptp(neutral[:, 1]) > 0  # equal signals of all channels tell nothing
     return content["values"], *levels, content["pattern"], neutral[:, 1] if tells else None
 
 
