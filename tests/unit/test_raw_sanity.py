@@ -180,10 +180,11 @@ def real(name: str) -> tuple[np.ndarray, float, float, np.ndarray, np.ndarray | 
             None,
         )
     content = raw_content(path)
-    neutral = content.get("neutral")
     levels = content["black_level"], content["white_level"]
-    tells = neutral is not None and np.ptp(neutral[:, 1]) > 0  # equal signals of all channels tell nothing
-    return content["values"], *levels, content["pattern"], neutral[:, 1] if tells else None
+    neutral = content.get("neutral")
+    if neutral is None or np.ptp(neutral[:, 1]) == 0:  # equal signals of all channels tell nothing
+        return content["values"], *levels, content["pattern"], None
+    return content["values"], *levels, content["pattern"], neutral[:, 1]
 
 
 @pytest.mark.parametrize("name", REAL)
