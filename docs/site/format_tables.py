@@ -70,10 +70,11 @@ TABLES: dict[str, dict[str, Callable[[], str]]] = {
 def with_tables(page: str, text: str) -> str:
     """The text of a page with its tables as the registries are now."""
     for name, made in TABLES[page].items():
-        place = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-        text, count = place.subn(lambda match, made=made: f"{match[1]}{made()}\n{match[2]}", text)
-        if count != 1:
-            raise ValueError(f"{page} has {count} places for the table {name}")
+        places = list(re.finditer(rf"(?<=<!-- {name} -->\n).*?(?=<!-- end -->)", text, re.DOTALL))
+        if len(places) != 1:
+            raise ValueError(f"{page} has {len(places)} places for the table {name}")
+        start, end = places[0].span()
+        text = f"{text[:start]}{made()}\n{text[end:]}"
     return text
 
 
