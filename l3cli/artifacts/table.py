@@ -151,7 +151,7 @@ class PlaneLayer:
         return replace(self, coarse_chroma=self.coarse_chroma.with_noise(share)) if self.coarse_chroma else self
 
     def scaled_as(self, scale: GradientScale) -> "PlaneLayer":
-        """Return the layer with gradients scaled so."""
+        """Return a copy of the layer whose rule scales gradients by `scale`."""
         return replace(self, **rule_fields(self.rule.scaled_as(scale)))
 
 
@@ -430,12 +430,12 @@ class TransformTable(Artifact):
 
     @property
     def noises(self) -> tuple[Condition, ...]:
-        """Return the conditions of other noise than the camera's, under all lights."""
+        """Return the conditions for noise that differs from the camera's, trained on all lights together."""
         return tuple(each for each in self.conditions if each.light is None)
 
     @property
     def lights(self) -> tuple[SceneLight, ...]:
-        """Return the lights of the conditions."""
+        """Return the lights that the table has transforms for, in the order of its conditions."""
         return tuple(each.light for each in self.conditions if each.light and each.noise is None)
 
     def of_light(self, light: SceneLight | None) -> "TransformTable":
