@@ -119,7 +119,10 @@ class Renderer:
         self.table = table if isinstance(table, TransformTable) else store.load(TransformTable, Path(table))
         chosen = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
         self._renderer, self._backend, self._chosen = NoiseRenderer(backend, self.table, **chosen), backend, chosen
-        self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._renderer}  # of its lights
+        self._pictured = self.table.pictured()  # what pictures are made by
+        shows_all = self._pictured.outputs == self.table.outputs
+        self._pictures = self._renderer if shows_all else NoiseRenderer(backend, self._pictured, **chosen)
+        self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._pictures}  # of its lights
         self._alone = ThreadLock()
 
     def picture(
@@ -134,7 +137,8 @@ class Renderer:
         the frame, "chart" of a ColorChecker in it, "ROW,COL" or "ROW,COL,SIZE" of a grey in the picture, "table" that of
         training, None: the file's where it states one, else the table's. `space`: "srgb", "display-p3", "rec2020" or,
         linear, "acescg", "xyz".
-        RecipeError unless the table's outputs are X, Y, Z, InputFileError if the white cannot be taken from the frame.
+        RecipeError unless the table's outputs begin with X, Y, Z or are Y alone, InputFileError if the white cannot be
+        taken from the frame.
         """
         return next(self.pictures([frame], exposure=exposure, white=white, space=space, bits=bits))
 
@@ -144,12 +148,12 @@ class Renderer:
     ) -> Iterator[NDArray[Any]]:  # fmt: skip
         """Yield `picture` of each frame, in order, as they are asked for; each has its automatic exposure. Of a table of
         several lights they have the transforms of that nearest to the white of the first."""
-        renderer, shown = self._renderer, shown_as(self.table, exposure, white, space, bits)
+        renderer, shown = self._pictures, shown_as(self._pictured, exposure, white, space, bits)
         for place, each in enumerate(frames):
             frame = self._frame(each)
             if self.table.lights and place == 0:
                 renderer = self._lit(white, shown[1], frame)
-                shown = shown_as(renderer.table, exposure, white, space, bits, self.table)
+                shown = shown_as(renderer.table, exposure, white, space, bits, self._pictured)
             rendition, source = shown
             measured = source.white(frame) if source else None
             yield self._pixels(renderer, frame, rendition, exposure or 0.0, measured.balance if measured else None)
@@ -164,14 +168,14 @@ class Renderer:
         `temporal`: frames come in their order and are filtered in time, as in `l3 render --temporal`; RecipeError if the
         table does not know its camera's noise."""
         how = (exposure, white, space, bits)
-        shown, starting = shown_as(self.table, *how), ThreadLock()
+        shown, starting = shown_as(self._pictured, *how), ThreadLock()
         temporal_filter = Chunks(filters(self._backend, self.table, **self._chosen)) if temporal else None
 
         def begin(renderer: NoiseRenderer) -> tuple[NoiseRenderer, Rendition, Following]:
-            rendition, source = shown if renderer is self._renderer else shown_as(renderer.table, *how, self.table)
+            rendition, source = shown if renderer is self._pictures else shown_as(renderer.table, *how, self._pictured)
             return renderer, rendition, Following(renderer.table, rendition, source, rate, temporal_filter)
 
-        begun = None if self.table.lights else begin(self._renderer)
+        begun = None if self.table.lights else begin(self._pictures)
 
         def picture(given: RawFrame | NDArray[np.uint16]) -> NDArray[Any]:
             nonlocal begun
@@ -204,12 +208,12 @@ class Renderer:
 
     def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> NoiseRenderer:
         """Return the renderer by the table's transforms for the light nearest to a given white, or to that of a frame."""
-        found = source.white(frame) if source else given_white(white, self.table)
-        mix = None if found is None else nearest_for(self.table, found.light.xyz)
+        found = source.white(frame) if source else given_white(white, self._pictured)
+        mix = None if found is None else nearest_for(self._pictured, found.light.xyz)
         with self._alone:
             if mix not in self._renderers:
-                made = NoiseRenderer(self._backend, mixed(self.table, mix), **self._chosen)
-                self._renderers = {None: self._renderer, mix: made}
+                made = NoiseRenderer(self._backend, mixed(self._pictured, mix), **self._chosen)
+                self._renderers = {None: self._pictures, mix: made}
             return self._renderers[mix]
 
     def _pixels(

@@ -22,6 +22,8 @@ from l3cli.artifacts.store import read_fields
 from l3cli.artifacts.training_set import LightSpectrum, white_signal
 
 PlaneRule = StructureRule | TreeRule
+LUMINANCE = ("Y",)  # outputs of a table that shows luminance alone
+GREY = ("Y", "Y", "Y")  # its outputs as pictures are made from them
 PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far below the noise of any sensor
 RATIO_TAPS = (0, 2, 4)  # behind those of the windows of a last layer: none, colour ratios, and bilateral chroma, too
 PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 bits stay within 32 bits
@@ -47,9 +49,9 @@ class MosaicLayer:
         if self.weights.shape[2] != self.rule.patch**2:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
 
-    def pictured(self) -> "MosaicLayer":
-        """Return the layer of the first three outputs alone."""
-        return replace(self, weights=self.weights[:, :3], intercept=self.intercept[:, :3])
+    def pictured(self, taken: list[int]) -> "MosaicLayer":
+        """Return the layer of some outputs, by their places."""
+        return replace(self, weights=self.weights[:, taken], intercept=self.intercept[:, taken])
 
 
 @dataclass(frozen=True)
@@ -266,10 +268,10 @@ class Condition:
         if self.edges and any(len(scale.gradient_factor) != levels for scale in self.edges.gradients):
             raise ValueError(f"{place}/edges has gradients of other levels than the table")
 
-    def pictured(self) -> "Condition":
-        """Return the transforms of the first three outputs alone."""
-        first = replace(self.first, weights=self.first.weights[:, :3], intercept=self.first.intercept[:, :3])
-        light = self.light and replace(self.light, white_point=self.light.white_point[:3])
+    def pictured(self, taken: list[int]) -> "Condition":
+        """Return the transforms of some outputs, by their places."""
+        first = replace(self.first, weights=self.first.weights[:, taken], intercept=self.first.intercept[:, taken])
+        light = self.light and replace(self.light, white_point=self.light.white_point[taken])
         return replace(self, first=first, light=light)
 
 
@@ -421,12 +423,30 @@ class TransformTable(Artifact):
         return (self.first, *self.later)
 
     def pictured(self) -> "TransformTable":
-        """Return the table of X, Y, Z alone if other outputs follow them, which no picture shows; else the table itself."""
-        if self.outputs[:3] != ("X", "Y", "Z") or len(self.outputs) == 3 or self.later:
+        """Return the table that pictures are made by.
+
+        Returns
+        -------
+        TransformTable
+            Of X, Y, Z alone if other outputs follow them, which no picture shows; of luminance three times, GREY, if it is
+            the only output; else the table itself.
+        """
+        grey = self.outputs == LUMINANCE
+        if self.later or not (grey or (self.outputs[:3] == ("X", "Y", "Z") and len(self.outputs) > 3)):
             return self
-        conditions = tuple(each.pictured() for each in self.conditions)
-        first, white_point = self.first.pictured(), self.white_point[:3]
-        return replace(self, outputs=self.outputs[:3], white_point=white_point, first=first, conditions=conditions)
+        taken = [0, 0, 0] if grey else [0, 1, 2]
+        return replace(
+            self,
+            outputs=GREY if grey else self.outputs[:3],
+            white_point=self.white_point[taken],
+            first=self.first.pictured(taken),
+            conditions=tuple(each.pictured(taken) for each in self.conditions),
+        )
+
+    @property
+    def shows_grey(self) -> bool:
+        """Return whether pictures are grey: the outputs are luminance alone, or one channel tells no colours."""
+        return self.outputs == GREY or len(self.channels) == 1
 
     @property
     def noises(self) -> tuple[Condition, ...]:
@@ -464,8 +484,9 @@ class TransformTable(Artifact):
     @property
     def clipped_white(self) -> NDArray[np.float64] | None:
         """XYZ (3), in output units, of the darkest white that clips every channel. No pixel is rendered brighter
-        (docs/method.md#clipped-white). None if the outputs do not begin with X, Y, Z, or the light is not known."""
-        if self.outputs[:3] != ("X", "Y", "Z") or self.light is None or self.camera is None:
+        (docs/method.md#clipped-white). None if the outputs neither begin with X, Y, Z nor are GREY, or
+        the light is not known."""
+        if self.outputs[:3] not in (("X", "Y", "Z"), GREY) or self.light is None or self.camera is None:
             return None
         weakest = white_signal(self.light, self.camera, self.output_unit).min()
         return self.white_point[:3] / (self.white_point[1] * weakest) if weakest > 0 else None

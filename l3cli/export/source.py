@@ -35,7 +35,7 @@ from l3cli.io.raw.cfa_codes import channel_codes, code_of
 from l3cli.physics.display import XYZ
 from l3cli.physics.gamut import CONE_SHARE, LEAST_CONE, LEAST_LIGHTNESS, LIGHTNESS, TINY, gamut_of
 from l3cli.physics.spaces import SRGB, Curve
-from l3cli.rendering.display import linear_matrix, require_known_layers
+from l3cli.rendering.display import linear_matrix, require_known_layers, shown_adaptation
 from l3cli.rendering.reference import SPECTRA_DARKEST
 from l3cli.rendering.white.scene_white import WhiteBalance, Whites
 from l3cli.rendering.white.source import usual_balance
@@ -337,7 +337,7 @@ def _words_known(table: TransformTable, short: ShortWords) -> dict[str, str | in
 def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: str) -> str:
     """Return the text of picture.c with the constants of a table of X, Y, Z and a white, None: the table's own."""
     balance = balance or usual_balance(table)
-    matrix, gamut = linear_matrix(balance.adaptation, 1.0, SRGB), gamut_of(SRGB)
+    matrix, gamut = linear_matrix(shown_adaptation(table, balance.adaptation), 1.0, SRGB), gamut_of(SRGB)
     assert SRGB.curve is not None
     least = _thresholds(SRGB.curve).astype(np.float32)
     codes = np.searchsorted(least, np.arange(BINS) / BINS, side="right")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import GREY, TransformTable
 from l3cli.errors import RecipeError
 from l3cli.physics.display import CODES, Tone, codes, display_white
 from l3cli.physics.gamut import gamut_of, into_gamut
@@ -75,9 +75,30 @@ def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) 
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:
-    """Raise RecipeError unless a table's outputs are X, Y, Z, which is what a picture is made from."""
-    if outputs != ("X", "Y", "Z"):
-        raise RecipeError(f"pictures need the outputs X, Y, Z, this table has {', '.join(outputs)}; write an .exr file")
+    """Raise RecipeError unless a table's outputs are what a picture is made from: X, Y, Z, or GREY."""
+    if outputs not in (("X", "Y", "Z"), GREY):
+        raise RecipeError(
+            f"pictures need the outputs X, Y, Z, or Y alone, this table has {', '.join(outputs)}; write an .exr file"
+        )
+
+
+def shown_adaptation(table: TransformTable, adaptation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how the outputs of a table are adapted to D65.
+
+    Parameters
+    ----------
+    table : TransformTable
+        The table.
+    adaptation : ndarray, (3, 3)
+        XYZ under D65 of the table's X, Y, Z, by the white of the scene.
+
+    Returns
+    -------
+    ndarray, (3, 3)
+        `adaptation`; of a table that shows grey, the white of D65 times the second output, Y. Values of a picture are then
+        equal, to the bit.
+    """
+    return np.outer(display_white(), [0.0, 1.0, 0.0]) if table.shows_grey else adaptation
 
 
 def require_known_layers(table: TransformTable) -> None:

@@ -15,7 +15,7 @@ from l3cli.errors import RecipeError, suggestion
 from l3cli.frames.frame import RawFrame, upright
 from l3cli.physics.display import FLOAT_BITS, Tone, exposure_scale
 from l3cli.physics.spaces import SPACES, SRGB, XYZ, Space, chromaticity_of
-from l3cli.rendering.display import Display, adapted_display, linear_matrix, require_xyz
+from l3cli.rendering.display import Display, adapted_display, linear_matrix, require_xyz, shown_adaptation
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
 from l3cli.rendering.renderer import Renderer
 from l3cli.rendering.temporal.chunks import Chunks
@@ -112,7 +112,8 @@ def rendered(
     planes = renderer.outputs(frame if balance is None else balanced(frame, renderer.table, balance.gains))
     if balance is not None and rendition.space is not None:
         scale = (scale * balance.luminance or exposure_scale(planes[1])) * 2**rendition.stops
-        matrix = linear_matrix(balance.adaptation, 1.0 if rendition.raw else scale, rendition.space)
+        adaptation = shown_adaptation(renderer.table, balance.adaptation)
+        matrix = linear_matrix(adaptation, 1.0 if rendition.raw else scale, rendition.space)
         planes = np.einsum("po,orc->prc", matrix.astype(np.float32), planes)
     return upright(np.moveaxis(planes, 0, -1), frame.orientation), scale
 
@@ -124,7 +125,8 @@ def shown(
     frame = balanced(frame, renderer.table, balance.gains)
     # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
     scale = (scale * balance.luminance or exposure_scale(renderer.outputs(frame)[1])) * 2**rendition.stops
-    return frame, adapted_display(balance.adaptation, scale, rendition.bits, rendition.space or SRGB, rendition.tone)
+    adaptation = shown_adaptation(renderer.table, balance.adaptation)
+    return frame, adapted_display(adaptation, scale, rendition.bits, rendition.space or SRGB, rendition.tone)
 
 
 class FrameMeter:

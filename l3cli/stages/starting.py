@@ -33,7 +33,7 @@ from l3cli.io.raw.cfa_codes import LETTERS, code_of
 from l3cli.io.raw.files import BY_SUFFIX, is_photo
 from l3cli.io.raw.libraw import stated
 from l3cli.options.commands import InitOptions
-from l3cli.recipes.builtin import COMMON, CURVES, common_files, curves_of, folder_files, known_camera, summary
+from l3cli.recipes.builtin import COMMON, CURVES, common_files, curves_of, folder_files, known_camera, known_recipes, summary
 from l3cli.simulation.lab import SMALLEST_SENSOR
 from l3cli.system.console import Console
 from l3cli.system.files import atomic_output, blamed_on, refuse_protected, require_regular
@@ -321,8 +321,9 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
             over = facts.iso / known.iso if facts.iso and known.iso else 1.0  # gain is in proportion to the ISO speed
             noise = SensorNoise(found.gain / over, found.noise.read_noise, "as the patches of the chart show it")
         curves = found.responsivity / found.responsivity.max()
+        balance = white if len(found.channels) > 1 else None  # pictures of one channel are grey
         return PhotoCamera(
-            other, measured.body, *levels, known, found.wavelength, curves, origin, noise, white, gains, overrides
+            other, measured.body, *levels, known, found.wavelength, curves, origin, noise, balance, gains, overrides
         )
     curves, origin = _without_chart(path, known, measured)
     return PhotoCamera(
@@ -470,6 +471,12 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
         # A raw file whose values are balanced already: no sensor alone gives equal signals of a grey.
         balanced = responsivity.balanced_curves(curves, "D65")
         return balanced, f"{origin}; balanced for D65, as the file's values are for its white"
+    if len(channels) == 1:
+        bare = load_camera(known_recipes("cameras")["mono"])
+        relative = bare.responsivity / bare.responsivity.max()
+        return responsivity.Curves(
+            bare.wavelength, relative, np.zeros_like(relative)
+        ), "assumed: silicon behind an infrared filter, for no colours tell that of a camera without filters"
     raise InputFileError(
         f"{path} shows no chart and states no colour matrix, so nothing tells the curves of {', '.join(channels)}; "
         'photograph a ColorChecker, or start from curves, "l3 init from_curves DIR"'

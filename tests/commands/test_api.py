@@ -28,7 +28,7 @@ from l3cli.rendering.temporal import chunks
 from tests.helpers.calls import Refused
 from tests.helpers.cameras import BAYER, random_camera
 from tests.helpers.sequences import RGGB, frames
-from tests.helpers.tables import random_table
+from tests.helpers.tables import colorimetric_table, random_table
 
 
 def same(one: Path, other: Path) -> bool:
@@ -94,6 +94,22 @@ def test_uncertainty_is_that_of_the_command(pipeline: Path, tmp_path: Path, refu
     assert patch.mean == pytest.approx(outputs[4:30, 4:40].mean(axis=(0, 1)), rel=1e-5)
     independent = np.sqrt((found.sigma[4:30, 4:40] ** 2).sum(axis=(0, 1))) / patch.pixels
     assert (patch.sigma > independent).all()
+
+
+def test_pictures_of_luminance_are_grey_whatever_white_is_named(bayer: CameraModel) -> None:
+    table = colorimetric_table(bayer)
+    first = replace(table.first, weights=table.first.weights[:, 1:2], intercept=table.first.intercept[:, 1:2])
+    renderer = l3.Renderer(replace(table, outputs=("Y",), white_point=np.ones(1), first=first))
+    share = np.linspace(0.1, 0.5, 48) * np.ones((40, 1))
+    values = np.rint(bayer.black_level + share * (bayer.white_level - bayer.black_level)).astype(np.uint16)
+    assert renderer.outputs(values).shape == (40, 48, 1)
+    for white in (None, "table", "A", "0.31,0.33"):
+        picture = renderer.picture(values, exposure=1.0, white=white).astype(int)
+        assert np.ptp(picture, axis=2).max() == 0
+        assert np.ptp(picture) > 50
+    for white in ("auto", "camera", "20,20"):
+        with pytest.raises(RecipeError):
+            renderer.picture(values, white=white)
 
 
 def test_arrays_generators_and_threads_share_a_renderer() -> None:

@@ -22,7 +22,7 @@ from l3cli.frames.measurement import Stated
 from l3cli.io.pictures.dng import write_dng
 from l3cli.io.raw.files import read_raw
 from l3cli.physics import spectra
-from l3cli.recipes.builtin import COMMON
+from l3cli.recipes.builtin import COMMON, find_recipe
 from l3cli.recipes.toml import parse_toml
 from tests.helpers import dng_files, photos
 from tests.helpers.calls import L3, Refused
@@ -245,6 +245,22 @@ def test_values_below_the_black_level_are_refused_until_answered(bayer: CameraMo
     camera = load_camera(tmp_path / "mine/camera.toml")
     assert (camera.black_level, camera.white_level, camera.bits) == (64, 1023, 10)
     assert "RENDER ?= --black-level 64.0 --white-level 1023.0\n" in (tmp_path / "mine/Makefile").read_text()
+
+
+def test_a_camera_without_filters(tmp_path: Path, l3: L3) -> None:
+    """LinearRaw of one sample a pixel, and no colour matrix, which such a camera cannot have."""
+    light = np.linspace(0.05, 0.6, 96)[:, None] * np.linspace(0.5, 1.0, 128)
+    values = np.random.default_rng(0).poisson(10000 * light) * 0.3 + 64
+    tags, none = {262: (dng_files.SHORT, [34892])}, (33421, 33422, 50710)
+    dng_files.write_dng(tmp_path / "a.dng", np.rint(values).astype(np.uint16), np.array([[0]]), tags=tags, drop=none)
+    code, _, err = l3("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
+    assert code == 0, err
+    camera = load_camera(tmp_path / "mine/camera.toml")
+    assert (camera.channels, camera.cfa.tolist(), camera.black_level, camera.white_level) == (("w",), [[0]], 64, 4000)
+    shipped = load_camera(find_recipe("mono", "cameras"))
+    wanted = np.interp(camera.wavelength, shipped.wavelength, shipped.responsivity[0])
+    np.testing.assert_allclose(camera.responsivity[0] / camera.responsivity.max(), wanted / wanted.max(), atol=0.01)
+    assert l3("check", tmp_path / "mine")[0] == 0
 
 
 @pytest.mark.parametrize(("tag", "value"), [(50714, [60, 62, 64]), (50714, [5000])])

@@ -14,11 +14,14 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.physics.display import TONES, Tone
+from l3cli.physics.spaces import SRGB_CURVE
 from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import BACKENDS, make_renderer
+from l3cli.rendering.rendition import Rendition, rendered
+from l3cli.rendering.white.source import usual_balance
 from tests.helpers.cameras import BAYER
 from tests.helpers.hostile import HANGS, timed
 from tests.helpers.rendered import KINDS, OUTPUT_TOLERANCE, STRIPES, TABLES, assert_equal_to_reference
@@ -270,6 +273,25 @@ def test_encodings_on_the_device(kind: str, tone: Tone | None) -> None:
         assert error.max() <= 1
         assert error.mean() <= share
         assert (shown[..., 1].ravel()[-1], shown[0, 0].tolist()) == (display.top, [0, 0, 0])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("outputs", [("Y",), ("X", "Y", "Z")])
+def test_a_table_without_colours_shows_luminance_in_equal_values(kind: str, outputs: tuple[str, ...]) -> None:
+    """Code = 255 · curve of luminance, whatever X and Z are; of a Bayer array with Y alone, and of one channel."""
+    table = random_table([[0]] if len(outputs) == 3 else BAYER, bits=10, outputs=outputs).pictured()
+    assert table.shows_grey
+    values = np.random.default_rng(2).integers(0, 1024, (40, 48)).astype(np.uint16)
+    frame = RawFrame("f", values, table.black_level, table.white_level)
+    device, reference = OpenCLRenderer(table, **KINDS[kind]), ReferenceRenderer(table)
+    rendition = Rendition(usual_balance(table), 0.5, 8)
+    pictures = [rendered(each, frame, rendition, 0.5)[0].astype(int) for each in (device, reference)]
+    assert all(np.ptp(picture, axis=2).max() == 0 for picture in pictures)
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1
+    luminance = reference.exact_outputs(frame)[1]
+    wanted = np.rint(255 * SRGB_CURVE.encoded(np.clip(0.5 * luminance, 0, 1)))
+    assert np.ptp(wanted) > 40
+    assert np.abs(pictures[1][..., 0] - wanted).max() <= 1
 
 
 def test_centre_tap_of_the_reference_gives_the_signal_back() -> None:

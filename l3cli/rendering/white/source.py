@@ -268,7 +268,13 @@ def white_source(
 ) -> WhiteSource | None:
     """Return the source that "camera", "auto", "chart" or "ROW,COL[,SIZE]" asks for; None where `text` is a white by
     itself, a name, "x,y", multipliers or "table"; None: "camera" of `photos`, where their files state it, else "table".
-    `estimated_by`: the statistics of estimates; None: the table's (docs/method.md#several-lights)."""
+    `estimated_by`: the statistics of estimates; None: the table's (docs/method.md#several-lights).
+
+    Raises RecipeError if the white is to be taken from frames, and the table shows grey, which has no white."""
+    if table.shows_grey:
+        if text in (CAMERA, AUTO, CHART) or _square(text) is not None:
+            raise RecipeError(f"pictures by this table are grey, and ‹white› {text} changes nothing; leave it out")
+        return None
     if text is None:
         return CameraWhite(table, asked=False) if photos else None
     if text == CAMERA:
@@ -277,6 +283,13 @@ def white_source(
         return AutoWhite(Whites(estimated_by or table), Whites(table))
     if text == CHART:
         return ChartWhite(table)
+    square = _square(text)
+    return None if square is None else SquareWhite(table, square)
+
+
+def _square(text: str | None) -> Square | None:
+    """Return the square that "ROW,COL[,SIZE]" means; None if `text` has another form. RecipeError if it is no place."""
+    text = text or ""
     parts = text.split(",")
     if not _is_place(parts):
         return None
@@ -287,7 +300,7 @@ def white_source(
         raise RecipeError(
             f'white "{shortened(text)}" is not a place of a grey: {error}; give it as ROW,COL or ROW,COL,SIZE in pixels'
         ) from None
-    return SquareWhite(table, Square(row, col, size))
+    return Square(row, col, size)
 
 
 def _is_place(parts: list[str]) -> bool:

@@ -82,6 +82,8 @@ def render(
         lit, mix = transforms, None if source else mix_of_given(white, transforms, nearest_for, console)
         transforms = mixed(lit, mix)
         rendition = _rendition(destination, None if source else white, transforms, options)
+        if rendition.balance is not None and transforms.shows_grey:
+            console.info(f"{table} tells no colours; pictures are grey")
         find = functools.partial(find_frames, inputs, transforms, selection=options.frames, dataset=options.dataset)
         sequence = find(known)
         if options.shard is not None:
