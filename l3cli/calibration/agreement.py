@@ -1,7 +1,8 @@
-"""Captures against each other: what one says of light and exposure must agree with what the others say.
+"""Check captures against each other: exposure times and lights must agree.
 
-Signals follow exposure times radiance, so that a mistyped exposure, a unit or a mixed-up light stands out by its factor long
-before a fit goes visibly wrong. The factors allowed are far beyond what lamps, lenses and sensors do.
+Signals are proportional to exposure time times radiance. A mistyped exposure, a wrong unit or two swapped lights therefore
+stand out by a large factor, long before a fit looks wrong. The tolerances are far wider than the variations of lamps,
+lenses and sensors.
 """
 
 from collections.abc import Sequence
@@ -13,18 +14,21 @@ from l3cli.calibration.responsivity import Sweep, light_centre
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import BandCapture, Capture, ChartCapture, MonoCapture
 
-FACTOR = 1.5  # between signals a second of one light
-SCALE = 3.0  # between the responses that monochromator and charts give, seen in other parts of the frame
-STEP, END = 3.0, 20.0  # between a monochromator step and both its neighbours; at either end and its next two
-LEAST = 0.02  # of the largest response or signal: less makes no difference
-NEAR_TOP = 0.85  # of the largest signal: more may be saturated
-LONGEST = 20.0  # times the exposure that saturates: nobody takes longer ones
-DRIFT = 0.05  # DN that the black level may wander
+FACTOR = 1.5  # largest ratio between signals per second under one light
+SCALE = 3.0  # largest ratio between the scales from charts and monochromator, which fill different parts of the frame
+STEP, END = 3.0, 20.0  # largest ratio of a monochromator step to both its neighbours; of the first and last to the next two
+LEAST = 0.02  # fraction of the largest response or signal below which differences are ignored
+NEAR_TOP = 0.85  # fraction of the largest signal above which a signal may be saturated
+LONGEST = 20.0  # exposures that exceed saturation by this factor are mistakes
+DRIFT = 0.05  # DN by which the black level may drift
 Array = NDArray[np.float64]
 
 
 def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None:
-    """Raise InputFileError that names the white capture whose DN (capture, channel) do not follow its seconds of light."""
+    """Raise InputFileError for a white capture whose signal is not proportional to its exposure.
+
+    `lit` (capture) is the time under light in seconds, `signal` (capture, channel) the mean DN above black.
+    """
     top = signal.max(axis=0)
     total = np.maximum(signal.sum(axis=1), 1e-9)
     below = (signal < NEAR_TOP * top).all(axis=1) & (total > LEAST * total.max())
@@ -39,8 +43,10 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
 
 
 def check_darks(captures: Sequence[Capture], signal: Array) -> None:
-    """Raise InputFileError that names the dark capture whose mean (capture) DN lies far off the line of all others over
-    exposure; only where three others or more agree with each other."""
+    """Raise InputFileError for a dark capture whose mean signal lies far off the line through all others.
+
+    `signal` (capture) is in DN. A capture is only checked if at least three other exposures define the line.
+    """
     exposure = np.array([capture.exposure for capture in captures])
     worst, outlier = 0.0, None
     for index, capture in enumerate(captures):
@@ -57,14 +63,16 @@ def check_darks(captures: Sequence[Capture], signal: Array) -> None:
     if outlier is not None:
         capture, value, predicted = outlier
         raise InputFileError(
-            f"{capture.name}: {value:.2f} DN in the dark of {capture.exposure:g} s, where the other dark captures say "
+            f"{capture.name}: {value:.2f} DN after {capture.exposure:g} s in the dark, but the other dark captures predict "
             f"{predicted:.2f} DN; check its exposure"
         )
 
 
 def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
-    """Raise InputFileError that names the capture whose patches (capture, patch, channel) DN do not follow its band's
-    exposures."""
+    """Raise InputFileError for a capture whose patch values do not follow the exposures of its band.
+
+    `light` (capture) is the index of the band, `values` and `valid` are (capture, patch, channel), in DN.
+    """
     lit = np.array([capture.lit for capture in captures])[:, None, None]
     for band in np.unique(light):
         chosen = np.flatnonzero(light == band)
@@ -82,9 +90,11 @@ def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], valu
 
 
 def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: Array, absolute: bool) -> None:
-    """Raise InputFileError that names the chart whose signals (chart, channel) DN over those `predicted` from the
-    monochromator's light are other than the rest's, or says that the two kinds of capture contradict each other
-    (`absolute`)."""
+    """Raise InputFileError if a chart, or all charts together, contradict the monochromator.
+
+    `measured` and `predicted` are (chart, channel); the prediction comes from the monochromator's curves. If both kinds of
+    capture have radiances in absolute units (`absolute`), their scales are compared too.
+    """
     ratio = np.median(np.maximum(measured, 1e-9) / np.maximum(predicted, 1e-30), axis=1)
     votes = np.append(ratio, 1.0) if absolute and len(ratio) == 2 else ratio  # the monochromator decides between two
     off = np.abs(np.log(ratio / np.median(votes)))
@@ -93,14 +103,17 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
     scale = float(np.median(ratio))
     if absolute and not 1 / SCALE < scale < SCALE:
         raise InputFileError(
-            f"the [[chart]] captures are {_factor(scale)} than the [[mono]] ones say; check exposures and radiances of both "
-            '(unit = "relative photons" for a monochromator whose scale is not known)'
+            f"the [[chart]] captures are {_factor(scale)} than the [[mono]] captures predict; check exposures and radiances "
+            'of both (unit = "relative photons" for a monochromator whose scale is not known)'
         )
 
 
 def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
-    """Return the monochromatic captures whose responses lie far above or below those of both neighbours in wavelength, in
-    every channel that sees them, and by how much: the most striking first, then without it the next."""
+    """Describe the monochromatic captures whose response is far above or below both neighbours in wavelength.
+
+    A capture counts only if every channel that sees it agrees. The most striking capture comes first; it is removed before
+    the next one is searched.
+    """
     centre = np.array([light_centre(capture.wavelength, capture.radiance) for capture in captures])
     left = list(np.argsort(centre, kind="stable"))
     steps = []
@@ -115,8 +128,11 @@ def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
 
 
 def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
-    """Return the factor by which the response of the step at `place` of `order` exceeds what its neighbours allow, the
-    least of all channels; 1: it does not."""
+    """Return how much brighter (> 1) or darker (< 1) a step is than its neighbours allow.
+
+    The result is that of the channel with the smallest deviation, and 1 if the step is plausible in any channel. `place` is
+    the step's position in `order`.
+    """
     factors = []
     for channel in range(sweep.values.shape[1]):
         if not sweep.valid[order[place], channel]:
@@ -132,7 +148,7 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
         else:
             low, high = min(values[at - 1], values[at + 1]) / STEP, max(values[at - 1], values[at + 1]) * STEP
         if max(values[at], low) < floor:
-            continue  # hardly seen, and not expected to be
+            continue  # the channel hardly sees this step, and should not
         value = max(values[at], 1e-3 * floor)
         factors.append(value / high if value > max(high, floor) else value / low if value < low else 1.0)
     if not factors or min(factors) <= 1.0 <= max(factors):
@@ -141,14 +157,14 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
 
 
 def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
-    """Raise InputFileError if one of the signals a second (capture) differs from the others' by more than light does."""
+    """Raise InputFileError if the signal per second (capture) of one capture differs too much from that of the others."""
     if len(captures) < 2:
         return
     off = np.abs(np.log(rates / np.median(rates)))
     worst = int(off.argmax())
     if len(captures) == 2 and np.ptp(np.log(rates)) > np.log(FACTOR):
         raise InputFileError(
-            f"{captures[0].name} and {captures[1].name}: their signals a second of light differ by a factor of "
+            f"{captures[0].name} and {captures[1].name}: their signals per second of light differ by a factor of "
             f"{np.exp(np.ptp(np.log(rates))):.3g}; check the exposures of both"
         )
     if len(captures) > 2 and off[worst] > np.log(FACTOR):
@@ -157,7 +173,7 @@ def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
 
 def _odd(capture: Capture, factor: float, kind: str) -> InputFileError:
     return InputFileError(
-        f"{capture.name}: {_factor(factor)} than the other {kind} captures say of {capture.exposure:g} s; "
+        f"{capture.name}: {_factor(factor)} than the other {kind} captures predict for {capture.exposure:g} s; "
         "check its exposure, monitor and light"
     )
 

@@ -1,5 +1,8 @@
-"""Results of captures: sensor, responsivity, charts (docs/method.md#calibration); a chart behind narrow filters
-(docs/method.md#sweeps-and-band-series); defect map and flat field (docs/method.md#corrections)."""
+"""Evaluate captures, and derive the corrections of a camera.
+
+The sensor, its responsivity and charts (docs/method.md#calibration), a chart behind narrow filters
+(docs/method.md#sweeps-and-band-series), defect map and flat field (docs/method.md#corrections).
+"""
 
 import functools
 from collections.abc import Sequence
@@ -16,15 +19,15 @@ from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.measurement import PATCHES, BandCapture, Body, Capture, ChartCapture, Measurements, MonoCapture
 from l3cli.physics import spectra
 
-OVEREXPOSED = 1e-3  # share of saturated pixels that makes a monochromatic capture useless
-CUT_OFF = 0.05  # share of a light's peak that may be left where its measured spectrum ends
+OVEREXPOSED = 1e-3  # fraction of saturated pixels that makes a monochromatic capture useless
+CUT_OFF = 0.05  # largest fraction of a light's peak at the ends of its measured spectrum
 Array = NDArray[np.float64]
-DEGREE = 4  # of the surface: the fourth power of the distance from the middle
-CELLS = (36, 54)  # rows and columns of means that it is fitted to, at most
-GRID = (33, 49)  # rows and columns of the grid: between its lines cos⁴ of a wide lens is linear within 0.1 %
-UNEVEN = 0.05  # RMS of the means about the surface, relative: no lens is as rough
-LEAST_SIGNAL = 0.02  # of full scale: a white that is darker says little of a pixel's response
-MOST_DEFECTIVE = 0.05  # share of the pixels: of more no frame can be corrected
+DEGREE = 4  # degree of the flat field's polynomial, up to the fourth power of the distance from the centre
+CELLS = (36, 54)  # largest number of rows and columns of cell means that the polynomial is fitted to
+GRID = (33, 49)  # rows and columns of the stored grid; between them cos⁴ of a wide lens is linear within 0.1 %
+UNEVEN = 0.05  # largest relative RMS of the means about the surface; no lens is rougher
+LEAST_SIGNAL = 0.02  # fraction of full scale; a darker white says little about a pixel's response
+MOST_DEFECTIVE = 0.05  # fraction of defective pixels above which frames cannot be corrected
 
 
 @dataclass(frozen=True)
@@ -40,23 +43,25 @@ class Sensor:
 
     @property
     def saturation(self) -> float:
-        """Return the DN from which a pixel counts as saturated."""
+        """The DN from which a pixel counts as saturated."""
         black_level = self.dark.black_level.mean()
         return float(black_level + noise.SATURATED * (self.transfer.white_level - black_level))
 
 
 @dataclass(frozen=True)
 class Charts:
-    """Every patch under every light: what was measured and what light came."""
+    """All patches under all lights: measured values and incident light."""
 
     illuminants: tuple[str, ...]
-    values: Array  # (chart, patch, channel) DN, dark signal taken out
-    photons: Array  # (chart, patch, wavelength) on a pixel's area, in each node's hat, off-axis loss included
+    values: Array  # (chart, patch, channel) DN, dark signal subtracted
+    photons: Array  # (chart, patch, wavelength) on a pixel, per node's hat function, lens fall-off included
 
 
 def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> Sensor:
-    """Measure noise, black level, saturation and defects from dark and white frames
-    (docs/method.md#dark-and-white-frames)."""
+    """Measure noise, black level, saturation and defects from dark and white frames.
+
+    The method is described in docs/method.md#dark-and-white-frames.
+    """
     body = measurements.body
     dark = noise.dark_noise(measurements.darks, body, each)
     whites = sorted(measurements.whites, key=lambda capture: capture.exposure)
@@ -72,7 +77,7 @@ def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> S
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
-    """Return the photons (…, wavelength) that a pixel on the axis receives during a capture, in each node's hat."""
+    """Return the photons (…, wavelength) per node's hat function that an on-axis pixel receives during a capture."""
     photons = responsivity.node_photons(capture.wavelength, capture.radiance, nodes)
     return body.photons_per_radiance * capture.lit * photons
 
@@ -80,12 +85,22 @@ def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Bo
 def measure_sweep(
     captures: Sequence[MonoCapture], body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
-    """Return Eq. 1's system from the monochromatic captures, each row divided by its photons, and the captures that
-    saturate.
+    """Set up Eq. 1 from the monochromatic captures.
 
-    A channel goes without the captures that saturate it; InputFileError if none, or only dark ones remain, or if a light's
-    measured spectrum does not reach its end. The means are over whole frames: what the lens loses off the axis is the same
-    for all, and Eq. 2 finds the scale from the charts.
+    Each equation is divided by the photons of its capture. Means are over whole frames: the lens's fall-off is the same for
+    all captures, and Eq. 2 finds the scale from the charts.
+
+    Returns
+    -------
+    sweep : Sweep
+        The system. A channel does not use captures that saturate it.
+    left_out : tuple of str
+        One line for each saturated capture.
+
+    Raises
+    ------
+    InputFileError
+        If a channel has no unsaturated capture or sees no light, or if a measured spectrum does not cover its light.
     """
     for capture in captures:
         if max(capture.radiance[0], capture.radiance[-1]) > CUT_OFF * capture.radiance.max():
@@ -117,7 +132,10 @@ def measure_sweep(
 def measure_charts(
     captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> Charts:
-    """Return the mean DN and incident photons of every patch; InputFileError if measured radiances miss nodes."""
+    """Measure the mean DN of every patch, and compute its incident photons.
+
+    Raises InputFileError if the measured radiances do not cover the nodes.
+    """
     for capture in captures:
         first, last = capture.wavelength[[0, -1]]
         if first > nodes[0] + responsivity.NODE_STEP or last < nodes[-1] - responsivity.NODE_STEP:
@@ -134,10 +152,10 @@ def measure_charts(
 
 
 def flat_field(response: Array, body: Body) -> FlatField:
-    """Return the gains that even out the response (row, col) to an even white, its defects patched.
+    """Fit the gains that make the response (row, col) to an even white uniform.
 
-    Fitted is the square root of the gain, of which cos⁴ is a polynomial of second degree. InputFileError if the white is
-    no smooth surface, or falls off as no lens does.
+    The fit is to the square root of the gain, for which cos⁴ is a polynomial of second degree. Raises InputFileError if the
+    white is not a smooth surface, or falls off as no lens does.
     """
     gains = []
     for channel, name in enumerate(body.channels):
@@ -158,19 +176,19 @@ def flat_field(response: Array, body: Body) -> FlatField:
 
 
 def corner_falloff(field: FlatField) -> Array:
-    """Return the share (channel) of the light that is lost in the corner that loses most."""
+    """Return the fraction of light, per channel, that is lost in the darkest corner."""
     corners = field.shading_gain[:, [0, 0, -1, -1], [0, -1, 0, -1]]
     return np.asarray(1.0 - 1.0 / corners.max(axis=1))
 
 
 def _surface(y: Array, x: Array) -> Array:
-    """Return the terms (place, term) of the polynomial at y, x from −1 to 1, the first term being 1."""
+    """Return the polynomial's terms (place, term) at y, x from −1 to 1. The first term is 1."""
     powers = [(down, across) for down in range(DEGREE + 1) for across in range(DEGREE + 1 - down)]
     return np.stack([y**down * x**across for down, across in powers], axis=1)
 
 
 def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Array]:
-    """Return the place from −1 to 1, and value, of means over cells of all pixels of a channel."""
+    """Return position, y and x from −1 to 1, and value of a channel's means over cells."""
     places: list[tuple[Array, Array, Array]] = []
     y, x = (np.linspace(-1.0, 1.0, length) for length in response.shape)
     down = np.broadcast_to(y[:, None], response.shape)
@@ -193,8 +211,10 @@ def _by_cell(site: Array) -> Array:
 
 
 def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraModel:
-    """Return the camera with the defects of its dark and white frames, and with a flat field if the whites are even: for
-    noise they need not be."""
+    """Return the camera with its defect map, and with a flat field if the white frames are even.
+
+    Noise measurements work with uneven white frames, so these are no error.
+    """
     shape = (body.rows, body.cols)
     defects = statistics.defect_map(sensor.defects, sensor.dark.hot, shape)
     try:
@@ -204,10 +224,10 @@ def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraM
 
 
 def correct_by_frames(camera: CameraModel, measurements: Measurements) -> CameraModel:
-    """Return the camera with the defects and the flat field of dark and white frames, of one exposure or several; all else
-    stays.
+    """Return the camera with defect map and flat field from dark and white frames. Nothing else changes.
 
-    InputFileError if the whites are too dark, clipped or uneven, or if too many pixels are defective.
+    The frames may have one exposure or several. Raises InputFileError if the whites are too dark, clipped or uneven, or if
+    too many pixels are defective.
     """
     body, darks = measurements.body, measurements.darks
     means = [statistics.mean_frame(capture).astype(np.float64) for capture in darks]
@@ -222,15 +242,15 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
     every = statistics.joined_defects(hot, dead)
     if len(every) > MOST_DEFECTIVE * response.size:
         raise InputFileError(
-            f"{len(every) / response.size:.0%} of the pixels would be defective; are the dark frames without light, "
-            "the white ones of an even white?"
+            f"{len(every) / response.size:.0%} of the pixels would count as defective; check that the dark frames are "
+            "without light and the white frames even"
         )
     found = statistics.defect_map(every, hot, (body.rows, body.cols))
     return replace(camera, defects=found, flat_field=flat_field(response, body), fit=camera.fit or Fit())
 
 
 def _nearest(darks: Sequence[Capture], exposure: float) -> int:
-    """Return the dark capture whose exposure time is nearest, by ratio."""
+    """Return the index of the dark capture with the nearest exposure time, by ratio."""
     return int(np.argmin([abs(np.log(dark.exposure / exposure)) for dark in darks]))
 
 
@@ -246,11 +266,11 @@ def _check_level(mean: NDArray[np.floating], camera: CameraModel, name: str) -> 
 
 @dataclass(frozen=True)
 class Series:
-    """Patches of every capture, dark value taken out."""
+    """Patch values of all captures of a chart behind filters, dark signal subtracted."""
 
-    lights: tuple[str, ...]  # bands by centre
+    lights: tuple[str, ...]  # names of the bands, sorted by centre
     light: NDArray[np.int64]  # (capture) index of its band
-    lit: Array  # (capture) s of light
+    lit: Array  # (capture) s under light
     values: Array  # (capture, patch, channel) DN
     valid: NDArray[np.bool_]  # (capture, patch, channel) not saturated
 
@@ -258,9 +278,32 @@ class Series:
 def fit_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, white_level: float
 ) -> tuple[Curves, SeriesFit]:
-    """Return responses to each band, and how well signals follow exposure; saturated patches are left out.
+    """Fit the response to each band of a chart behind narrow filters, and check linearity.
 
-    InputFileError if a channel is saturated in all captures of a band, or if a band has a single exposure.
+    Saturated patches are left out.
+
+    Parameters
+    ----------
+    captures : sequence of BandCapture
+        The chart behind each filter, with two exposures or more each.
+    darks : sequence of Capture
+        Dark frames; may be empty.
+    body : Body
+        Camera.
+    black_level, white_level : float
+        DN.
+
+    Returns
+    -------
+    Curves
+        Relative responsivity at the centres of the bands.
+    SeriesFit
+        Details of the fit.
+
+    Raises
+    ------
+    InputFileError
+        If a channel is saturated in all captures of a band, or if a band has a single exposure.
     """
     limit = black_level + noise.SATURATED * (white_level - black_level)
     series = measure_series(captures, darks, body, black_level, limit)
@@ -293,7 +336,7 @@ def fit_series(
 def measure_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, limit: float
 ) -> Series:
-    """Return the patches of every capture, bands in the order of their centres."""
+    """Measure the patches of every capture. Bands are sorted by their centres."""
     names = list(dict.fromkeys(capture.illuminant for capture in captures))
     names.sort(key=lambda name: next(band_centre(capture) for capture in captures if capture.illuminant == name))
     dark = dark_levels([capture.exposure for capture in captures], darks, body, black_level)
@@ -308,7 +351,10 @@ def measure_series(
 
 
 def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body, black_level: float) -> Array:
-    """Return the DN (exposure, channel) in the dark, interpolated between lens-cap frames; without any, `black_level`."""
+    """Return the dark signal (exposure, channel) in DN, interpolated between dark frames.
+
+    Without dark frames it is `black_level`.
+    """
     if not darks:
         return np.full((len(exposures), len(body.channels)), black_level)
     known = np.array([capture.exposure for capture in darks])
@@ -320,8 +366,17 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
 
 
 def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the signals as proportional to exposure: rates (light, patch, channel) DN/s from all unsaturated captures of a
-    band; of every capture the value (capture, patch, channel) that the others of its band predict; and where one is."""
+    """Fit signals in proportion to exposure, and predict each capture from the others of its band.
+
+    Returns
+    -------
+    rates : ndarray, (light, patch, channel)
+        DN/s from all unsaturated captures of a band.
+    predicted : ndarray, (capture, patch, channel)
+        DN that the other captures of the band predict.
+    used : ndarray of bool, (capture, patch, channel)
+        Where there is a prediction.
+    """
     weight = series.lit[:, None, None] * series.valid
     products, squares = weight * series.values, weight * series.lit[:, None, None]
     same = series.light == np.arange(len(series.lights))[:, None]
@@ -334,22 +389,23 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def band_centre(capture: BandCapture) -> float:
-    """Return the centre of gravity in nm of what a filter lets through at half its peak or more."""
+    """Return the centroid in nm of the part of a filter's band that is at least half its peak."""
     return light_centre(capture.wavelength, capture.radiance.sum(axis=0))
 
 
 def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array, Array]:
-    """Return the centres (light) nm of the bands and the light of every patch (light, patch) in them, in the unit of the
-    radiances."""
+    """Return the centre of each band (light) in nm, and the light on each patch (light, patch) in the radiances' unit."""
     first = [captures[int(np.argmax(series.light == band))] for band in range(len(series.lights))]
     photons = [capture.radiance @ spectra.bin_widths(capture.wavelength) for capture in first]
     return np.array([band_centre(capture) for capture in first]), np.array(photons)
 
 
 def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
-    """Return (light, channel) mean over patches of rates (light, patch, channel) over photons (light, patch), and its
-    relative spread over patches. What a patch gets more or less of all bands, each in its brightest channel, is uneven
-    light, and taken out."""
+    """Return the response (light, channel), averaged over patches, and its relative spread over patches.
+
+    `rates` is (light, patch, channel), `photons` (light, patch). Uneven light changes a patch's value in all bands alike. It
+    is estimated in the brightest channel of each band and divided out.
+    """
     each = rates / photons[..., None]
     response = np.nanmean(each, axis=1)  # a patch may be saturated in every capture
     relative = each / response[:, None]
@@ -359,7 +415,10 @@ def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
 
 
 def linearity_errors(series: Series, span: float) -> Array:
-    """Return (channel) mean over bands and patches of the deviation from a line, of three captures or more in 5–95 %."""
+    """Return the linearity error per channel, averaged over bands and patches.
+
+    It uses patches with three or more captures within 5–95 % of the span.
+    """
     low, high = (share * span for share in noise.LINEAR)
     errors: list[list[float]] = [[] for _ in range(series.values.shape[2])]
     chosen = series.valid & (series.values >= low) & (series.values <= high)
@@ -372,7 +431,7 @@ def linearity_errors(series: Series, span: float) -> Array:
 
 
 def named(captures: Sequence[BandCapture], series: Series, body: Body) -> tuple[str, ...]:
-    """Return the captures with saturated patches, and how many in which channel."""
+    """Return a line for each capture with saturated patches: their number per channel."""
     lines = []
     for capture, valid in zip(captures, series.valid, strict=True):
         counts = zip(body.channels, (~valid).sum(axis=0), strict=True)

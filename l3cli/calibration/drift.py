@@ -1,9 +1,9 @@
-"""Drift of lamps that nobody watched, from the disagreement of the charts (docs/method.md#drift-of-lamps).
+"""Estimate lamp drift that nobody monitored from the disagreement of the charts (docs/method.md#drift-of-lamps).
 
-A lamp that is brighter during a capture than when its spectrum was measured makes the responses of all channels too large
-by one factor. Of the steps of a monochromator such factors deform the curves, slowly over wavelength, so that they look
-like the curves' own shape; of charts they change the scale. The charts show both: by how much each of them, in each
-channel, exceeds what the curves predict.
+If a lamp is brighter during a capture than when its spectrum was measured, the responses of all channels grow by one
+factor. For the steps of a monochromator, such factors deform the curves slowly over wavelength, so that the deformation
+looks like the curves' own shape. For charts, they change the scale. Comparing each chart in each channel with the
+prediction from the curves reveals both.
 """
 
 from dataclasses import dataclass
@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 from l3cli.calibration.captures import Charts
 from l3cli.calibration.responsivity import Sweep, chart_factors, fit_gain, smoothers
 
-MEMORY = 0.8  # correlation of a lamp's drift from one capture to the next, in the order of the measurement file
-CHART_ERROR = 0.002  # relative, of a chart's mean in a channel: 24 patches, each known to 0.5 %, leave half of it
-TRIED = np.geomspace(2e-4, 0.2, 100)  # relative standard deviations of a drift that are compared
-EVIDENCE = 4.0  # natural logarithm of how much more probable than the declared drift another must be
+MEMORY = 0.8  # correlation of a lamp's drift between consecutive captures of the measurement file
+CHART_ERROR = 0.002  # relative error of a chart's mean in a channel; 24 patches known to 0.5 % each explain half of it
+TRIED = np.geomspace(2e-4, 0.2, 100)  # candidate relative standard deviations of the drift
+EVIDENCE = 4.0  # natural log of the likelihood ratio by which a drift must beat the declared drift
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class DriftError:
-    """A drift that the charts show, and what it leaves uncertain."""
+    """Lamp drift that the charts reveal, and the uncertainty that it causes."""
 
-    deviation: float  # relative standard deviation of lamps about their measured spectra
-    curve_error: Array  # (channel, wavelength) standard deviation of the responsivities, their scale apart
-    scale_error: float  # relative standard deviation of the scale that the charts give
+    deviation: float  # relative standard deviation of the lamps from their measured spectra
+    curve_error: Array  # (channel, wavelength) standard deviation of the responsivities, not counting their scale
+    scale_error: float  # relative standard deviation of the scale from the charts
 
 
 def estimate_drift(
@@ -93,8 +93,10 @@ def estimate_drift(
 
 
 def _deviation(factors: Array, covariance: Array, declared: float) -> float | None:
-    """Return the deviation that explains logarithms of factors (factor), which have this `covariance` for a deviation of 1;
-    None if the declared one explains them."""
+    """Return the drift that explains the log factors (factor), or None if the declared drift explains them.
+
+    `covariance` is the covariance of the log factors for a drift of 1.
+    """
     variance, directions = np.linalg.eigh(covariance)
     seen = (directions.T @ factors) ** 2
     tried = np.append(TRIED, declared)

@@ -1,4 +1,4 @@
-"""Figures of a calibrated camera in EMVA 1288 names and units, beside a known truth, and the reasons not to trust it."""
+"""Figures of a calibrated camera in EMVA 1288 terms, their errors against a known truth, and reasons to distrust them."""
 
 from typing import Any
 
@@ -16,15 +16,21 @@ from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 from l3cli.system.text import columns, figure
 
-SHOWN = 8  # defects listed in the text; JSON and the artifact hold all
-LEAST_EFFICIENCY = 0.01  # at the peak: below, a unit is more likely than such a camera
-MOST_MISFIT = 0.03  # of the brightest patch: RMS over the patches of a photo
-LARGEST_POWER = 4  # of ten: larger factors are stated as powers
-LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration has failed
+SHOWN = 8  # defects listed in the text; JSON and the artifact contain all
+LEAST_EFFICIENCY = 0.01  # at the peak; below this, a wrong unit is more likely than such a camera
+MOST_MISFIT = 0.03  # largest RMS misfit of a photo's patches, as a fraction of the brightest patch
+LARGEST_POWER = 4  # factors of 10^4 and more are printed as powers of ten
+LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # limits for every channel; beyond them the calibration has failed
 
 
 def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
-    """Return the figures of the whole camera: EMVA 1288 name → value, unit."""
+    """Return the figures of the whole camera.
+
+    Returns
+    -------
+    dict
+        EMVA 1288 name → (value, unit).
+    """
     noise = camera.noise
     return {
         "overall system gain K": (camera.gain, "DN/e-"),
@@ -39,8 +45,14 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def figures(camera: CameraModel) -> dict[str, Any]:
-    """Return the figures of a camera and, as far as they were measured, of its channels, of lights and bands, ready for
-    JSON."""
+    """Return all figures of a camera, ready for JSON.
+
+    Returns
+    -------
+    dict
+        Figures of the camera and, as far as they were measured, of its channels, lights, bands, gains and photos. The
+        entries of figures that were not measured are empty or None.
+    """
     fit = camera.fit or Fit()
     columns: dict[str, Any] = {}
     if fit.chart is not None:
@@ -78,7 +90,7 @@ def figures(camera: CameraModel) -> dict[str, Any]:
 
 
 def _curves(camera: CameraModel) -> dict[str, Any]:
-    """Return the range of the curves; of each channel peak and full width at half maximum (None: it falls less)."""
+    """Return the range of the curves, and peak and FWHM of each channel. FWHM is None if the curve does not fall to half."""
     grid = camera.wavelength
     channels = {
         name: {"peak (nm)": float(grid[curve.argmax()]), "FWHM (nm)": full_width(grid, curve)}
@@ -88,7 +100,7 @@ def _curves(camera: CameraModel) -> dict[str, Any]:
 
 
 def _corners(camera: CameraModel) -> dict[str, float] | None:
-    """Return the light lost in the darkest corner, by channel."""
+    """Return the percentage of light lost in the darkest corner, per channel."""
     if camera.flat_field is None:
         return None
     lost = 100.0 * corner_falloff(camera.flat_field)
@@ -96,8 +108,7 @@ def _corners(camera: CameraModel) -> dict[str, float] | None:
 
 
 def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
-    """Return the absolute efficiency at each channel's peak, the half width of its 95 % band if it is known, and Eq. 2's
-    offset."""
+    """Return the peak quantum efficiency per channel, its 95 % band if known, and the offset of Eq. 2."""
     peak = camera.responsivity.argmax(axis=1)[:, None]
     height, band = (np.take_along_axis(of, peak, 1)[:, 0] for of in (camera.responsivity, camera.responsivity_band))
     known = {"± 95 % (%)": 100.0 * band} if camera.responsivity_band.any() else {}
@@ -105,7 +116,7 @@ def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
 
 
 def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
-    """Return EMVA 1288's figures; dynamic range is of electrons, from saturation to a signal-to-noise ratio of 1."""
+    """Return the EMVA 1288 figures. The dynamic range is from saturation down to a signal-to-noise ratio of 1."""
     least = sensitivity_threshold(noise.read_noise, noise.conversion_gain)
     return {
         "K (DN/e-)": noise.conversion_gain,
@@ -132,7 +143,7 @@ def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]
 
 
 def _gains(camera: CameraModel) -> dict[str, dict[str, float]]:
-    """Return the figures of the whole camera at each of its analog gains."""
+    """Return the figures of the whole camera at each analog gain."""
     rows = {}
     for times in sorted([1.0, *camera.gains.analog_gain]) if camera.gains else []:
         there = camera.at_gain(float(times))
@@ -160,7 +171,7 @@ def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]
 
 
 def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
-    """Return the uncertainties of the curves, and of the responses to surfaces under other lights that they are for."""
+    """Return the uncertainty of the curves, and of the colours that they predict under other lights."""
     band = camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     return {
         "curve ± 95 % (% of peak)": 100.0 * np.sqrt(np.mean(band**2, axis=1)),
@@ -169,7 +180,7 @@ def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
 
 
 def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
-    """Return light, chart and what disturbed each photo."""
+    """Return light, chart, unevenness, glare and misfit of each photo."""
     rows = {}
     for index, name in enumerate(fit.names):
         place = np.stack(np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 5)), axis=-1)
@@ -191,9 +202,24 @@ def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
 
 
 def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
-    """Return the differences between a calibrated camera and the one that was measured: figures, and curves of each channel.
+    """Compare a calibrated camera with the true camera, figure by figure and curve by curve.
 
-    InputFileError if the two do not have the same channels.
+    Parameters
+    ----------
+    camera : CameraModel
+        Calibrated camera.
+    truth : CameraModel
+        Camera from which the measurements were simulated.
+
+    Returns
+    -------
+    dict
+        "camera" has recovered value, true value, unit and error of each figure. "channels" has the errors of the curves.
+
+    Raises
+    ------
+    InputFileError
+        If the cameras have different channels.
     """
     if camera.channels != truth.channels:
         raise InputFileError(
@@ -222,7 +248,7 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
 
 
 def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """Return the columns (channel) as one row of plain numbers a channel."""
+    """Turn columns, each an array (channel), into one dict of plain numbers per channel."""
     return {
         name: {title: float(column[index]) for title, column in columns.items()}
         for index, name in enumerate(camera.channels)
@@ -230,8 +256,15 @@ def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[
 
 
 def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
-    """Return `figures`, with `compare` under "truth" if there, as lines of text; tables wider than `width` characters are
-    divided."""
+    """Format figures as lines of text.
+
+    Parameters
+    ----------
+    result : dict
+        The result of `figures`, with the result of `compare` under "truth" if there is a truth.
+    width : int, optional
+        Largest width in characters; wider tables are split.
+    """
     truth = result.get("truth")
     lines = []
     for name, entry in result["camera"].items():
@@ -263,7 +296,7 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
 
 
 def _curve_lines(curves: dict[str, Any], width: int | None) -> list[str]:
-    """Return the peak and width of each channel's curve."""
+    """Format the peak and width of each channel's curve."""
     rows = []
     for name, curve in curves["channels"].items():
         wide = "–" if curve["FWHM (nm)"] is None else f"{curve['FWHM (nm)']:.0f}"
@@ -273,7 +306,7 @@ def _curve_lines(curves: dict[str, Any], width: int | None) -> list[str]:
 
 
 def _correction_lines(result: dict[str, Any]) -> list[str]:
-    """Return lines on a camera's defect map and flat field."""
+    """Format the defect map and the flat field."""
     lines = []
     if found := result["defect map"]:
         lines.append("defect map: " + ", ".join(f"{what} {count}" for what, count in found.items()))
@@ -284,7 +317,15 @@ def _correction_lines(result: dict[str, Any]) -> list[str]:
 
 
 def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | None = None) -> list[str]:
-    """Return lines on the colour errors of measured surfaces that the exported matrices of each light leave."""
+    """Format the colour errors that the exported matrices leave, per light and matrix.
+
+    Parameters
+    ----------
+    matrices : dict
+        Light → matrix → errors in ΔE00 over measured surfaces.
+    width : int, optional
+        Largest width in characters.
+    """
     headings = ["light", "matrix", "ΔE00 mean", "95 %", "worst", "of L*", "a*", "b*"]
     rows = [
         [
@@ -300,14 +341,14 @@ def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | No
 
 
 def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
-    """Return the rows of numbers below two lines of headings: names, and the units that stand in brackets after them."""
+    """Format a table with two heading lines: names, and units from the brackets after the names."""
     titles = list(next(iter(rows.values())))
     headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
     return columns(headings, [[name, *(figure(row[title], ".5g") for title in titles)] for name, row in rows.items()], width)
 
 
 def _photo_lines(result: dict[str, Any]) -> list[str]:
-    """Return lines on the results of photos of charts, and how to read their bands."""
+    """Format the results of photos of charts, with a hint on reading their bands."""
     lines = [""]
     for name, photo in result["photos"].items():
         light = guessed_light(photo["probable lights"]) if photo["guessed"] else photo["light"]
@@ -325,8 +366,10 @@ def _photo_lines(result: dict[str, Any]) -> list[str]:
 
 
 def doubts(camera: CameraModel) -> list[str]:
-    """Return a sentence on lamps that drifted more than is declared, and on each photo whose patches contradict the light
-    that was named for it."""
+    """Return warnings about a camera that is still usable.
+
+    The warnings concern lamps that drifted more than declared, and photos whose patches contradict the named light.
+    """
     if camera.fit and camera.fit.drift:
         drift = camera.fit.drift
         return [
@@ -346,14 +389,17 @@ def doubts(camera: CameraModel) -> list[str]:
 
 
 def _times(logarithm: float) -> str:
-    """Return a factor by its natural logarithm, in words."""
+    """Format a factor given by its natural logarithm."""
     power = logarithm / np.log(10)
     return f"{float(f'{10**power:.1g}'):.0f}" if power < LARGEST_POWER else f"10^{power:.0f}"
 
 
 def shortfall(camera: CameraModel) -> str | None:
-    """Return the reason not to trust a camera: a sentence that names captures that disagree, an efficiency that is hardly a
-    camera's, or the channel that its validation fails; or None."""
+    """Return why a camera should not be trusted, or None.
+
+    The sentence names captures that disagree, an implausible efficiency, a photo whose patches do not fit, or a channel that
+    fails its validation.
+    """
     if camera.fit and camera.fit.sweep and camera.fit.sweep.odd:
         odd = camera.fit.sweep.odd
         more = f" and {len(odd) - 1} more" if len(odd) > 1 else ""
@@ -370,19 +416,19 @@ def shortfall(camera: CameraModel) -> str | None:
         fit, rmse = float(validation.r_squared[index]), float(validation.relative_rmse[index])
         if fit < LEAST_R_SQUARED or rmse > MOST_RMSE:
             return (
-                f"channel {name} is predicted with R² {fit:.4f} and a relative RMSE of {100 * rmse:.2f} %, "
-                f"{LEAST_R_SQUARED} and {100 * MOST_RMSE:g} % are wanted; check lights and captures"
+                f"channel {name} is predicted with R² {fit:.4f} and a relative RMSE of {100 * rmse:.2f} %, but the limits "
+                f"are {LEAST_R_SQUARED} and {100 * MOST_RMSE:g} %; check lights and captures"
             )
     return None
 
 
 def _photo_shortfall(fit: PhotoFit, channels: tuple[str, ...]) -> str | None:
-    """Return the reason not to trust photos of charts: patches that do not fit."""
+    """Return which photo's patches do not fit, or None."""
     for index, name in enumerate(fit.names):
         worst = int(fit.misfit[index].argmax())
         if fit.misfit[index, worst] > MOST_MISFIT:
             return (
                 f"{name}: the patches of the chart are off by {100 * fit.misfit[index, worst]:.1f} % of the brightest in "
-                f"channel {channels[worst]}, {100 * MOST_MISFIT:g} % may be; check chart and light"
+                f"channel {channels[worst]}, more than the allowed {100 * MOST_MISFIT:g} %; check chart and light"
             )
     return None

@@ -1,4 +1,4 @@
-"""Measurements → camera model: the steps of docs/method.md#calibration in their order."""
+"""Build a camera model from measurements. The steps follow docs/method.md#calibration in order."""
 
 from dataclasses import replace
 
@@ -25,19 +25,33 @@ from l3cli.calibration.statistics import Each, channel_shares
 from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.measurement import Body, Measurements, SensorFigures
 
-DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothings tried in Eq. 1
-LEAST_R_SQUARED = 0.5  # charts that fit worse were not measured as the measurement file says
+DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothing weights that Eq. 1 tries
+LEAST_R_SQUARED = 0.5  # a lower R² means that the charts were not measured as the measurement file says
 Array = NDArray[np.float64]
-TOLERANCE = 0.1  # relative, by which a setting may differ from what frames say of it
-SAME_SPEED = 1.25  # by which a gain may differ from that of its ISO speed, either way
-CERTAIN = 4.0  # standard deviations of a gain that do
+TOLERANCE = 0.1  # largest relative difference between a setting in the file and the frames
+SAME_SPEED = 1.25  # largest factor, up or down, between a measured gain and the gain that the ISO speed implies
+CERTAIN = 4.0  # a gain must differ by this many standard deviations before it counts as wrong
 
 
 def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
-    """Return the camera that explains the measurements (docs/method.md#calibration); InputFileError names the unusable
-    capture.
+    """Estimate a camera model from measurements (docs/method.md#calibration).
 
-    `each` maps a function over captures: the built-in map, or one that keeps several processes busy.
+    Parameters
+    ----------
+    measurements : Measurements
+        Captures and settings, as a measurement file describes them.
+    each : callable
+        Maps a function over captures: the built-in `map`, or a map that spreads the work over several processes.
+
+    Returns
+    -------
+    CameraModel
+        The camera, with the results of each fit in `fit`.
+
+    Raises
+    ------
+    InputFileError
+        If a capture is unusable or contradicts the others. The message names the capture.
     """
     body, drift = measurements.body, measurements.lamp_drift
     if measurements.base is not None:
@@ -76,8 +90,11 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
 
 
 def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = map) -> AnalogGains | None:
-    """Return gain and read noise at each ISO speed of dark and white frames, by photon transfer (docs/method.md#gains); None
-    if none is stated. InputFileError if a gain is not that of its ISO speed."""
+    """Measure gain and read noise at each ISO speed from its dark and white frames (docs/method.md#gains).
+
+    Returns None if the measurement file states no ISO speed. Raises InputFileError if a measured gain does not match its ISO
+    speed.
+    """
     body, found = measurements.body, {}
     if measurements.iso is None:
         return None
@@ -88,8 +105,8 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
         times, stated = noise.gain / camera.gain, captures.iso / measurements.iso
         if not 1 / SAME_SPEED < times / stated < SAME_SPEED:
             raise InputFileError(
-                f"frames of ISO {captures.iso:g} have {times:.3g} times the gain of those of ISO {measurements.iso:g}, not "
-                f"{stated:.3g}; give frames of analog gain alone, or correct iso"
+                f"the gain at ISO {captures.iso:g} is {times:.3g} times the gain at ISO {measurements.iso:g}, but should be "
+                f"{stated:.3g} times; give frames with analog gain only, or correct iso"
             )
         found[times] = noise.noise.read_noise
     known = sorted(found)
@@ -97,13 +114,15 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
 
 
 def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
-    """Return a camera with relative curves of charts in photographs; its sensor of dark and white frames if there are any,
-    or as the photos and the data sheet say."""
+    """Build a camera with relative curves from photographs of charts.
+
+    Dark and white frames give the sensor's noise and levels. Without them, the photos and the data sheet do.
+    """
     try:
         curves, fit, sensor = fit_photos(measurements)
     except np.linalg.LinAlgError as error:
         name = measurements.photos[0].name
-        raise InputFileError(f"{name}: its patches fit no responsivities at all; check chart, light and levels") from error
+        raise InputFileError(f"{name}: no responsivities fit its patches; check chart, light and levels") from error
     if not measurements.whites:
         return assemble(measurements.body, sensor, curves, Fit(photo=fit))
     measured = measure_sensor(measurements, each)
@@ -113,8 +132,10 @@ def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
 
 
 def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> CameraModel:
-    """Return a camera with a data sheet's sensor and relative curves: of a table, a finished source, a chart behind
-    filters."""
+    """Build a camera with the sensor of a data sheet and relative curves.
+
+    The curves come from a table, from a finished source, or from a chart photographed behind filters.
+    """
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
     if measurements.curve is not None:
         return assemble(body, figures, responsivity.without_fit(measurements.curve, body, drift, shift), Fit())
@@ -128,8 +149,11 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> Camer
 def fit_curves(
     sweep: responsivity.Sweep, charts: Charts, black_level: Array, measurements: Measurements, left_out: tuple[str, ...]
 ) -> tuple[Curves, SweepFit, DriftError | None]:
-    """Fit Eq. 1 with the smoothing that predicts the charts best, each channel scaled to a peak of 1, and its band, which
-    holds the drift of lamps that the charts show, if they show more than is declared."""
+    """Fit Eq. 1 and return the curves, the fit, and the lamp drift if the charts reveal one.
+
+    The smoothing is the one that predicts the charts best. Each channel is scaled to a peak of 1. If the charts disagree by
+    more than the declared drift explains, the confidence band includes the drift that they show.
+    """
     errors = np.array([_validation_error(sweep, charts, delta, black_level) for delta in DELTAS])
     delta = responsivity.choose_smoothing(DELTAS, errors)
     curves = responsivity.solve_channels(sweep, delta)
@@ -144,7 +168,7 @@ def fit_curves(
 
 
 def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black_level: Array) -> float:
-    """Return the cross-validated relative RMSE over the charts, mean over channels."""
+    """Return the cross-validated relative RMSE over the charts, averaged over channels."""
     photons = charts.photons @ responsivity.solve_channels(sweep, delta).T
     channels = range(len(black_level))
     return float(
@@ -155,7 +179,7 @@ def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, b
 def check_charts(
     measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, smoothing: float, black_level: Array
 ) -> None:
-    """Raise InputFileError if a chart contradicts the others, or all of them the monochromator."""
+    """Raise InputFileError if one chart contradicts the others, or all charts contradict the monochromator."""
     curves = responsivity.solve_channels(sweep, smoothing)
     measured = (charts.values - black_level).sum(axis=1)
     predicted = (charts.photons @ curves.T).sum(axis=1)
@@ -166,8 +190,11 @@ def check_charts(
 def fit_charts(
     charts: Charts, relative: Array, black_level: Array, drift: float, body: Body, odd: tuple[str, ...] = ()
 ) -> ChartFit:
-    """Fit and validate Eq. 2 for every channel; InputFileError if the charts contradict the curves, which is blamed on the
-    `odd` captures of these if there are any."""
+    """Fit and validate Eq. 2 for every channel.
+
+    Raises InputFileError if the charts contradict the curves. If there are `odd` monochromatic captures, the message blames
+    the first of them.
+    """
     photons = charts.photons @ relative.T
     fits = []
     for channel, level in enumerate(black_level):
@@ -199,8 +226,10 @@ def fit_charts(
 
 
 def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
-    """Return the noise of dark and white frames in electrons, by the conversion gain of the whole sensor. InputFileError if
-    channels have other gains than the measurement file says."""
+    """Convert the noise of dark and white frames to electrons, with the conversion gain of the whole sensor.
+
+    Raises InputFileError if the channels' measured gains contradict the measurement file.
+    """
     dark, transfer = sensor.dark, sensor.transfer
     own = conversion_gain(sensor, body) * body.channel_gains  # (channel) DN/e-
     check_gains(transfer.gain, transfer.gain_error, body)
@@ -222,8 +251,11 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
 
 
 def conversion_gain(sensor: Sensor, body: Body) -> float:
-    """Return K of the whole sensor, DN/e-, of those of each channel with its share of the pixels, or where channels are
-    exposed or amplified apart, as well as it is known."""
+    """Return the conversion gain K of the whole sensor in DN/e-.
+
+    K is the mean of the channels' gains, weighted by their numbers of pixels. If channels differ in exposure or
+    amplification, the weights are the inverse variances of the gains.
+    """
     each = sensor.transfer.gain / body.channel_gains
     if body.readout is None:
         return float(channel_shares(body) @ each)
@@ -231,7 +263,7 @@ def conversion_gain(sensor: Sensor, body: Body) -> float:
 
 
 def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
-    """Return one figure for all pixels, of those of each channel with its share of the pixels."""
+    """Average the channels' figures into one set for the whole sensor, weighted by their numbers of pixels."""
     pixels = channel_shares(body)
     conversion, black_level = conversion_gain(sensor, body), float(pixels @ sensor.dark.black_level)
 
@@ -249,7 +281,10 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
 
 
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
-    """Return the camera model, absolute where charts gave the scale; InputFileError if the levels contradict each other."""
+    """Assemble the camera model. It is absolute if charts gave the scale.
+
+    Raises InputFileError if the levels contradict each other.
+    """
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
@@ -258,7 +293,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
         check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
     elif body.readout is not None:
         curve, band = filter_curves(curve, band, body)
-    with raised_as(InputFileError, "the measurements make no camera", cure="; check dark and white frames"):
+    with raised_as(InputFileError, "the measurements do not give a valid camera", cure="; check dark and white frames"):
         return CameraModel(
             name=body.name,
             rows=body.rows,
@@ -293,7 +328,10 @@ def _declared(fit: Fit) -> tuple[str, ...]:
 
 
 def check_gains(measured: Array, error: Array, body: Body) -> None:
-    """Raise InputFileError if conversion gains (channel), known to `error`, contradict the gains of the measurement file."""
+    """Raise InputFileError if measured conversion gains contradict the channel gains of the measurement file.
+
+    `measured` and its standard deviation `error` are per channel, in DN/e-.
+    """
     if body.readout is None:
         return
     relative = measured / body.channel_gains
@@ -303,14 +341,16 @@ def check_gains(measured: Array, error: Array, body: Body) -> None:
     for channel in np.flatnonzero(certain & (np.abs(relative / usual - 1.0) > TOLERANCE)).tolist():
         name, seen = body.channels[channel], measured[channel] / usual
         raise InputFileError(
-            f"channel {name}: white frames say a gain of {seen:.3g} times that of the others, the measurement file "
-            f"{body.channel_gains[channel]:.3g}; correct channel.{name}.gain"
+            f"channel {name}: the white frames give {seen:.3g} times the gain of the other channels, the measurement "
+            f"file {body.channel_gains[channel]:.3g} times; correct channel.{name}.gain"
         )
 
 
 def check_exposures(responsivity: Array, body: Body) -> None:
-    """Raise InputFileError if efficiencies (channel, wavelength) of channels with one filter differ, as they do if an
-    exposure is not that of the measurement file."""
+    """Raise InputFileError if channels with the same filter differ in efficiency (channel, wavelength).
+
+    They differ if a channel's exposure is not the one that the measurement file states.
+    """
     if body.readout is None:
         return
     whole = responsivity.sum(axis=1)
@@ -319,21 +359,24 @@ def check_exposures(responsivity: Array, body: Body) -> None:
         if abs(ratio - 1.0) > TOLERANCE:
             name, seen = body.channels[channel], body.channel_exposures[channel] * ratio
             raise InputFileError(
-                f"channel {name} responds as if exposed for {seen:.3g} of the frame's time beside {body.channels[first]}, "
-                f"the measurement file says {body.channel_exposures[channel]:.3g}; correct channel.{name}.exposure"
+                f"channel {name} responds as if exposed for {seen:.3g} of the frame's time, compared with "
+                f"{body.channels[first]}, but the measurement file states {body.channel_exposures[channel]:.3g}; correct "
+                f"channel.{name}.exposure"
             )
 
 
 def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]:
-    """Return the relative curves and bands (channel, wavelength) of what channels give, from those of their filters, peak
-    1."""
+    """Divide the channels' curves and bands (channel, wavelength) by gain and exposure, and scale the highest peak to 1."""
     setting = (body.channel_gains * body.channel_exposures)[:, None]
     peak = float((curves / setting).max())
     return curves / setting / peak, band / setting / peak
 
 
 def measured_readout(body: Body, noise: NoiseFit | None, read_noise: float) -> Readout | None:
-    """Return the settings with the read noise measured, `read_noise` (e-) where none was; None: all channels alike."""
+    """Return the channels' settings with their read noise, or None if all channels are read out alike.
+
+    `read_noise` (e-) is used for every channel if there are no noise measurements.
+    """
     if body.readout is None:
         return None
     each = np.full(len(body.channels), read_noise) if noise is None else noise.read_noise

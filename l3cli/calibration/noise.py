@@ -1,7 +1,7 @@
-"""Noise of a sensor from stacks of frames, as EMVA 1288 defines it (docs/method.md#dark-and-white-frames).
+"""Sensor noise from stacks of frames as EMVA 1288 defines it (docs/method.md#dark-and-white-frames).
 
-Every temporal variance comes from differences of frames taken in pairs, in which the fixed pattern cancels; every spatial
-one has the variance of its estimator subtracted. Hot and dead pixels stay out.
+Temporal variances come from differences of pairs of frames, in which the fixed pattern cancels. Spatial variances are
+corrected for the temporal noise that remains in the averages. Hot and dead pixels are left out.
 """
 
 import functools
@@ -32,20 +32,20 @@ from l3cli.calibration.statistics import (
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
-SATURATED = 0.985  # share of the span from black to white level that counts as saturated
-TOLERATED = 1e-4  # share of saturated pixels that leaves a variance unharmed
-LINEAR = (0.05, 0.95)  # share of saturation over which EMVA 1288 judges linearity
-WINDOW = 7  # samples of one CFA site in a local mean: 5–9, wider ones see dust (docs/method.md#dark-and-white-frames)
+SATURATED = 0.985  # fraction of the span from black to white level from which a pixel counts as saturated
+TOLERATED = 1e-4  # fraction of saturated pixels that does not distort a variance
+LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluates linearity
+WINDOW = 7  # side of a local mean in samples of one CFA site; windows above 9 respond to dust
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """Results of lens-cap frames, each (channel)."""
+    """Results of the dark frames, per channel."""
 
     black_level: Array  # DN at zero exposure
     slope: Array  # DN/s
-    variance: Array  # DN² at zero exposure, quantisation taken out
+    variance: Array  # DN² at zero exposure, without quantisation
     dsnu: Array  # DN
     hot: Defects = field(default_factory=no_defects)
 
@@ -58,7 +58,7 @@ class PhotonTransfer:
     variance: Array  # (level, channel) DN²
     used: NDArray[np.bool_]  # (level, channel) below saturation
     white_level: float  # DN at which pixels saturate
-    white_level_reached: bool  # False: no frame saturates, the white level is the converter's top
+    white_level_reached: bool  # False if no frame saturates and the white level is the converter's maximum
     gain: Array  # (channel) DN/e-, conversion gain K
     gain_error: Array  # (channel) DN/e-, its standard deviation
     linearity_error: Array  # (channel) EMVA 1288 LE, relative
@@ -68,19 +68,22 @@ class PhotonTransfer:
 
 
 def line_weights(exposures: Array) -> tuple[Array, Array]:
-    """Return the weights (level) whose sums with values give intercept and slope of the least-squares line over
-    `exposures`."""
+    """Return the weights that turn values at `exposures` into intercept and slope of their least-squares line."""
     centred = exposures - exposures.mean()
     slope = centred / (centred @ centred)
     return 1.0 / exposures.size - exposures.mean() * slope, slope
 
 
 def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> DarkNoise:
-    """Measure black level, dark signal, read noise, DSNU and hot pixels from lens-cap frames; InputFileError without two
-    exposures."""
+    """Measure black level, dark signal, read noise, DSNU and hot pixels from dark frames.
+
+    Raises InputFileError if all frames have the same exposure.
+    """
     exposures = np.array([capture.exposure for capture in captures])
     if np.unique(exposures).size < 2:
-        raise InputFileError("the dark frames have a single exposure; dark current needs two or more, up to a second")
+        raise InputFileError(
+            "all dark frames have the same exposure; measuring dark current takes two or more, up to a second"
+        )
     intercept, slope = line_weights(exposures)
     weights = np.repeat(np.stack([intercept, slope])[..., None], len(body.channels), axis=2)
     offsets, slopes = weighted_sums(captures, weights, body, each)
@@ -102,8 +105,7 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 
 
 def _pixel_variance(site: Array) -> float:
-    """Return the variance of a picture without what its rows and columns have in common (column noise is no DSNU of
-    pixels)."""
+    """Return the variance of a picture without its row and column means, since column noise does not count as DSNU."""
     centred = site - site.mean(axis=0, keepdims=True)
     centred -= centred.mean(axis=1, keepdims=True)
     rows, cols = site.shape
@@ -114,15 +116,15 @@ def _pixel_variance(site: Array) -> float:
 
 
 def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> PhotonTransfer:
-    """Fit the conversion gain to the line of white levels sorted by exposure (docs/method.md#dark-and-white-frames).
+    """Fit the conversion gain to temporal variance against mean (docs/method.md#dark-and-white-frames).
 
-    Saturation is where the variance falls, be it the well or the converter; levels from there on stay out.
-    InputFileError if a channel has fewer than two levels below saturation.
+    `levels` are sorted by exposure. Saturation of the well or the converter begins where the variance falls; levels beyond
+    are not used. Raises InputFileError if a channel has fewer than two levels below saturation.
     """
     mean = np.array([mean_value(level.counts) for level in levels]) - dark.black_level
     variance = np.array([level.variance for level in levels])
     if not variance.max(axis=0).all():
-        raise InputFileError("the white frames hold no noise: all are saturated, or copies of one frame; take them again")
+        raise InputFileError("the white frames contain no noise, being saturated or copies of one frame; take them again")
     white_level, reached = saturation(levels, variance, 2**body.bits - 1)
     limit = dark.black_level.mean() + SATURATED * (white_level - dark.black_level.mean())
     clipped = np.array([share_from(level.counts, limit) for level in levels]) > TOLERATED
@@ -145,7 +147,10 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
 
 
 def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
-    """Return the slope of variance over mean (level) and its standard deviation; that of a variance is √(2/n) of itself."""
+    """Return the slope of variance over mean (level) and its standard deviation.
+
+    The standard deviation of a variance from n samples is √(2/n) times the variance.
+    """
     variance = np.array([level.variance[channel] for level in levels])
     samples = np.array([level.counts[channel].sum() / level.trials * (level.trials // 2) for level in levels])
     line, covariance = np.polyfit(mean, variance, 1, w=np.sqrt(samples / 2.0) / variance, cov="unscaled")
@@ -155,7 +160,10 @@ def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[
 def linearity_errors(
     levels: Sequence[Level], mean: Array, used: NDArray[np.bool_], dark: DarkNoise, white_level: float
 ) -> Array:
-    """Return EMVA 1288's LE (channel): mean relative deviation of the signal from a line; 0 with fewer than three levels."""
+    """Return the linearity error LE of EMVA 1288 per channel: the mean relative deviation of the signal from a line.
+
+    It is 0 if a channel has fewer than three usable levels.
+    """
     lit, exposure = np.array([(level.lit, level.exposure) for level in levels]).T
     errors = []
     for channel, signal in enumerate((mean - dark.slope * exposure[:, None]).T):
@@ -166,13 +174,17 @@ def linearity_errors(
 
 
 def linearity_error(lit: Array, signal: Array) -> float:
-    """Return the mean relative deviation of `signal` from the line over `lit` that makes relative deviations least."""
+    """Return the mean relative deviation of `signal` from its line over `lit`, fitted to relative deviations."""
     line = np.polyval(np.polyfit(lit, signal, 1, w=1.0 / signal), lit)
     return float(np.mean(np.abs(signal / line - 1.0)))
 
 
 def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[float, bool]:
-    """Return DN at which pixels saturate, and whether any did: the median of a channel whose variance has collapsed."""
+    """Return the DN at which pixels saturate, and whether any pixel did.
+
+    If the variance of a channel has collapsed at the longest exposure, the level is the median of that channel. Otherwise it
+    is the converter's maximum `top`.
+    """
     fallen = variance[-1] / variance.max(axis=0)
     channel = int(fallen.argmin())
     if fallen[channel] > 0.5:
@@ -184,9 +196,32 @@ def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[floa
 def prnu(
     captures: Sequence[Capture], levels: Sequence[Level], used: NDArray[np.bool_], body: Body, hot: Defects, each: Each = map
 ) -> tuple[Array, Defects, Array]:
-    """Return the relative spread (channel) of the pixels' slopes over exposure about their local mean (uneven light
-    cancels), the dead pixels, whose slope differs from that mean by a tenth or more, and slopes (row, col) in DN/s, theirs
-    patched."""
+    """Measure PRNU and dead pixels from the slopes of the pixels over exposure.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        White captures.
+    levels : sequence of Level
+        Their statistics.
+    used : ndarray of bool, (level, channel)
+        Levels below saturation.
+    body : Body
+        Camera.
+    hot : ndarray, (defect, 2)
+        Hot pixels.
+    each : callable
+        Map over captures.
+
+    Returns
+    -------
+    prnu : ndarray, (channel)
+        Relative spread of the slopes about their local mean, in which uneven light cancels.
+    dead : ndarray, (defect, 2)
+        Pixels whose slope differs from the local mean by a tenth or more.
+    slopes : ndarray, (row, col)
+        DN/s, defects replaced.
+    """
     weights = np.zeros(used.shape)
     for channel in range(used.shape[1]):
         chosen = used[:, channel]
@@ -201,8 +236,11 @@ def prnu(
 
 
 def dead_pixels(response: Array, cfa: NDArray[np.uint8]) -> tuple[Defects, Array]:
-    """Return the pixels whose response (row, col) to even light differs from its local mean by a tenth or more, and the
-    responses with theirs patched. Neighbours of a line or cluster are judged by a mean that those have been taken out of."""
+    """Find pixels whose response (row, col) to even light differs from the local mean by a tenth or more.
+
+    Returns the pixels and the response with these pixels replaced. The search runs twice: the second local mean leaves out
+    the suspects of the first, so that pixels beside a defective row or cluster are not blamed.
+    """
     suspect = outliers(_over_local_mean(response, response, cfa), cfa, LEAST_LOSS)
     if not suspect.size:
         return suspect, response
@@ -218,7 +256,7 @@ def _local_mean(site: Array) -> Array:
 
 
 def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Return the ratio (row, col) of each pixel to the mean of its neighbours of its CFA site in `patched`, minus 1."""
+    """Return the ratio (row, col), minus 1, of each pixel to the local mean of its CFA site in `patched`."""
     deviation = np.empty_like(picture)
     for (_, into), (_, site), (_, whole) in zip(
         *(by_site(each, cfa) for each in (deviation, picture, patched)), strict=True
@@ -228,9 +266,9 @@ def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> 
 
 
 def _local_spread(site: Array, temporal: float) -> float:
-    """Return the variance of site / local mean − 1, without the temporal variance `temporal` of each sample."""
+    """Return the variance of pixel over local mean, corrected for the temporal variance `temporal` of each sample."""
     inner = slice(WINDOW // 2, -(WINDOW // 2))
     local = _local_mean(site)[inner, inner]
     deviation = site[inner, inner] / local - 1.0
-    # A sample is part of its local mean, which shrinks its deviation by 1 − 1/n.
+    # Each sample is part of its own local mean, which reduces its deviation by the factor 1 − 1/n.
     return float(np.mean(deviation**2) / (1.0 - 1.0 / WINDOW**2) - temporal * np.mean(1.0 / local**2))

@@ -1,5 +1,9 @@
-"""Spectral responsivities: Eq. 1, tables and finished sources (docs/method.md#responsivity); Eq. 2, gain and offset of each
-channel from charts under known lights (docs/method.md#gain-and-offset)."""
+"""Spectral responsivities and the channels' gains.
+
+Eq. 1 gives curves from monochromatic captures; tables and finished sources are read as they are
+(docs/method.md#responsivity). Eq. 2 gives gain and offset of each channel from charts under known lights
+(docs/method.md#gain-and-offset).
+"""
 
 from dataclasses import dataclass, replace
 
@@ -13,16 +17,16 @@ from l3cli.frames import chart
 from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES, Body, ChartCapture, FinishedCurves, SweepTable
 from l3cli.physics import spectra
 
-NODE_STEP = 5.0  # nm between hats: 10 nm doubles the error (docs/method.md#responsivity)
-EDGE = 0.01  # share of a light's peak below which it does not reach a node
-PLATEAU = 1.05  # a smoothing whose error is within 5 % of the best is as good
-PILOT = 10.0  # the band's residuals are taken about a curve this much smoother
-BAND_FLOOR = 0.0002  # of the peak
-COVERAGE = 1.96  # standard deviations of a 95 % band
+NODE_STEP = 5.0  # nm between the hat functions; 10 nm doubles the error (docs/method.md#responsivity)
+EDGE = 0.01  # fraction of a light's peak below which the light does not reach a node
+PLATEAU = 1.05  # a smoothing whose error is within 5 % of the best counts as equally good
+PILOT = 10.0  # residuals for the confidence band refer to a curve with this multiple of the smoothing
+BAND_FLOOR = 0.0002  # fraction of the peak, the narrowest half width of a confidence band
+COVERAGE = 1.96  # standard deviations in the half width of a 95 % band
 Array = NDArray[np.float64]
-USUAL = (0.03, 1.0)  # peak quantum efficiencies of cameras, lens and filters included
+USUAL = (0.03, 1.0)  # plausible peak quantum efficiencies of cameras, lens and filters included
 PHOTONS_PER_JOULE = 2.5e18  # at 500 nm
-MISTAKES = {  # and by what each multiplies a quantum efficiency
+MISTAKES = {  # common mistakes, and the factor by which each multiplies the quantum efficiency
     "exposures were in ms (exposure_ms)": 1e-3,
     "exposures were in µs (exposure_us)": 1e-6,
     'radiances were in watts (unit = "W/(sr m² nm)")': PHOTONS_PER_JOULE,
@@ -35,16 +39,16 @@ MISTAKES = {  # and by what each multiplies a quantum efficiency
 
 @dataclass(frozen=True)
 class Sweep:
-    """Eq. 1's linear system: values = design @ responsivity, for all channels."""
+    """Linear system of Eq. 1 for all channels: values = design @ responsivity."""
 
     nodes: Array  # (wavelength) nm
-    design: Array  # (capture, wavelength) share of the capture's photons that a node's hat takes
+    design: Array  # (capture, wavelength) fraction of the capture's photons under each node's hat function
     values: Array  # (capture, channel) DN/photon
     valid: NDArray[np.bool_]  # (capture, channel) not saturated
 
 
 def node_grid(lights: list[tuple[Array, Array]]) -> Array:
-    """Return nodes (wavelength) nm every 5 nm over what the lights, (wavelength, radiance) each, reach."""
+    """Return nodes in nm, every 5 nm, over the range that the lights cover. Each light is a pair (wavelength, radiance)."""
     lit = [wavelength[radiance >= EDGE * radiance.max()] for wavelength, radiance in lights]
     first = np.floor(min(part[0] for part in lit) / NODE_STEP) * NODE_STEP
     last = np.ceil(max(part[-1] for part in lit) / NODE_STEP) * NODE_STEP
@@ -52,25 +56,37 @@ def node_grid(lights: list[tuple[Array, Array]]) -> Array:
 
 
 def light_centre(wavelength: Array, radiance: Array) -> float:
-    """Return the centre of gravity in nm of a light (wavelength) at half its peak or more."""
+    """Return the centroid in nm of the part of a spectrum that is at least half its peak."""
     inside = np.where(radiance >= radiance.max() / 2, radiance * spectra.bin_widths(wavelength), 0.0)
     return float(inside @ wavelength / inside.sum())
 
 
 def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
-    """Return (…, node): integral of radiance (…, wavelength) × each node's hat, photons/s/sr/m²."""
+    """Integrate radiance (…, wavelength) times each node's hat function: (…, node) in photons/s/sr/m²."""
     return np.asarray(spectra.resample(radiance, wavelength, nodes) * spectra.bin_widths(nodes), dtype=np.float64)
 
 
 def roughness(nodes: int) -> Array:
-    """Return second differences (nodes − 2, nodes)."""
+    """Return the matrix (nodes − 2, nodes) of second differences."""
     return np.diff(np.eye(nodes), n=2, axis=0)
 
 
 def solve(design: Array, values: Array, delta: float) -> Array:
-    """Return the responsivity r ≥ 0 (node) that minimises ‖values − design r‖² + delta ‖second differences of r‖².
+    """Minimise ‖values − design r‖² + delta ‖second differences of r‖² over r ≥ 0.
 
-    values (capture) are scaled to their peak meanwhile, so that delta means the same for every channel and unit.
+    Parameters
+    ----------
+    design : ndarray, (capture, node)
+        System matrix.
+    values : ndarray, (capture)
+        Right-hand side. It is scaled to a peak of 1 for the fit, so that `delta` means the same for every channel and unit.
+    delta : float
+        Weight of the smoothing.
+
+    Returns
+    -------
+    ndarray, (node)
+        Responsivity r in the unit of `values`.
     """
     from scipy.optimize import nnls
 
@@ -81,13 +97,13 @@ def solve(design: Array, values: Array, delta: float) -> Array:
 
 
 def solve_channels(sweep: Sweep, delta: float) -> Array:
-    """Return responsivities (channel, wavelength) DN/photon, each from its unsaturated captures."""
+    """Solve Eq. 1 for each channel from its unsaturated captures: (channel, wavelength) in DN/photon."""
     columns = zip(sweep.values.T, sweep.valid.T, strict=True)
     return np.array([solve(sweep.design[valid], values[valid], delta) for values, valid in columns])
 
 
 def residuals(sweep: Sweep, responsivity: Array) -> Array:
-    """Return the RMS (channel) of what Eq. 1 leaves unexplained, over the channel's largest value."""
+    """Return the RMS residual of Eq. 1 for each channel, relative to the channel's largest value."""
     relative = []
     for values, valid, curve in zip(sweep.values.T, sweep.valid.T, responsivity, strict=True):
         rest = values[valid] - sweep.design[valid] @ curve
@@ -96,8 +112,10 @@ def residuals(sweep: Sweep, responsivity: Array) -> Array:
 
 
 def choose_smoothing(deltas: Array, errors: Array) -> float:
-    """Return the logarithmic middle of the plateau about the least error, which alone is chance
-    (docs/method.md#responsivity)."""
+    """Return the geometric middle of the plateau around the smallest error.
+
+    The exact minimum is a matter of chance (docs/method.md#responsivity).
+    """
     best = int(errors.argmin())
     good = errors <= PLATEAU * errors[best]
     first, last = best, best
@@ -109,10 +127,26 @@ def choose_smoothing(deltas: Array, errors: Array) -> float:
 
 
 def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: float, wavelength_error: float) -> Array:
-    """Return the half width (channel, wavelength) of a 95 % band about `responsivity` (docs/method.md#confidence-bands).
+    """Return the half width (channel, wavelength) of the 95 % confidence band (docs/method.md#confidence-bands).
 
-    Leverage-corrected residuals of random sign about a smoother pilot, whose spread is known in closed form because the
-    estimate is linear where r > 0; in quadrature with the pilot's bias, lamp drift, wavelength error and a floor.
+    Parameters
+    ----------
+    sweep : Sweep
+        Monochromatic captures.
+    responsivity : ndarray, (channel, wavelength)
+        Curves from `sweep` with the smoothing `delta`.
+    delta : float
+        Smoothing of Eq. 1.
+    drift : float
+        Relative standard deviation of the lamp drift.
+    wavelength_error : float
+        Standard deviation of the wavelengths in nm.
+
+    Notes
+    -----
+    The spread is the one that random signs of the leverage-corrected residuals about a smoother pilot curve would cause. It
+    has a closed form because the estimate is linear where r > 0. The pilot's bias, the lamp drift, the wavelength error and
+    a floor are added in quadrature.
     """
     bands = []
     for channel, curve in enumerate(responsivity):
@@ -139,14 +173,16 @@ def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: flo
 
 
 def _smoother(design: Array, delta: float) -> Array:
-    """Return (node, capture): the matrix that turns values into the responsivity while no r is held at zero."""
+    """Return the matrix (node, capture) that maps values to the responsivity, as long as no r is clamped at zero."""
     penalty = roughness(design.shape[1])
     return np.asarray(np.linalg.solve(design.T @ design + delta * penalty.T @ penalty, design.T), dtype=np.float64)
 
 
 def smoothers(sweep: Sweep, delta: float) -> list[Array]:
-    """Return for each channel (node, capture): what turns its values into its responsivity, zeros for captures that
-    saturate it."""
+    """Return for each channel the matrix (node, capture) that maps its values to its responsivity.
+
+    The columns of captures that saturate the channel are zero.
+    """
     matrices = []
     for valid in sweep.valid.T:
         matrix = np.zeros((sweep.nodes.size, valid.size))
@@ -157,11 +193,11 @@ def smoothers(sweep: Sweep, delta: float) -> list[Array]:
 
 @dataclass(frozen=True)
 class Curves:
-    """Relative responsivities per photon, and how well they are known."""
+    """Relative responsivities per photon, with their uncertainty."""
 
     wavelength: Array  # (wavelength) nm
     relative: Array  # (channel, wavelength)
-    band: Array  # (channel, wavelength) half width of the 95 % band; 0 everywhere: not known
+    band: Array  # (channel, wavelength) half width of the 95 % band; 0 everywhere if unknown
 
     def to_common_peak(self) -> "Curves":
         """Return the curves scaled so that the largest value of the whole set is 1."""
@@ -174,17 +210,19 @@ class Curves:
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
     def widened(self, light_error: float, wavelength_error: float) -> "Curves":
-        """Return the curves with a band that holds a relative error of the light and one of its wavelength in nm, too,
-        standard deviations."""
+        """Return the curves with a wider band that includes relative errors of the light and errors of its wavelength in nm.
+
+        Both errors are standard deviations.
+        """
         slope = np.gradient(self.relative, self.wavelength, axis=1) if self.wavelength.size > 1 else 0.0
         stated = COVERAGE * np.hypot(light_error * self.relative, wavelength_error * slope)
         return replace(self, band=np.hypot(self.band, stated))
 
 
 def from_sweep(table: SweepTable, body: Body) -> Array:
-    """Return the responsivity (channel, wavelength) per photon of a sweep beside a photodiode; nodes are the sweep's.
+    """Return the responsivity (channel, wavelength) per photon from a sweep measured beside a photodiode.
 
-    Camera and photodiode each lose the dark reading of the same step; what lies below zero is zero. InputFileError if the
+    Dark readings are subtracted from camera and photodiode. Negative values become zero. Raises InputFileError if the
     photodiode or a channel sees no light.
     """
     energy = (table.diode_light - table.diode_dark) / table.diode_response
@@ -201,8 +239,11 @@ def from_sweep(table: SweepTable, body: Body) -> Array:
 
 
 def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: float, wavelength_error: float) -> Curves:
-    """Return the curves of a table or of a finished source, in a band of what was stated of light and wavelength: without
-    either, their error is not known, and there is no band."""
+    """Return the curves of a table or of a finished source.
+
+    The band reflects the declared errors of light and wavelength. If either is not declared, the error is unknown and the
+    band is 0.
+    """
     relative = from_sweep(curve, body) if isinstance(curve, SweepTable) else curve.responsivity
     curves = Curves(curve.wavelength, relative, np.zeros_like(relative))
     if light_error and wavelength_error:
@@ -212,8 +253,10 @@ def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: flo
 
 
 def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array, Array]:
-    """Return the absolute quantum efficiency alpha · r / K (channel, wavelength) and the half width of its 95 % band, in
-    which the errors of alpha and K are contained (docs/method.md#gain-and-offset)."""
+    """Return the absolute quantum efficiency alpha · r / K and the half width of its 95 % band, both (channel, wavelength).
+
+    The band includes the errors of alpha and K (docs/method.md#gain-and-offset).
+    """
     assert fit.chart is not None
     assert fit.noise is not None
     scale = (fit.chart.alpha / (gain * body.channel_gains * body.channel_exposures))[:, None]
@@ -224,38 +267,44 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
 
 
 def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
-    """Raise InputFileError if a quantum efficiency (channel, wavelength) is above 1, blamed on `odd` captures if any."""
+    """Raise InputFileError if a quantum efficiency (channel, wavelength) exceeds 1.
+
+    If there are `odd` captures, the message blames the first of them.
+    """
     peak = float(responsivity.max())
     if peak > 1.0:
         cure = f"check {odd[0]}" if odd else likely_mistake(peak)
-        raise InputFileError(f"the peak quantum efficiency would be {100 * peak:.4g} %, above an electron a photon; {cure}")
+        raise InputFileError(
+            f"the peak quantum efficiency would be {100 * peak:.4g} %, more than one electron per photon; {cure}"
+        )
 
 
 def likely_mistake(peak: float) -> str:
-    """Return the mistakes that would turn a usual peak quantum efficiency into one that no camera has, in words."""
+    """Name the mistakes that would explain an implausible peak quantum efficiency."""
     likely = [what for what, factor in MISTAKES.items() if USUAL[0] <= peak / factor <= USUAL[1]]
     general = "the units of radiances (photons/s/sr/m²/nm), exposures, pixel_pitch_um and f_number"
     return f"check {general}" + (f", as if {' or '.join(likely)}" if likely else "")
 
 
-CORE = 0.25  # half the side of a patch's sampled core, in chart cells
-RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3  # of the signal, DN: how well a patch is known (docs/method.md#gain-and-offset)
+CORE = 0.25  # half the side of the sampled core of a patch, in chart cells
+RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3  # fraction of the signal, DN: error of a patch (docs/method.md#gain-and-offset)
 
 
 def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
-    """Return the index (row, col) of the ColorChecker patch whose core a pixel lies in, 24 elsewhere.
+    """Map each pixel to the ColorChecker patch whose core contains it: (row, col), 24 outside all cores.
 
-    corners (4, 2) are col, row of the outer corners of patches 1, 6, 24, 19; the chart may be turned and in perspective.
+    `corners` (4, 2) are the col, row of the outer corners of patches 1, 6, 24 and 19. The chart may be rotated and in
+    perspective.
     """
     cells = chart.corner_cells(CHART_ROWS, CHART_COLS)
     return chart.patch_map(chart.homography(cells, corners), (CHART_ROWS, CHART_COLS), (rows, cols), CORE)
 
 
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the mean DN (patch, channel) of the cores of a chart's patches over its frames, and whether they are saturated.
+    """Return the mean DN (patch, channel) of a chart's patches over all frames, and which of them are saturated.
 
-    Saturated is a patch with more than one pixel in a thousand at `limit` DN or above in any frame. InputFileError if the
-    corners do not lie in the frame, or if a core holds no pixel of a channel.
+    A patch is saturated if in any frame more than one pixel in a thousand of its core is at `limit` DN or above. Raises
+    InputFileError if a corner lies outside the frame, or if a core contains no pixel of a channel.
     """
     channels = len(body.channels)
     pixels, label, count = _cores(capture, body, defects)
@@ -270,7 +319,7 @@ def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defec
 
 
 def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> Array:
-    """Return the mean DN (patch, channel) of a chart; InputFileError names a patch that is saturated."""
+    """Return the mean DN (patch, channel) of a chart. Raises InputFileError that names a saturated patch."""
     values, saturated = patch_values(capture, body, limit, defects)
     if saturated.any():
         patch, channel = np.argwhere(saturated)[0]
@@ -281,7 +330,7 @@ def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects:
 
 
 def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> Array:
-    """Return the light (patch, 1) that reaches the cores of a chart's patches over what they would get on the axis."""
+    """Return the relative illumination (patch, 1) of a chart's patches: the lens's fall-off, 1 on the axis."""
     pixels, label, count = _cores(capture, body, defects)
     channels = len(body.channels)
     light = _per_label(label, body.relative_illumination.ravel()[pixels], channels)
@@ -289,8 +338,10 @@ def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> A
 
 
 def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return the pixels in patch cores but defects, the label patch · channels + channel of each, and their count (patch,
-    channel)."""
+    """Return the pixels inside patch cores, their labels, and the count per label (patch, channel), without defects.
+
+    The label of a pixel is patch · channels + channel.
+    """
     rows, cols, channels = body.rows, body.cols, len(body.channels)
     if (capture.corners < 0).any() or (capture.corners > (cols, rows)).any():
         raise InputFileError(
@@ -312,15 +363,27 @@ def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray
 
 
 def _per_label(label: NDArray[np.int64], weights: NDArray, channels: int) -> Array:
-    """Return the sums (patch, channel) of weights (pixel)."""
+    """Sum weights (pixel) per label: (patch, channel)."""
     sums = np.bincount(label, weights=weights, minlength=PATCHES * channels)
     return sums.astype(np.float64).reshape(PATCHES, channels)
 
 
 def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, float]:
-    """Fit Eq. 2 of one channel: (alpha, beta) of values ≈ alpha · photons + beta, alpha ≥ 0.
+    """Fit values ≈ alpha · photons + beta, alpha ≥ 0, for one channel (Eq. 2).
 
-    photons and values (sample) are what the responsivity predicts and the mean DN; weights: docs/method.md#gain-and-offset.
+    Parameters
+    ----------
+    photons : ndarray, (sample)
+        Signal that the responsivity predicts.
+    values : ndarray, (sample)
+        Mean DN.
+    black_level : float
+        DN. It determines the weights (docs/method.md#gain-and-offset).
+
+    Returns
+    -------
+    alpha, beta : float
+        Slope, and offset in DN.
     """
     from scipy.optimize import lsq_linear
 
@@ -332,34 +395,40 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
 
 
 def gain_error(photons: Array, values: Array, black_level: float, alpha: float, beta: float, drift: float) -> float:
-    """Return the standard deviation of alpha: its spread over charts (chart, patch) fitted one by one, or the declared
-    drift's."""
+    """Return the standard deviation of alpha: from its scatter over charts fitted one by one, or from the declared drift.
+
+    The larger of the two counts. `photons` and `values` are (chart, patch).
+    """
     single, _ = chart_factors(photons, values, black_level, beta)
     charts = len(single)
     return float(max(single.std(ddof=1), drift * alpha) / np.sqrt(charts))
 
 
 def chart_factors(photons: Array, values: Array, black_level: float, beta: float) -> tuple[Array, Array]:
-    """Return the slope (chart) of Eq. 2 of each chart (chart, patch) alone, with the offset `beta` of all, and the weights
-    (chart, patch) of its patches."""
+    """Fit the slope of Eq. 2 for each chart alone, with the common offset `beta`.
+
+    Returns the slopes (chart) and the weights (chart, patch) of the patches.
+    """
     weight = 1.0 / np.hypot(RELATIVE_ERROR * (values - black_level), ABSOLUTE_ERROR) ** 2
     return (weight * photons * (values - beta)).sum(axis=1) / (weight * photons**2).sum(axis=1), weight
 
 
 def relative_rmse(measured: Array, predicted: Array, black_level: Array | float) -> Array:
-    """Return the RMSE over the mean signal above black, over the axes (chart, patch) of both; further axes stay."""
+    """Return the RMSE relative to the mean signal above black, over the axes (chart, patch). Further axes remain."""
     return np.sqrt(np.mean((measured - predicted) ** 2, axis=(0, 1))) / np.mean(measured - black_level, axis=(0, 1))
 
 
 def r_squared(measured: Array, predicted: Array) -> Array:
-    """Return the share of the variance of `measured` that `predicted` explains, over the axes (chart, patch)."""
+    """Return the fraction of the variance of `measured` that `predicted` explains, over the axes (chart, patch)."""
     residual = np.sum((measured - predicted) ** 2, axis=(0, 1))
     return 1.0 - residual / np.sum((measured - measured.mean(axis=(0, 1))) ** 2, axis=(0, 1))
 
 
 def cross_validate(photons: Array, values: Array, black_level: float) -> float:
-    """Return the relative RMSE of charts (chart, patch) predicted with alpha and beta from the charts under the other
-    lights."""
+    """Return the relative RMSE of charts predicted with alpha and beta from the charts under the other lights.
+
+    `photons` and `values` are (chart, patch).
+    """
     predicted = np.empty_like(values)
     for left_out in range(len(values)):
         others = np.arange(len(values)) != left_out

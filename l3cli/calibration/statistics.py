@@ -1,7 +1,7 @@
-"""Statistics of frames by CFA site or channel: histograms, means, temporal variances, weighted sums; defective pixels.
+"""Statistics of frames per CFA site or channel: histograms, means, temporal variances, weighted sums and defective pixels.
 
-Hot and dead pixels stay out. Where a function goes through many captures, `each` is the map that does so: the built-in one,
-or one that keeps several processes busy.
+Statistics leave out defective pixels. The argument `each` maps a function over captures: the built-in `map`, or a map that
+spreads the work over several processes.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,9 +14,9 @@ from l3cli.artifacts.camera import DefectMap
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
-OUTLIER = 6.0  # robust standard deviations: no Gaussian pixel in a hundred million lies beyond
-LEAST_LOSS = 0.1  # a response that differs less from its neighbours' is nonuniformity, not a defect
-WHOLE_LINE = 0.9  # share of a line's pixels from which on all of it is defective
+OUTLIER = 6.0  # robust standard deviations; fewer than one Gaussian pixel in a hundred million exceeds them
+LEAST_LOSS = 0.1  # a response that differs by less from its neighbours is nonuniformity, not a defect
+WHOLE_LINE = 0.9  # fraction of defective pixels from which a whole row or column counts as defective
 Defects = NDArray[np.int64]  # (defect, 2) row, col
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -29,8 +29,11 @@ def no_defects() -> Defects:
 
 
 def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defects:
-    """Return the pixels of a picture (row, col) that lie far from the median of their CFA site, and at least `least` from
-    it; and all of a row or column whose median does so by the spread of such medians, and by more than pixels usually do."""
+    """Find pixels that differ from the median of their CFA site by much more than the spread, and by at least `least`.
+
+    A whole row or column is included if its median differs from the other medians both by much more than their spread and by
+    more than the spread of pixels.
+    """
     rows, cols = cfa.shape
     defects = []
     for row, col in np.ndindex(rows, cols):
@@ -47,18 +50,18 @@ def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defe
 
 
 def _middle_and_spread(values: Array) -> tuple[float, float]:
-    """Return the median, and the standard deviation that those have who lie near it."""
+    """Return the median and a robust standard deviation."""
     low, middle, high = np.percentile(values, (15.87, 50.0, 84.13))
     return float(middle), float((high - low) / 2 or values.std())
 
 
 def joined_defects(*parts: Defects) -> Defects:
-    """Return all pixels of several lists, each once, in the order of rows."""
+    """Merge lists of pixels: each pixel once, sorted by row and column."""
     return np.unique(np.concatenate(parts), axis=0).astype(np.int64)
 
 
 def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
-    """Return the picture (row, col) with every defect replaced by the median of its neighbours of the same CFA site."""
+    """Return the picture (row, col) with every defect replaced by the median of its neighbours on the same CFA site."""
     rows, cols = cfa.shape
     result = picture.copy()
     for row, col in defects:
@@ -69,8 +72,22 @@ def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
 
 
 def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> DefectMap:
-    """Return the map of `defects` of a sensor of `shape` (rows, cols), `hot` those of them that are so without light; of a
-    line that is defective nearly everywhere the other pixels are taken for defective, too."""
+    """Build the defect map of a sensor.
+
+    Parameters
+    ----------
+    defects : ndarray, (defect, 2)
+        Row and col of every defective pixel.
+    hot : ndarray, (defect, 2)
+        The defects that appear without light.
+    shape : tuple of int
+        Rows and columns of the sensor.
+
+    Returns
+    -------
+    DefectMap
+        If nearly all pixels of a row or column are defective, the map includes the rest of it.
+    """
     bad, warm = np.zeros(shape, bool), np.zeros(shape, bool)
     bad[tuple(defects.T)] = True
     warm[tuple(hot.T)] = True
@@ -83,8 +100,7 @@ def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> Defect
 
 
 def defect_counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
-    """Return the numbers of hot and dead pixels, rows and columns of a map, and of clusters: touching pixels off such
-    lines."""
+    """Count the hot and dead pixels, rows and columns of a defect map, and its clusters of touching single pixels."""
     from scipy.ndimage import label
 
     kind, (row, col) = np.array(defects.pixel_kind, dtype=str), defects.position.T
@@ -107,27 +123,27 @@ class Level:
     """Statistics of the frames of one exposure."""
 
     exposure: float  # s
-    lit: float  # s of the measured light
+    lit: float  # s, exposure time corrected for the reading of the lamp
     trials: int
-    counts: Counts  # (channel, value) pixels of all frames
+    counts: Counts  # (channel, value) number of pixels in all frames
     variance: Array  # (channel) DN², temporal
 
 
 def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
-    """Yield (channel, the pixels of one site of the super-pixel as a picture), site by site."""
+    """Yield the channel and the pixels, as a picture, of each site of the super-pixel."""
     rows, cols = cfa.shape
     for row, col in np.ndindex(rows, cols):
         yield int(cfa[row, col]), values[row::rows, col::cols]
 
 
 def pooled(per_site: Sequence[float], cfa: NDArray[np.uint8]) -> Array:
-    """Return (channel) mean over its sites of one figure a site, sites in the order of `by_site`."""
+    """Average a figure per site, in the order of `by_site`, over the sites of each channel."""
     count = np.bincount(cfa.ravel())
     return np.bincount(cfa.ravel(), weights=np.asarray(per_site, dtype=np.float64)) / count
 
 
 def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Counts:
-    """Return (channel, value) how many pixels of each channel have each value, defects left out."""
+    """Count the pixels of each channel with each value: (channel, value), without defects."""
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for channel, site in by_site(values, body.cfa):
         counts[channel] += np.bincount(site.ravel(), minlength=2**body.bits)
@@ -138,7 +154,7 @@ def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Count
 
 
 def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
-    """Return the histogram (channel, value) of all frames of a capture, defects left out."""
+    """Return the histogram (channel, value) of all frames of a capture, without defects."""
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for frame in capture.frames:
         counts += histogram(frame, body, defects)
@@ -146,20 +162,21 @@ def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
 
 
 def mean_value(counts: Counts) -> Array:
-    """Return (channel) mean DN of a histogram (channel, value)."""
+    """Return the mean DN per channel of a histogram (channel, value)."""
     return counts @ np.arange(counts.shape[1]) / counts.sum(axis=1)
 
 
 def share_from(counts: Counts, value: float) -> Array:
-    """Return the share (channel) of the pixels that lie at `value` DN or above."""
+    """Return the fraction of pixels per channel that are at `value` DN or above."""
     return counts[:, int(np.ceil(value)) :].sum(axis=1) / counts.sum(axis=1)
 
 
 def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
-    """Return the histogram and temporal variance of a capture of even light or none; InputFileError if it is a single frame.
+    """Return the histogram and temporal variance of a capture under even light or none.
 
-    The variance is half that of the difference of two frames, centred, so that neither fixed pattern nor a drift of the
-    lamp or of the black level enters; frames 1 and 2 make a pair, 3 and 4 the next.
+    The variance is half the variance of the difference of two frames about its mean. Fixed pattern and drift of the lamp or
+    the black level cancel. Frames 1 and 2 form a pair, frames 3 and 4 the next. Raises InputFileError if the capture is a
+    single frame.
     """
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     variances, trials = [], 0
@@ -180,7 +197,10 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
 
 
 def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each: Each = map) -> Array:
-    """Return pictures (sum, row, col): Σ over captures of weights (sum, capture, channel) × mean frame, read one by one."""
+    """Return weighted sums of the captures' mean frames: (sum, row, col).
+
+    `weights` is (sum, capture, channel). Captures are read one by one.
+    """
     total = np.zeros((len(weights), body.rows, body.cols))
     used = [index for index in range(len(captures)) if weights[:, index].any()]
     means = each(mean_frame, [captures[index] for index in used])
@@ -192,7 +212,7 @@ def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each:
 
 
 def mean_frame(capture: Capture) -> NDArray[np.float32]:
-    """Return the mean (row, col) DN of the frames of a capture."""
+    """Return the mean frame (row, col) of a capture in DN."""
     total: NDArray | None = None
     trials = 0
     for frame in capture.frames:
@@ -203,5 +223,5 @@ def mean_frame(capture: Capture) -> NDArray[np.float32]:
 
 
 def channel_shares(body: Body) -> Array:
-    """Return the share (channel) of the pixels."""
+    """Return the fraction of the pixels that each channel has."""
     return np.bincount(body.cfa.ravel(), minlength=len(body.channels)) / body.cfa.size

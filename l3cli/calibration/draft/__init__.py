@@ -1,1 +1,1 @@
-"""A first measurement file of a folder of captures: what they are by name and content, and what they lack."""
+"""Draft a measurement file for a folder of captures: classify files by name and content, and mark what is missing."""

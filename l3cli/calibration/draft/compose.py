@@ -1,4 +1,4 @@
-"""Text of a measurement file from the frames and tables of a folder."""
+"""Write the text of a measurement file from the frames and tables of a folder."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -30,41 +30,41 @@ from l3cli.spectra.table import CurveTable
 from l3cli.spectra.units import PHOTON_RADIANCE, POWER_RADIANCE
 from l3cli.system.text import printable
 
-COLUMN = 54  # at which comments begin
+COLUMN = 54  # column at which comments begin
 HEAD = "Draft: complete the lines marked TODO, check those marked ASSUMED, then run l3 calibrate on this file."
 LAMP = (
     "Where a lamp was read during captures: monitor = its reading over that when its spectrum was measured (else 1.0).",
     "How well lights were known, at the end of the file: [uncertainty] lamp_drift = 0.01 (relative), wavelength_nm = 0.1",
 )
 PITCH = "µm between pixels, from the sensor's data sheet"
-LEAST_CHARTS = 2  # that separate gain from light
-CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # an example
-SHARING = ("[[mono]]", "[[band]]")  # whose captures have [common]
-SEVERAL = 2  # captures that lack the same from which on [common] has it
+LEAST_CHARTS = 2  # charts needed to fit gain and offset
+CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example, col and row in pixels
+SHARING = ("[[mono]]", "[[band]]")  # captures to which [common] applies
+SEVERAL = 2  # a key that at least this many captures lack goes to [common]
 EXAMPLE_SPECTRUM = "spectra/mono.csv"
-PAIR = 2  # frames that noise is measured on
+PAIR = 2  # frames needed to measure noise
 Mosaic = NDArray[np.floating]
 
 
 class DraftText:
-    """A measurement file as it grows."""
+    """The text of a measurement file while it is written."""
 
     def __init__(self) -> None:
         self._lines: list[str] = []
-        self.assumed: list[str] = []  # what the user ought to check
-        self._missing: list[tuple[str, str, str]] = []  # key, of what, what it is
+        self.assumed: list[str] = []  # lines on values that the user should check
+        self._missing: list[tuple[str, str, str]] = []  # key, where it is missing, what it means
 
     def __str__(self) -> str:
         return "\n".join(self._lines) + "\n"
 
     def table(self, heading: str, **keys: Any) -> None:
-        """Begin a table or an entry of a list of tables, [sensor] or [[mono]], with keys that are known."""
+        """Begin a table such as [sensor], or an entry such as [[mono]], with the given keys."""
         self._lines += ["", heading]
         for name, value in keys.items():
             self.key(name, value)
 
     def head(self, *lines: str) -> None:
-        """Add comments before everything."""
+        """Add comments at the top of the file."""
         self._lines[:0] = [f"# {printable(line)}" for line in lines]
 
     def comment(self, *lines: str) -> None:
@@ -74,30 +74,30 @@ class DraftText:
         self._line(f"{name} = {toml_value(value)}", comment)
 
     def assume(self, name: str, value: Any, why: str, announced: bool = True) -> None:
-        """Add a key whose value is probable; `announced`: name it on the console, too."""
+        """Add a key with a probable value. If `announced`, the console reports it too."""
         self._line(f"{name} = {toml_value(value)}", f"ASSUMED: {why}")
         if announced:
             self.assumed.append(f"{name} = {toml_value(value)}: {why}")
 
     def todo(self, name: str, example: Any, what: str, where: str) -> None:
-        """Add a key that only the user knows, with an example; `where`: of which capture, file or table."""
+        """Add a commented key that only the user knows, with an example. `where` names the capture, file or table."""
         self._line(f"# TODO {name} = {toml_value(example)}", what)
         self._missing.append((name, where, what))
 
     def fill(self, name: str, value: Any, what: str, where: str) -> None:
-        """Add a key that names something that only the user can make."""
+        """Add a key that refers to something that the user still has to make."""
         self._line(f"{name} = {toml_value(value)}", f"TODO: {what}")
         self._missing.append((name, where, what))
 
     def todo_table(self, heading: str, what: str, *keys: tuple[str, Any]) -> None:
-        """Add a whole table that is missing."""
+        """Add a commented table that is missing."""
         self._lines += ["", f"# TODO {heading}  # {printable(what)}"]
         self._lines += [f"# {name} = {toml_value(value)}" for name, value in keys]
         self._missing.append((heading, "", what))
 
     @property
     def missing(self) -> list[str]:
-        """Return a line for each key that the user must fill in, with the reason."""
+        """One line, with the reason, for each key that the user must fill in."""
         alike: dict[tuple[str, str], list[str]] = {}
         for name, where, what in self._missing:
             alike.setdefault((name, re.sub(r"\d[\d.e+-]*", "#", what)), []).append(where)
@@ -113,12 +113,12 @@ class DraftText:
 
 @dataclass(frozen=True)
 class Survey:
-    """Content of a folder of captures."""
+    """Contents of a folder of captures."""
 
     shape: tuple[int, int]
     period: tuple[int, int]
-    array: CfaRecipe | None  # as the files state it
-    black_level: float | None  # DN, as the files state it
+    array: CfaRecipe | None  # as stated in the files
+    black_level: float | None  # DN, as stated in the files
     white_level: float | None  # DN
     scale: Scale
     groups: list[Group]
@@ -127,16 +127,16 @@ class Survey:
 
     @property
     def top(self) -> int:
-        """Return the largest DN of all frames."""
+        """Largest DN of all frames."""
         return max(frame.summary.top for group in self.groups for frame in group.frames)
 
     @property
     def black(self) -> float:
-        """Return the DN of a pixel without light: as stated, or as the darkest frames have it."""
+        """DN of a pixel without light: as stated in the files, or from the darkest frames."""
         return float(self.scale.black.mean()) if self.black_level is None else self.black_level
 
     def groups_of(self, *kinds: str) -> list[Group]:
-        """Return the captures of some kinds."""
+        """Return the captures of the given kinds."""
         return [group for group in self.groups if group.kind in kinds]
 
 
@@ -154,15 +154,17 @@ def known_body(out: DraftText, camera: CameraModel) -> None:
 
 
 def unknown_optics(out: DraftText) -> None:
-    """Add [optics], which only the user knows."""
+    """Add [optics] with values for the user to fill in."""
     out.table("[optics]")
     out.todo("focal_length_mm", 25.0, "mm, of the lens", "[optics]")
     out.todo("f_number", 4.0, "the aperture, as set on the lens", "[optics]")
 
 
 def _seen_body(out: DraftText, seen: Survey, photo: bool) -> None:
-    """Add [sensor], [cfa] and [optics] as frames show them; `photo`: whether only charts in photographs are there, for which
-    pitch and optics do not count."""
+    """Add [sensor], [cfa] and [optics] as far as the frames reveal them.
+
+    If `photo`, the only captures are photographs of charts, for which pixel pitch and optics do not matter.
+    """
     out.table("[sensor]", rows=seen.shape[0], cols=seen.shape[1])
     if photo:
         out.assume("pixel_pitch_um", PITCH_UM, "µm; curves of photos do not depend on it")
@@ -194,22 +196,33 @@ def _seen_body(out: DraftText, seen: Survey, photo: bool) -> None:
 
 
 class Composer:
-    """Composer of the draft of everything in a folder, whose frames' names begin with `folder`; `read` returns the DN (row,
-    col) of a frame by its path."""
+    """Writes the draft of a measurement file for a folder.
+
+    Parameters
+    ----------
+    seen : Survey
+        Contents of the folder.
+    camera : CameraModel or None
+        The camera, if known.
+    folder : str
+        Path to the frames, as it appears in the draft.
+    read : callable
+        Returns the DN (row, col) of a frame by its path.
+    """
 
     def __init__(self, seen: Survey, camera: CameraModel | None, folder: str, read: Callable[[str], Mosaic]) -> None:
         self.seen, self.camera, self.folder, self.read = seen, camera, folder, read
         self.out = DraftText()
-        self.shared: set[str] = set()  # keys that [common] or the first capture explains for all steps or bands
+        self.shared: set[str] = set()  # keys that [common], or the first capture, explains for all captures
         self.steps, self.bands = seen.groups_of("mono"), seen.groups_of("band")
         self.charts = seen.groups_of("chart", "structured")
         self.whites, self.darks = seen.groups_of("white"), seen.groups_of("dark")
-        if self.steps and self.bands:  # one source of responsivity; narrow light on an even field is the better one
+        if self.steps and self.bands:  # only one source of responsivity is allowed; monochromatic light is the better
             seen.notes.append(f"{len(self.bands)} captures of a chart in narrow bands beside monochromatic ones: left out")
             self.bands = []
 
     def text(self, name: str) -> DraftText:
-        """Return everything, in the order of a measurement file."""
+        """Return the whole draft, in the order of a measurement file."""
         out = self.out
         corners = self._chart_corners()
         if self.camera is not None:
@@ -276,7 +289,7 @@ class Composer:
         note_unused(columns, matched, seen.notes)
 
     def _share(self, groups: Sequence[Group], unitless: Sequence[str], unit: str) -> None:
-        """Add [common]: what several captures lack, once for all of them."""
+        """Add [common] for keys that several captures lack."""
         out, untimed = self.out, [group for group in groups if group.first.seconds is None]
         if len(untimed) < SEVERAL and len(unitless) < SEVERAL:
             return
@@ -291,7 +304,7 @@ class Composer:
             out.todo("unit", unit, what, unitless[0])
 
     def _wanted(self, key: str, example: str, what: str, where: str) -> None:
-        """Add a table that is still to be made; the first capture that lacks one says what it holds."""
+        """Add a reference to a table that the user has to make. The first reference explains what it contains."""
         if key in self.shared:
             self.out.key(key, example, "as above")
         else:
@@ -299,7 +312,7 @@ class Composer:
             self.shared.add(key)
 
     def _unit(self, table: CurveTable, column: int | None) -> None:
-        """Add the unit of radiances, where their heading states none."""
+        """Add the unit of radiances if their heading states none."""
         if unknown_unit(table, column):
             if column is None or "unit" not in self.shared:
                 peak = radiances(table, column).max()
@@ -308,7 +321,7 @@ class Composer:
             self.out.assume("unit", PHOTON_RADIANCE, "the heading states none; it is as large as such radiances are", False)
 
     def _chart_corners(self) -> dict[int, sorting.Corners]:
-        """Return the corners of each chart by the identity of its capture; captures without one are left out."""
+        """Return the corners of each chart, by the `id` of its capture. Captures without a chart are dropped."""
         seen, found = self.seen, dict[int, sorting.Corners]()
         for group in list(self.charts):
             corners = sorting.find_corners(self.read(group.first.name.path) - seen.black, seen.period)
@@ -328,7 +341,7 @@ class Composer:
             )
 
     def _charts(self, corners: dict[int, sorting.Corners]) -> None:
-        """Add [[chart]] captures beside a monochromator."""
+        """Add the [[chart]] captures that go with a monochromator."""
         out, seen = self.out, self.seen
         tables = match_charts(self.charts, seen.tables, seen.notes)
         for number, (group, table) in enumerate(zip(self.charts, tables, strict=True), 1):
@@ -349,7 +362,7 @@ class Composer:
                 self._unit(table.table, None)
 
     def _bands(self) -> None:
-        """Add [[band]] captures: a chart behind narrow filters."""
+        """Add the [[band]] captures: a chart behind narrow filters."""
         out, seen = self.out, self.seen
         corners = sorting.corners_of_series(self.bands, seen.scale, seen.period, self.read)
         by_band = {table.name.nm: table for table in reversed(seen.tables) if table.has_patches}
@@ -370,7 +383,7 @@ class Composer:
                 out.todo("unit", "relative power", "of these radiances, where the heading states none", path)
 
     def _photos(self, corners: dict[int, sorting.Corners]) -> None:
-        """Add [[photo]]: charts alone."""
+        """Add the [[photo]] captures: charts without a monochromator."""
         out, seen = self.out, self.seen
         for group in self.charts:
             path = group.first.name.path
@@ -394,7 +407,7 @@ class Composer:
     # ---------------------------------------------------------------------------------------------------- sensor
 
     def _sensor_frames(self) -> None:
-        """Add [[white]] and [[dark]], or [datasheet], which bands need: photos alone do without."""
+        """Add [[white]] and [[dark]], or [datasheet] for bands. Photos alone need neither."""
         out = self.out
         if self.steps and len(self.charts) < LEAST_CHARTS:
             what = f"charts under {LEAST_CHARTS} lights or more give the scale; found: {len(self.charts)}"

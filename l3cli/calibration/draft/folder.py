@@ -1,5 +1,8 @@
-"""A folder → the text of a measurement file: a survey of captures (what every frame's file states, which frames are of one
-sensor, what each shows), or tables alone, as published measurements are."""
+"""Draft a measurement file from a folder.
+
+The folder contains frames, which are surveyed: what each file states, which frames come from one sensor, what each frame
+shows. Or it contains tables alone, as published measurements do.
+"""
 
 import re
 from collections import Counter
@@ -19,27 +22,27 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.measurement import DIODE, CaptureFolder, RawFile
 from l3cli.system.text import counted
 
-SAMPLED = 6  # frames that an array's period is taken from
-MOST_NOTED = 12  # frames of which each gets a line of its own
+SAMPLED = 6  # frames from which the period of the array is estimated
+MOST_NOTED = 12  # rejected files that get a line of their own
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Access to the frames of a folder."""
+    """How to read the frames of a folder."""
 
-    read: Callable[[str], RawFile]  # a frame, by its path
-    array_of: Callable[[NDArray[np.integer]], CfaRecipe]  # the array of the codes that a file states
-    progress: Callable[[Sequence[Any], int, str], Iterable[Any]]  # shows how far a loop has come
+    read: Callable[[str], RawFile]  # reads a frame by its path
+    array_of: Callable[[NDArray[np.integer]], CfaRecipe]  # converts the CFA codes in a file to an array
+    progress: Callable[[Sequence[Any], int, str], Iterable[Any]]  # shows the progress of a loop
 
 
 @dataclass(frozen=True)
 class _Fact:
-    """A frame, and what its file states about it."""
+    """A frame and the facts that its file states."""
 
     path: str
     shape: tuple[int, int]
     mean: float
-    raw: RawFile  # whose values are empty where memory is short
+    raw: RawFile  # its values are empty if memory is short
 
     @property
     def sensor(self) -> tuple[object, ...]:
@@ -49,8 +52,33 @@ class _Fact:
 def survey(
     listing: CaptureFolder, tables: list[Spectra], notes: list[str], camera: CameraModel | None, reading: Reading
 ) -> Survey:
-    """Return the content of a folder whose tables are known; `notes` gets what is left out. InputFileError if it holds no
-    raw frame, RecipeError if they are not of `camera`."""
+    """Survey a folder of frames.
+
+    Parameters
+    ----------
+    listing : CaptureFolder
+        The folder and its files.
+    tables : list of Spectra
+        The spectra found in it.
+    notes : list of str
+        Gets a line for everything that is left out.
+    camera : CameraModel or None
+        The camera, if known.
+    reading : Reading
+        How to read frames.
+
+    Returns
+    -------
+    Survey
+        Contents of the folder.
+
+    Raises
+    ------
+    InputFileError
+        If the folder contains no raw frame.
+    RecipeError
+        If the frames are not from `camera`.
+    """
     facts = _facts(listing, notes, reading)
     if not facts:
         reason = f": {notes[0].removesuffix('; left out')}" if notes else ""
@@ -74,7 +102,7 @@ def survey(
 
 
 def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
-    """Return the frames with wavelengths that their names state without a unit."""
+    """Return the frames, with wavelengths that their names state without a unit."""
     names = with_bare_wavelengths([frame.name for frame in usable])
     new = [name for name, frame in zip(names, usable, strict=True) if name != frame.name]
     if new:
@@ -83,7 +111,7 @@ def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
 
 
 def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_Fact]:
-    """Return what every frame's file states, with the frames that fit into memory meanwhile."""
+    """Read the facts that every file states. Pixels are kept as far as they fit into memory."""
     facts, room = [], 64 << 20
     refused: list[str] = []
     for path in reading.progress(listing.frames, len(listing.frames), "files"):
@@ -102,7 +130,7 @@ def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_
 
 
 def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fact]:
-    """Return the frames of the size and array that most frames have."""
+    """Return the frames with the size and array that most frames have."""
     count = Counter(fact.sensor for fact in facts)
     usual = max(count, key=lambda sensor: (count[sensor], -[fact.sensor for fact in facts].index(sensor)))
     for sensor in count:
@@ -117,7 +145,7 @@ def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fac
 
 
 def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading) -> tuple[int, int]:
-    """Return the rows and columns of the array: the camera's, that of the files, or as the brightest frames show it."""
+    """Return the rows and columns of the array: from the camera, the files, or the brightest frames."""
     known = facts[0].raw.pattern if camera is None else camera.cfa
     if known is not None:
         return known.shape[0], known.shape[1]
@@ -128,7 +156,7 @@ def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading
 
 
 def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str], reading: Reading) -> list[Frame]:
-    """Return every frame by what it shows; those that are no raw values are left out or noted."""
+    """Summarise every frame. Files without raw values are left out or noted."""
     usable, refused, changed = [], [], Counter[str]()
     for fact in reading.progress(facts, len(facts), "frames"):
         raw = fact.raw if fact.raw.values.size else reading.read(fact.path)
@@ -151,12 +179,12 @@ def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str
 
 
 def first_lines(lines: Sequence[str], most: int, more: str) -> list[str]:
-    """Return the first lines, and one that says how many more there are."""
+    """Return the first `most` lines, and a line with the number of further lines. `more` is its format."""
     return [*lines[:most], *([more.format(len(lines) - most)] if len(lines) > most else [])]
 
 
-LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # a sweep's column of a channel
-USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # channels of curves without a heading
+LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of a channel's column in a sweep
+USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # default channel names by number of columns
 SENSOR = (
     ("rows", 3000, "of the sensor, by its data sheet"),
     ("cols", 4000, "of the sensor, by its data sheet"),
@@ -167,9 +195,24 @@ SHEET = (("black_level_dn", 64), ("white_level_dn", 4095), ("well_capacity_e", 1
 
 
 def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: str, left_out: Sequence[str]) -> DraftText:
-    """Return the draft of a measurement file by the tables of a folder: a sweep with its photodiode, or finished curves.
-    Sensor, array and optics are those of `camera`; `left_out`: notes of files that are no tables of spectra. InputFileError
-    if no table holds either."""
+    """Draft a measurement file from tables alone: a sweep beside a photodiode, or finished curves.
+
+    Parameters
+    ----------
+    tables : sequence of Spectra
+        Tables of the folder.
+    camera : CameraModel or None
+        Provides sensor, array and optics, if known.
+    name : str
+        Name of the folder.
+    left_out : sequence of str
+        Notes on files that are not tables of spectra.
+
+    Raises
+    ------
+    InputFileError
+        If no table contains a sweep or curves.
+    """
     out = DraftText()
     sweep = next((table for table in tables if channels_of_sweep(table)), None)
     curves = _finished(tables)
@@ -205,7 +248,7 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
 
 
 def channels_of_sweep(spectra: Spectra) -> list[str]:
-    """Return the channels of a sweep of light and dark means beside a photodiode, by its heading; none of another table."""
+    """Return the channels in the heading of a sweep beside a photodiode, or an empty list for other tables."""
     names = spectra.table.names or ()
     channels = [match[1] for name in names if (match := LIGHT.fullmatch(name))]
     diode = any("diode" in DIODE.get(name.casefold(), name).casefold() for name in names)
@@ -213,15 +256,18 @@ def channels_of_sweep(spectra: Spectra) -> list[str]:
 
 
 def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
-    """Return tables that may be responsivities: neither lines of a monochromator nor patches of a chart; a single column, as
-    lamps and photodiodes have, only where there is no other table."""
+    """Return the tables that may be responsivities.
+
+    Lines of a monochromator and patches of a chart are excluded. A table of one column may be a lamp or a photodiode, so it
+    counts only if there is no other table.
+    """
     broad = [table for table in tables if not table.has_patches and not _has_lines(table)]
     broad = [table for table in broad if len(table.table.values) <= MAX_CHANNELS and table.table.values.max() > 0]
     return [table for table in broad if len(table.table.values) > 1] or (broad if len(tables) == 1 else [])
 
 
 def _has_lines(spectra: Spectra) -> bool:
-    """Return whether the columns are the steps of a monochromator: by wavelengths in the heading, or lines without one."""
+    """Whether the columns are the steps of a monochromator: by the wavelengths in the heading, or by their shape."""
     names = spectra.table.names
     return spectra.narrow if names is None else all(read_name(f"{name}.csv").nm is not None for name in names)
 
@@ -237,7 +283,7 @@ def _nothing(tables: Sequence[Spectra]) -> str:
 
 
 def _body(out: DraftText, names: list[str] | None, columns: int) -> None:
-    """Add [sensor], [cfa] and [optics] of a camera that only its user knows, but for the names of channels."""
+    """Add [sensor], [cfa] and [optics] for the user to fill in; channel names come from the table."""
     out.table("[sensor]")
     for key, example, what in SENSOR:
         out.todo(key, example, what, "[sensor]")
@@ -253,7 +299,7 @@ def _body(out: DraftText, names: list[str] | None, columns: int) -> None:
 
 
 def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> None:
-    """Add the table of a photodiode: that of one column that covers the sweep."""
+    """Add the table of the photodiode: one column that covers the sweep."""
     grid = sweep.table.wavelength
     single = [table for table in tables if table is not sweep and len(table.table.values) == 1]
     single = [table for table in single if table.table.wavelength[0] <= grid[0] and grid[-1] <= table.table.wavelength[-1]]
@@ -267,7 +313,7 @@ def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> No
 
 
 def _per_energy(out: DraftText, curves: Spectra) -> None:
-    """Add whether curves are per energy or per photon, if their unit says so."""
+    """Add whether the curves are per energy or per photon, by their unit if there is one."""
     possible = [each for each in (True, False) if _has_unit(curves, each)]
     if len(possible) == 1:
         out.key("per_energy", possible[0], "by the unit in the heading")
@@ -286,7 +332,7 @@ def _has_unit(curves: Spectra, per_energy: bool) -> bool:
 
 
 def _sheet(out: DraftText, camera: CameraModel | None) -> None:
-    """Add [datasheet], which tables of curves do not replace."""
+    """Add [datasheet], because tables of curves say nothing about the sensor."""
     if camera is None:
         out.todo_table("[datasheet]", "the sensor's figures: no white and dark frames measure them", *SHEET)
         return

@@ -1,4 +1,4 @@
-"""Content of a capture: by its name and its folder, and by its values alone."""
+"""Find out what a capture is, by its name and folder, and by its values."""
 
 import itertools
 import operator
@@ -23,42 +23,42 @@ FRACTION = re.compile(r"(?:(?<=^)|(?<=[_ ]))1[-/](\d{1,5})[ ]?s(?:ec)?(?![a-zA-Z
 UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "μs": 1e-6}
 LIGHT = re.compile(r"(?<![A-Za-z0-9])(A|D\d\d|FL?\d{1,2}|HP\d|LED[-_]?[A-Z0-9]+|\d{4,5}K)(?![A-Za-z0-9])")
 WORD = re.compile(r"[a-z]+|[A-Z][a-z]+|[A-Z]+(?![a-z])")
-BARE, LEAST_STEPS = (300.0, 1200.0), 5  # nm without a unit, of so many steps
-VISIBLE = (200.0, 2000.0)  # nm that a name may mean
-BLOCKS = 16  # rows and columns of blocks that a frame is summarised by
-PERIODS = (1, 2, 3, 4, 5, 6, 8)  # rows or columns of the arrays that are searched for
-LARGEST_CROP = 960  # pixels a side, from which an array's period is taken; divisible by all periods
-EXPLAINED = 0.98  # of what all periods explain: the smallest array that explains as much is taken
-SIGNIFICANT = 0.02  # share of the variance that an array explains
-EVEN = 0.05  # of the signal: what a lens and a lamp leave after a smooth fit
+BARE, LEAST_STEPS = (300.0, 1200.0), 5  # range of wavelengths (nm) without a unit; smallest number of steps
+VISIBLE = (200.0, 2000.0)  # nm, range of wavelengths with a unit
+BLOCKS = 16  # rows and columns of blocks in a frame's summary
+PERIODS = (1, 2, 3, 4, 5, 6, 8)  # rows or columns of the arrays that are tried
+LARGEST_CROP = 960  # side in pixels of the part from which the period is estimated; divisible by all periods
+EXPLAINED = 0.98  # the smallest array with this fraction of the best explained variance is taken
+SIGNIFICANT = 0.02  # smallest fraction of the variance that an array must explain
+EVEN = 0.05  # largest relative residual of an even field after a smooth fit
 TERMS = 4  # degree of that fit
-COMMON, LEAST_CODES = 12, 16  # pixels that make a value frequent, and frequent values to judge by
-MOST_GAPS = 0.25  # of these without a next value: more are not the converter's
-PLAIN, DRAWN = 0.8, 8  # share of pixels that equal their neighbours, and the range in DN, from which a frame is a drawing
+COMMON, LEAST_CODES = 12, 16  # pixels that make a value frequent; frequent values needed for a verdict
+MOST_GAPS = 0.25  # largest fraction of frequent values whose next value may be missing in unprocessed data
+PLAIN, DRAWN = 0.8, 8  # fraction of pixels that equal their neighbours, and range in DN, above which a frame is a drawing
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class Name:
-    """Facts stated by a file's path below the folder."""
+    """Facts that a file's path below the folder states."""
 
     path: str
     kind: str | None = None
     nm: float | None = None
     seconds: float | None = None
     light: str | None = None
-    series: str = ""  # its folder and name without its last number: what frames of one exposure share
+    series: str = ""  # folder and name without the last number, common to the frames of one exposure
 
     @property
     def words(self) -> frozenset[str]:
-        """Return the other words of the name, in lower case."""
+        """The words of the name, in lower case."""
         return frozenset(word.lower() for word in WORD.findall(PurePath(self.path).stem))
 
 
 def read_name(path: str) -> Name:
-    """Return the facts stated by the path of a capture or a table of spectra, relative to the folder."""
+    """Read the facts in the path, relative to the folder, of a capture or a table of spectra."""
     pure = PurePath(path)
-    stem, parts = pure.stem, (pure.stem, *reversed(pure.parent.parts))  # the nearest folder says more than one above
+    stem, parts = pure.stem, (pure.stem, *reversed(pure.parent.parts))  # nearer folders take precedence
     nm = next(filter(None, map(_wavelength, parts)), None)
     seconds = next(filter(None, map(_seconds, parts)), None)
     light = next(filter(None, map(LIGHT.search, parts)), None)
@@ -79,8 +79,11 @@ def _seconds(part: str) -> float | None:
 
 
 def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
-    """Return the names of monochromatic captures that state wavelengths without their unit, mono_450_03: the number in one
-    place that may be light's, in steps that no counter takes."""
+    """Add wavelengths that names of monochromatic captures state without a unit, such as mono_450_03.
+
+    The wavelength is the number at one position of all names whose values lie in the range of light, and whose steps are not
+    those of a counter.
+    """
     bare = [name for name in names if name.kind == "mono" and name.nm is None]
     numbers = [re.findall(r"\d+(?:\.\d+)?", PurePath(name.path).stem) for name in bare]
     if not numbers or len({len(each) for each in numbers}) != 1:
@@ -96,7 +99,10 @@ def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
 
 
 def kind_of(path: PurePath) -> str | None:
-    """Return the kind that a name or, from the nearest on, one of its folders says; None where none does, or several."""
+    """Return the kind of capture that a name, or otherwise the nearest of its folders, states.
+
+    A part that states several kinds is skipped.
+    """
     for part in (path.stem, *reversed(path.parent.parts)):
         whole = {word.lower() for word in re.findall(r"[A-Za-z]+", part)}
         words = whole | {word.lower() for word in WORD.findall(part)}
@@ -107,7 +113,7 @@ def kind_of(path: PurePath) -> str | None:
 
 
 def natural(path: str) -> tuple[tuple[str | float, ...], ...]:
-    """Return a key that sorts paths as people number them: 9 before 10."""
+    """Return a sort key for paths that orders numbers by value: 9 before 10."""
     return tuple(
         tuple(float(part) if index % 2 else part.lower() for index, part in enumerate(re.split(r"([0-9]+)", each)))
         for each in PurePath(path).parts
@@ -120,21 +126,22 @@ def _number(text: str) -> float:
 
 @dataclass(frozen=True)
 class Summary:
-    """A frame in few numbers, by the sites of its array."""
+    """A frame reduced to a few numbers per site of its array."""
 
     blocks: Array  # (block_row, block_col, site) mean DN
-    high: Array  # (site) DN that a tenth of the pixels exceeds
+    high: Array  # (site) DN, 90th percentile
     noise: float  # DN, standard deviation within blocks
     top: int  # DN, the largest value
 
     @property
     def level(self) -> Array:
-        """Return the mean DN (site)."""
+        """Mean DN (site)."""
         return np.asarray(self.blocks.mean(axis=(0, 1)))
 
     def unevenness(self, black: float) -> float:
-        """Return the RMS of what a smooth surface leaves of the blocks, over the mean signal, of the site where it is least
-        noisy."""
+        """Return the RMS deviation of the blocks from a smooth surface, relative to the mean signal, at the brightest
+        site.
+        """
         rows, cols = self.blocks.shape[:2]
         y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
         powers = [(i, j) for i in range(TERMS + 1) for j in range(TERMS + 1 - i)]
@@ -146,7 +153,7 @@ class Summary:
 
 
 def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
-    """Return a frame (row, col) of DN by the sites of an array of `period` rows and columns."""
+    """Summarise a frame (row, col) of DN by the sites of an array with `period` rows and columns."""
     rows, cols = period
     down, across = (max(1, length // each // BLOCKS) for length, each in zip(values.shape, period, strict=True))
     high, wide = (min(BLOCKS, length // each) for length, each in zip(values.shape, period, strict=True))
@@ -158,8 +165,11 @@ def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
 
 
 def period_of(frames: Sequence[NDArray[np.uint16]]) -> tuple[int, int]:
-    """Return the rows and columns of the smallest array whose sites tell the values of the frames apart: the largest that a
-    third of those that show one agree on, since one light may not tell all channels apart; 1×1 where none does."""
+    """Estimate the period, rows and columns, of the array from frames.
+
+    One light may not distinguish all channels, so the result is the largest period that at least a third of the frames agree
+    on, not counting frames that show none. It is 1×1 if no frame shows an array.
+    """
     found = [each for each in map(_period, frames) if each != (1, 1)]
     often = [each for each in found if len(frames) == 1 or 3 * found.count(each) >= len(found)]
     return max(often, key=lambda each: each[0] * each[1], default=(1, 1))
@@ -170,7 +180,7 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
     rows, cols = (min(length, LARGEST_CROP) for length in frame.shape)
     cut = frame[:rows, :cols].astype(np.float64)
-    # Neighbours share their light: what is left of a local mean is array and noise.
+    # Neighbouring pixels get the same light, so the residual of a local mean is array and noise.
     smooth = cut - ndimage.uniform_filter(cut, 2 * max(PERIODS) + 1)
     explained = {each: _explained(smooth, each) for each in itertools.product(PERIODS, PERIODS)}
     most = max(explained.values())
@@ -181,7 +191,7 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
 
 def _explained(values: Array, period: tuple[int, int]) -> float:
-    """Return the sum of squares that the means of sites explain, over the variance, less what chance explains."""
+    """Return the sum of squares that the site means explain, relative to the variance, minus what chance explains."""
     rows, cols = (length // each for length, each in zip(values.shape, period, strict=True))
     if min(rows, cols) < 4:
         return 0.0
@@ -192,13 +202,13 @@ def _explained(values: Array, period: tuple[int, int]) -> float:
 
 
 def altered(values: NDArray[np.uint16]) -> str | None:
-    """Return the processing of a frame's numbers after the converter, as far as they show it; None if they show none."""
+    """Describe how a frame's values were processed after the converter, or return None if there is no sign of it."""
     counts = np.bincount(values.ravel())
     codes = np.flatnonzero(counts)
     step = int(np.gcd.reduce(codes))
     if step > 1 and codes.size > DRAWN:
         return f"all values are multiples of {step}: stored shifted, a step of the converter is {step} DN"
-    # Beside a value that many pixels have, the next one is never left out by chance.
+    # If many pixels have a value, it is no coincidence that no pixel has the next value.
     common = np.flatnonzero(counts[:-1] >= COMMON)
     gaps = float(np.mean(counts[common + 1] == 0)) if common.size else 0.0
     if common.size >= LEAST_CODES and gaps > MOST_GAPS:
@@ -207,7 +217,7 @@ def altered(values: NDArray[np.uint16]) -> str | None:
 
 
 def drawn(values: NDArray[np.uint16]) -> bool:
-    """Return whether a frame has no noise where it is neither black nor clipped, as masks and drawings have none."""
+    """Whether a frame lacks noise where it is neither black nor clipped, as masks and drawings do."""
     inner = values[1:, 1:]
     same = (inner == values[:-1, 1:]) & (inner == values[1:, :-1])
     low, high = int(values.min()), int(values.max())

@@ -1,5 +1,8 @@
-"""Frames and tables of spectra → captures: the kind of each frame by its name, else by its content; frames that belong
-together; and the table of each capture, by wavelength, by light, or in the order of their names."""
+"""Group frames into captures, and assign spectra to them.
+
+The kind of a frame comes from its name, or otherwise from its content. The spectrum of a capture is found by wavelength,
+by light, or by the order of names.
+"""
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
@@ -16,37 +19,37 @@ from l3cli.frames.measurement import PATCHES
 from l3cli.physics import charts
 from l3cli.spectra.table import BRIGHTEST, DIMMEST, CurveTable
 
-DARK = 0.01  # of the range from the darkest to the brightest frame: without light
-ALIKE = 0.04  # relative, of signals: frames of one capture, sites of one channel, captures of one light
-CLIPPED = 0.97  # of the brightest values: saturated
-RATE = 0.1  # relative, of light a second: captures of one light
-LEAST_WHITES = 3  # exposures of one light that are taken for the white series
-BRIGHT_DARK, BRIGHTER = 0.05, 5.0  # of the range, times the noise: a frame called dark that is none
+DARK = 0.01  # fraction of the range of all frames below which a frame has no light
+ALIKE = 0.04  # largest relative difference between signals of one capture or of one light
+CLIPPED = 0.97  # fraction of the range of all frames from which a capture counts as saturated
+SAME_RATE = 0.1  # largest relative difference between signals per second of one light
+LEAST_WHITES = 3  # exposures of one light needed for a white series
+BRIGHT_DARK, BRIGHTER = 0.05, 5.0  # fraction of the range, and multiple of the noise, that make a "dark" frame suspicious
 Array = NDArray[np.floating]
-SAME_CHANNEL = 0.05  # of a site's largest response: sites of one channel differ by less
-LEAST_STEPS = 5
+SAME_CHANNEL = 0.05  # largest difference between sites of one channel, as a fraction of the largest response
+LEAST_STEPS = 5  # monochromatic captures needed to guess the array
 GRID_NM = np.arange(400.0, 701.0, 10.0)
-SEARCHED = 6  # brightest captures of one series in which the chart is searched
-DIM = 0.05  # of the range: darker charts are not searched
+SEARCHED = 6  # brightest captures of a series in which the chart is searched
+DIM = 0.05  # fraction of the range below which charts are too dark to be searched
 Corners = list[tuple[float, float]]
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A raw frame as it lies in the folder."""
+    """A raw frame in the folder."""
 
     name: Name
     summary: Summary
-    seconds: float | None  # s, as the file or else its name says
-    by_name: bool = False  # whether the exposure time is the name's
-    count: int = 1  # frames that the file holds, of one scene at one exposure
+    seconds: float | None  # s, from the file or otherwise from its name
+    by_name: bool = False  # whether the exposure time comes from the name
+    count: int = 1  # number of frames in the file, all of one scene at one exposure
 
 
 @dataclass(frozen=True)
 class Group:
-    """Frames of one scene at one exposure."""
+    """The frames of one capture: one scene at one exposure."""
 
-    kind: str  # dark, white, mono, band, chart; "plain" or "structured" where nothing tells more
+    kind: str  # dark, white, mono, band or chart; "plain" (even) or "structured" if not known more precisely
     frames: tuple[Frame, ...]
 
     @property
@@ -55,34 +58,37 @@ class Group:
 
     @property
     def level(self) -> Array:
-        """Return the mean DN (site)."""
+        """Mean DN (site)."""
         return np.asarray(np.mean([frame.summary.level for frame in self.frames], axis=0))
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Scale of the converter, as all frames together show it."""
+    """Range of values of a folder, from all its frames."""
 
     black: Array  # (site) DN of the darkest frames
-    bright: float  # DN of the brightest pixels but a tenth
+    bright: float  # DN, highest 90th percentile of all frames and sites
 
     @property
     def range(self) -> float:
         return max(self.bright - float(self.black.mean()), 1.0)
 
     def signal(self, group: Group) -> Array:
-        """Return DN above black (site)."""
+        """Return the DN above black (site)."""
         return np.asarray(group.level - self.black)
 
     def clipped(self, group: Group) -> bool:
-        """Return whether a site of a capture saturates."""
+        """Whether a site of a capture is saturated."""
         high = max(float(frame.summary.high.max()) for frame in group.frames)
         return high - self.black.mean() >= CLIPPED * self.range
 
 
 def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
-    """Return the black and bright of a folder's frames; `black`: DN, as their files state it. Without that, and without a
-    frame that is called dark or whose sites all show the same, it is unknown and taken as 0."""
+    """Return the range of values of a folder's frames.
+
+    `black` is the black level in DN that the files state. Otherwise it is the level of the darkest frame, if a name calls it
+    dark or if it is even over all sites. Otherwise it is taken as 0.
+    """
     sites = frames[0].summary.level.size
     called = [frame for frame in frames if frame.name.kind == "dark"]
     darkest = min(called or frames, key=lambda frame: float(frame.summary.level.mean()))
@@ -97,8 +103,10 @@ def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
 
 
 def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list[Group]:
-    """Return the captures of a folder, in the order of their names; `notes` gets a line for each name that its frame
-    belies."""
+    """Group frames into captures, in the order of their names.
+
+    `notes` gets a line for each name that its frame contradicts.
+    """
     ordered = sorted(frames, key=lambda frame: natural(frame.name.path))
     kinds = [_kind(frame, scale, notes) for frame in ordered]
     groups: dict[tuple[object, ...], list[Frame]] = {}
@@ -112,7 +120,7 @@ def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list
 
 
 def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
-    """Return a frame's kind as its name says, or else what it shows."""
+    """Return the kind of a frame, from its name or otherwise from its content."""
     name, black = frame.name, float(scale.black.mean())
     signal = frame.summary.level - scale.black
     share = float(signal.max()) / scale.range
@@ -131,7 +139,7 @@ def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
 
 
 def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
-    """Yield the frames that share all that their names say, divided where they show different light."""
+    """Split frames whose names agree into groups that show the same light."""
     parts: list[list[Frame]] = []
     for frame in members:
         signal = frame.summary.level - scale.black
@@ -146,8 +154,11 @@ def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
 
 
 def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
-    """Return the captures with "plain" ones called white or mono: white is the light of which most frames are taken, at
-    several exposures. Clipped ones, whose colour is unknown, are what the captures before them are."""
+    """Rename captures of kind "plain" to white or mono.
+
+    White is the light of which there are most frames, at several exposures. A clipped capture has no usable colour, so it
+    takes the kind of the capture before it.
+    """
     plain = [group for group in groups if group.kind == "plain"]
     if not plain:
         return list(groups)
@@ -173,21 +184,25 @@ def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) ->
 
 
 def _same_light(group: Group, other: Group, scale: Scale) -> bool:
-    """Return whether two captures differ in exposure alone: one colour and, where exposure times are known, one rate."""
+    """Whether two captures show the same light: the same colour and, if exposure times are known, the same signal per
+    second.
+    """
     one, two = scale.signal(group), scale.signal(other)
     if min(one.max(), two.max()) <= 0 or np.abs(one / one.max() - two / two.max()).max() > ALIKE:
         return False
     times = group.first.seconds, other.first.seconds
-    return None in times or abs(one.max() * times[1] / (two.max() * times[0]) - 1.0) < RATE
+    return None in times or abs(one.max() * times[1] / (two.max() * times[0]) - 1.0) < SAME_RATE
 
 
 def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -> CfaRecipe | None:
-    """Return the array of `period` rows and columns by what its sites respond to; None if too few steps have a known
-    wavelength, or no light is seen."""
+    """Guess the array from the wavelengths to which its sites respond.
+
+    Returns None if too few captures state a wavelength, or if no site responds.
+    """
     steps = [step for step in steps if step.first.name.nm is not None and not scale.clipped(step)]
     if len(steps) < LEAST_STEPS:
         return None
-    # Exposures differ from step to step: shares of a step's light, weighed by its brightest site.
+    # Exposures differ from step to step, so responses are relative to the brightest site of each step.
     signal = np.array([scale.signal(step) for step in steps])
     weight = signal.max(axis=1, keepdims=True)
     seen = weight[:, 0] > 0.05 * weight.max()
@@ -211,7 +226,7 @@ def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -
 
 
 def _names(peaks: Sequence[float]) -> list[str]:
-    """Return a name for each channel: r g b where there are three, w for one, else the wavelength that it responds to."""
+    """Name the channels: w for one, r g b for three, otherwise by their peak wavelengths."""
     if len(peaks) == 1:
         return ["w"]
     if len(peaks) == 3:
@@ -222,8 +237,10 @@ def _names(peaks: Sequence[float]) -> list[str]:
 
 
 def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
-    """Return col, row in pixels of the outer corners of patches 1, 6, 24, 19 of a ColorChecker in a mosaic of DN above
-    black, each site a channel of its own; None if there is none."""
+    """Find a ColorChecker in a mosaic of DN above black, each site taken as a channel.
+
+    Returns the col, row in pixels of the outer corners of patches 1, 6, 24 and 19, or None.
+    """
     sites = np.arange(period[0] * period[1], dtype=np.uint8).reshape(period)
     found = locate(mosaic, sites, charts.chart("classic", GRID_NM)[1], charts.CLASSIC)
     if found is None:
@@ -234,7 +251,7 @@ def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
 def corners_of_series(
     groups: Sequence[Group], scale: Scale, period: tuple[int, int], read: Callable[[str], Array]
 ) -> Corners | None:
-    """Return the corners of a chart that stands still in a series: where most captures that show it agree, the median."""
+    """Return the corners of a chart that does not move during a series: the median over captures, or None."""
     lit = [group for group in groups if scale.signal(group).max() > DIM * scale.range]
     lit.sort(key=lambda group: (scale.clipped(group), -float(scale.signal(group).max())))
     black = float(scale.black.mean())
@@ -245,26 +262,26 @@ def corners_of_series(
     return [(round(float(x), 1), round(float(y), 1)) for x, y in middle]
 
 
-NARROW_NM = 40.0  # between the first and the last half of its peak: a line
-NEAR_NM = 5.0  # of a step's name and the peak of its spectrum
+NARROW_NM = 40.0  # nm, largest full width at half maximum of a line
+NEAR_NM = 5.0  # nm, largest difference between the wavelength in a name and the peak of its spectrum
 
 
 @dataclass(frozen=True)
 class Spectra:
     """A table of spectra in the folder."""
 
-    path: str  # as the measurement file will name it
-    name: Name  # what its path within the folder says
+    path: str  # as it appears in the measurement file
+    name: Name  # facts from its path within the folder
     table: CurveTable
 
     @property
     def narrow(self) -> bool:
-        """Return whether most columns are lines, as steps of a monochromator are."""
+        """Whether most columns are narrow lines, like the steps of a monochromator."""
         return float(np.mean([_narrow(self.table.wavelength, curve) for curve in self.table.values])) > 0.5
 
     @property
     def has_patches(self) -> bool:
-        """Return whether there is a column for each patch of a ColorChecker."""
+        """Whether there is a column for each patch of a ColorChecker."""
         return len(self.table.values) == PATCHES and not self.narrow
 
 
@@ -275,17 +292,17 @@ class Column:
     spectra: Spectra
     number: int  # from 1
     name: str | None
-    nm: float  # what its heading says, or else its peak
+    nm: float  # from its heading, or otherwise the peak
 
     @property
     def key(self) -> int | str:
-        """Return the name by which a measurement file refers to it."""
+        """Number or name by which a measurement file refers to the column."""
         names = self.spectra.table.names or ()
         return self.name if self.name and names.count(self.name) == 1 else self.number
 
 
 def columns_of(tables: Sequence[Spectra]) -> list[Column]:
-    """Return every line spectrum of the tables, in their order."""
+    """Return all line spectra of the tables, in order."""
     columns = []
     for spectra in tables:
         if not spectra.narrow:
@@ -300,7 +317,7 @@ def columns_of(tables: Sequence[Spectra]) -> list[Column]:
 
 
 def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]) -> list[Column | None]:
-    """Return the spectrum of each monochromatic capture: by wavelength where its name says it, else in order."""
+    """Assign a spectrum to each monochromatic capture, by the wavelength in its name or otherwise by order."""
     if not columns or not steps:
         return [None] * len(steps)
     found = [_by_wavelength(step.first.name, columns) for step in steps]
@@ -316,7 +333,7 @@ def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale,
 def _in_order(
     steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]
 ) -> Sequence[Column] | list[None]:
-    """Return the spectra of captures whose names state no wavelength, if they are as many; none otherwise."""
+    """Assign spectra in order to captures whose names state no wavelength, if the numbers match. Otherwise all are None."""
     numbers = list(range(len(steps))) if len(steps) == len(columns) else _steps_in_order(steps, scale)
     if numbers[-1] + 1 != len(columns):
         notes.append(
@@ -332,7 +349,7 @@ def _in_order(
 
 
 def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
-    """Return the number of each capture's step, where one that is taken again too long follows its step."""
+    """Return the number of each capture's step. A capture that repeats a clipped one, unclipped, has its number."""
     forward = (not scale.clipped(step) or scale.clipped(before) for before, step in itertools.pairwise(steps))
     return list(itertools.accumulate(forward, initial=0))
 
@@ -354,7 +371,7 @@ def _by_wavelength(name: Name, columns: Sequence[Column]) -> Column | None:
 
 
 def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list[str]) -> list[Spectra | None]:
-    """Return the table of radiances of each chart: by the light that both names say, else in order."""
+    """Assign a table of radiances to each chart, by the light in both names or otherwise by order."""
     patches = [table for table in tables if table.has_patches]
     lights = [table.name.light for table in patches]
     found: list[Spectra | None] = []
@@ -368,8 +385,11 @@ def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list
 
 
 def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None, bool]:
-    """Return the measured light of a photo of a chart: the broad spectrum that its light or its file is called by, or else
-    the only one there is; and whether names say so."""
+    """Find the measured light of a photo of a chart.
+
+    It is the broad spectrum whose name contains the same light or the photo's name, or otherwise the only broad spectrum.
+    The flag says whether a name decided.
+    """
     broad = [table for table in tables if len(table.table.values) == 1 and not table.narrow]
     same = [table for table in broad if table.name.light is not None and table.name.light == chart.first.name.light]
     if len(same) == 1:
@@ -382,17 +402,17 @@ def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None
 
 
 def radiances(table: CurveTable, column: int | None) -> Array:
-    """Return the values of one column (from 0), or of all of a table."""
+    """Return the values of one column, counted from 0, or of the whole table."""
     return table.values if column is None else table.values[column : column + 1]
 
 
 def unknown_unit(table: CurveTable, column: int | None) -> bool:
-    """Return whether radiances have no unit in their heading, and are not as large as radiances in photons are."""
+    """Whether the heading states no unit and the values are not in the usual range of photon radiances."""
     return not any(table.units) and not DIMMEST <= radiances(table, column).max() <= BRIGHTEST
 
 
 def note_unused(columns: Sequence[Column], matched: Sequence[Column | None], notes: list[str]) -> None:
-    """Add to `notes` which line spectra belong to no capture."""
+    """Note the line spectra that belong to no capture."""
     unused = [column for column in columns if all(column is not each for each in matched)]
     if unused and any(matched):
         where = ", ".join(f"{column.nm:g} nm" for column in unused[:6])

@@ -1,5 +1,9 @@
-"""Patches of a chart → responsivities: the posterior of a Gaussian model; the light a chart was photographed under, and the
-one that would say most (docs/method.md#charts-in-photographs)."""
+"""Estimate responsivities from the patches of a chart, and judge the light of the photo.
+
+The responsivities are the posterior of a Gaussian model. The same model gives the probability of each light that the
+chart may have been photographed under, and the light of the next photo that would help most
+(docs/method.md#charts-in-photographs).
+"""
 
 import functools
 import hashlib
@@ -12,37 +16,37 @@ from numpy.typing import NDArray
 from l3cli.frames.measurement import CurveStatistics, FinishedCurves
 from l3cli.physics import spectra
 
-WAVELENGTH = np.arange(400.0, 721.0, 10.0)  # nm: where published curves of cameras overlap
-ROLES = ("r", "g", "b")  # channels that measured cameras have in common
-MODES = 16  # of measured cameras; further ones change nothing
-SMOOTH_SHARE, SMOOTH_NM = 0.1, 25.0  # of the variance that no measured camera shows; over which it is smooth
-LEAST_SPREAD = 0.01  # of the peak: curves of another make differ at least so much
-UNKNOWN_MEAN, UNKNOWN_SPREAD, UNKNOWN_NM = 0.3, 0.35, 45.0  # of a dye of which nothing is known
-UNKNOWN_PEAK = 0.7  # natural logarithm, spread of the peak of such a channel
-PEAK_FLOOR = 0.25  # the same added to the spread of known ones: converter gains differ between channels
-MEASURED, UNLIKE, SMOOTH = "measured cameras", "cameras unlike the measured ones", "smooth"  # what a prior is of
-WIDENING = 2.0  # factor of the spread of measured cameras, for a camera unlike them
-UNLIKE_SPREAD, UNLIKE_NM = 0.05, 35.0  # of the peak, and nm: what such a camera has beside it, and over which it is smooth
-# Evidence overstates what it tells of a light, since no prior is quite a camera's: its logarithm is divided by these, which
-# make stated probabilities those with which lights are guessed rightly (tests/studies/test_photo_study.py).
-TEMPERING = {True: 1.5, False: 6.0}  # whether the priors know measured cameras
-JITTER = 1e-6
-STEPS = 4  # expansions of the product; the third changes nothing that can be seen
-SCALE_SPREAD = 0.5  # of a channel's scale about the first guess: next to nothing is assumed of it
-SHOT_SPREAD = 0.3  # of the exposure of a further shot about the first guess
-FARTHEST = 4.0  # factor by which scales and exposures may change from the first guess on
-CURVATURE = 0.5  # spread of a quadratic term over that of a linear one
-FLOOR = 0.001  # of the brightest patch: what no model explains
-ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # of a patch's value: reflectances, texture, as the misfit shows
-TERMS = 6  # of the illumination: constant, x, y, x², xy, y²
+WAVELENGTH = np.arange(400.0, 721.0, 10.0)  # nm; the range that all published curves of cameras cover
+ROLES = ("r", "g", "b")  # channels that all measured cameras have
+MODES = 16  # principal components of measured cameras; more do not change results
+SMOOTH_SHARE, SMOOTH_NM = 0.1, 25.0  # part of the variance for deviations that no measured camera shows; their scale, nm
+LEAST_SPREAD = 0.01  # smallest standard deviation between cameras, as a fraction of the peak
+UNKNOWN_MEAN, UNKNOWN_SPREAD, UNKNOWN_NM = 0.3, 0.35, 45.0  # mean, spread and smoothness (nm) of an unknown filter
+UNKNOWN_PEAK = 0.7  # standard deviation of the natural log of an unknown channel's peak
+PEAK_FLOOR = 0.25  # added in quadrature for known channels, because converter gains differ between channels
+MEASURED, UNLIKE, SMOOTH = "measured cameras", "cameras unlike the measured ones", "smooth"  # source of a prior
+WIDENING = 2.0  # factor on the spread of measured cameras, for a camera unlike them
+UNLIKE_SPREAD, UNLIKE_NM = 0.05, 35.0  # further deviations of such a camera: fraction of the peak, smoothness in nm
+# The evidence for a light is overconfident, because no prior describes a camera exactly. Dividing its logarithm by these
+# factors makes the stated probabilities match how often guesses are right (tests/studies/test_photo_study.py).
+TEMPERING = {True: 1.5, False: 6.0}  # True if one of the priors is based on measured cameras
+JITTER = 1e-6  # added to the diagonals of covariances, so that they can be inverted
+STEPS = 4  # linearisations of the product of curve and illumination; the third no longer changes visible results
+SCALE_SPREAD = 0.5  # relative standard deviation of a channel's scale about the first guess, nearly uninformative
+SHOT_SPREAD = 0.3  # relative standard deviation of the exposure of a further shot about the first guess
+FARTHEST = 4.0  # largest factor by which scales and exposures may move from the first guess
+CURVATURE = 0.5  # spread of a quadratic term of the illumination relative to a linear term
+FLOOR = 0.001  # error that no model explains, as a fraction of the brightest patch
+ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # candidate model errors, relative (reflectances, texture)
+TERMS = 6  # terms of the illumination: constant, x, y, x², xy, y²
 Array = NDArray[np.floating]
-MOST_EVIDENCES = 1000
-_EVIDENCES: dict[bytes, float] = {}  # by the content of shots and prior: of one photo the same lights are asked for thrice
+MOST_EVIDENCES = 1000  # size of the cache
+_EVIDENCES: dict[bytes, float] = {}  # cache by content of shots and prior; one photo needs the same lights three times
 
 
 @dataclass(frozen=True)
 class Prior:
-    """A Gaussian over the curves of a camera, and over the heights of their peaks."""
+    """Gaussian distribution of a camera's curves, and of the heights of their peaks."""
 
     mean: Array  # (channel, wavelength)
     covariance: Array  # (channel · wavelength, channel · wavelength)
@@ -52,7 +56,7 @@ class Prior:
 
 
 def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
-    """Return those of measured cameras, all with the same channels, by at most MODES modes."""
+    """Summarise measured cameras, all with the same channels, by their mean and at most MODES principal components."""
     curves = np.array([spectra.average(each.responsivity, each.wavelength, WAVELENGTH) for each in cameras])
     peaks = curves.max(axis=2)
     shapes = curves / peaks[..., None]
@@ -66,7 +70,7 @@ def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
 
 
 def camera_prior(known: CurveStatistics) -> Prior:
-    """Return the prior of a camera whose channels are those of measured cameras."""
+    """Return the prior of a camera whose channels are those of the measured cameras."""
     count, size = known.mean.shape
     covariance = _covariance(known.modes).reshape(count * size, count * size) + JITTER * np.eye(count * size)
     return Prior(
@@ -79,16 +83,20 @@ def camera_prior(known: CurveStatistics) -> Prior:
 
 
 def unlike(prior: Prior) -> Prior:
-    """Return the prior of a camera that lies outside of the measured ones: their spread, widened, and smooth deviations that
-    none of them has."""
+    """Return the prior of a camera unlike the measured ones.
+
+    It has a wider spread than `prior`, plus smooth deviations that none of the measured cameras has.
+    """
     count, size = prior.mean.shape
     further = np.kron(np.eye(count), _smooth(np.full(size, UNLIKE_SPREAD), UNLIKE_NM))
     return replace(prior, covariance=WIDENING**2 * prior.covariance + further, source=UNLIKE)
 
 
 def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
-    """Return the prior of a camera with more channels, or in another order: those at `places` are the channels of `prior`,
-    in its order, and nothing is known of the others."""
+    """Extend a prior to a camera with more channels, or with channels in another order.
+
+    The channels at `places` follow `prior`, in its order. Nothing is known about the others.
+    """
     whole, size = smooth(channels), WAVELENGTH.size
     at = np.array(places)
     curves = (at[:, None] * size + np.arange(size)).ravel()
@@ -100,8 +108,10 @@ def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
 
 
 def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Prior]:
-    """Return the priors that a camera may be drawn from: one like the measured cameras, one unlike them, and smooth curves.
-    Without channels r, g and b, of which cameras are measured, smooth curves alone."""
+    """Return the priors that a camera may come from: like the measured cameras, unlike them, and merely smooth.
+
+    Measured cameras have channels r, g and b. For a camera without these, the smooth prior is the only one.
+    """
     if known is None or not set(ROLES) <= set(channels):
         return [smooth(len(channels))]
     like = camera_prior(known)
@@ -110,7 +120,7 @@ def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Pr
 
 
 def smooth(channels: int) -> Prior:
-    """Return the prior of channels of which nothing is known: they are smooth, and see visible light."""
+    """Return the prior of channels about which nothing is known, except that they are smooth and see visible light."""
     size = WAVELENGTH.size
     one = _smooth(np.full(size, UNKNOWN_SPREAD), UNKNOWN_NM) + JITTER * np.eye(size)
     covariance = np.kron(np.eye(channels), one)
@@ -119,7 +129,9 @@ def smooth(channels: int) -> Prior:
 
 
 def _covariance(modes: Array) -> Array:
-    """Return (channel, wavelength, channel, wavelength) of modes (mode, channel, wavelength), and a smooth share."""
+    """Return the covariance (channel, wavelength, channel, wavelength) of modes (mode, channel, wavelength), with a smooth
+    part.
+    """
     _, count, size = modes.shape
     flat = modes.reshape(len(modes), -1)
     sampled = flat.T @ flat
@@ -131,38 +143,37 @@ def _covariance(modes: Array) -> Array:
 
 
 def _smooth(spread: Array, correlation_nm: float) -> Array:
-    """Return the covariance (wavelength, wavelength) of what varies by `spread` (wavelength), smoothly over
-    `correlation_nm`."""
-    isolated = (WAVELENGTH[:, None] - WAVELENGTH) / correlation_nm
-    return np.exp(-0.5 * isolated**2) * np.outer(spread, spread)
+    """Return the covariance (wavelength, wavelength) of smooth deviations with standard deviation `spread` (wavelength)."""
+    distance = (WAVELENGTH[:, None] - WAVELENGTH) / correlation_nm
+    return np.exp(-0.5 * distance**2) * np.outer(spread, spread)
 
 
 @dataclass(frozen=True)
 class Shot:
     """The patches of a chart under one light."""
 
-    light: Array  # (wavelength) relative photon radiance of a white
+    light: Array  # (wavelength) relative photon radiance of a perfect white
     reflectance: Array  # (patch, wavelength)
     place: Array  # (patch, 2) x and y over the chart, −1…1
     values: Array  # (patch, channel) DN above black
     deviation: Array  # (patch, channel) DN, standard deviation of a value
     used: NDArray[np.bool_]  # (patch, channel)
-    uneven: float = 0.2  # spread of the illumination's terms: 20 %, or less where a white shot has corrected it
-    glare: float = 0.03  # spread of glare, of the brightest patch
+    uneven: float = 0.2  # relative spread of the illumination's terms; less if a white shot has corrected it
+    glare: float = 0.03  # spread of glare as a fraction of the brightest patch
 
     @functools.cached_property
     def stimuli(self) -> Array:
-        """Return the photons (patch, wavelength) of each patch."""
+        """Photons (patch, wavelength) from each patch."""
         return self.reflectance * self.light
 
     @functools.cached_property
     def terms(self) -> Array:
-        """Return the terms (patch, term) of the illumination of each patch."""
+        """Illumination terms (patch, term) at each patch."""
         return terms(self.place)
 
     @functools.cached_property
     def brightest(self) -> Array:
-        """Return the DN (channel) of the brightest patch that is used; 1 where none is."""
+        """DN (channel) of the brightest usable patch, or 1 if there is none."""
         top = np.where(self.used, self.values, 0.0).max(axis=0)
         return np.where(top > 0, top, 1.0)
 
@@ -171,25 +182,27 @@ class Shot:
 class Posterior:
     """Estimate of a camera from its patches."""
 
-    responsivity: Array  # (channel, wavelength) in the unit of the values over that of the light; nowhere negative
-    covariance: Array  # (channel · wavelength, channel · wavelength) of it
+    responsivity: Array  # (channel, wavelength) in the values' unit per the light's unit; never negative
+    covariance: Array  # (channel · wavelength, channel · wavelength) of the responsivity
     glare: Array  # (shot, channel) DN
     illumination: Array  # (shot, term)
-    error: float  # of a patch's value, beside its deviation
-    evidence: float  # natural logarithm of the probability of the values, up to a constant
-    predicted: tuple[Array, ...]  # of each shot (patch, channel) DN
+    error: float  # relative model error of a patch's value, in addition to its noise
+    evidence: float  # natural log of the probability of the values, up to a constant
+    predicted: tuple[Array, ...]  # per shot: (patch, channel) DN
 
 
 def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
-    """Return the posterior of all shots, with the model error under which the values are most probable."""
+    """Return the posterior of all shots, with the model error that makes the values most probable."""
     candidates = [_solve(shots, prior, error) for error in ERRORS]
     best = max(candidates, key=lambda solution: solution.evidence)
     return best.posterior()
 
 
 def evidence(shots: Sequence[Shot], prior: Prior) -> float:
-    """Return the natural logarithm of the probability of the values under these lights, up to a constant; mean over the
-    model errors that are possible."""
+    """Return the natural log of the probability of the values under the shots' lights, up to a constant.
+
+    The probability is averaged over the candidate model errors.
+    """
     every: list[Shot | Prior] = [*shots, prior]
     parts = [getattr(each, field.name) for each in every for field in fields(each) if field.name != "source"]
     content = hashlib.sha256(b"".join(np.asarray(part).tobytes() for part in parts)).digest()
@@ -201,12 +214,12 @@ def evidence(shots: Sequence[Shot], prior: Prior) -> float:
 
 
 def _log_mean(logarithms: Sequence[float]) -> float:
-    """Return the logarithm of the mean of what has these logarithms."""
+    """Return the log of the mean of numbers given by their logs."""
     return float(np.logaddexp.reduce(logarithms) - np.log(len(logarithms)))
 
 
 def terms(place: Array) -> Array:
-    """Return the terms (patch, term) of the illumination at x, y (patch, 2)."""
+    """Return the illumination terms (patch, term) at positions x, y (patch, 2)."""
     x, y = place.T
     return np.stack([np.ones_like(x), x, y, x * x - np.mean(x * x), x * y, y * y - np.mean(y * y)], axis=1)
 
@@ -216,21 +229,21 @@ def terms(place: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Solution:
-    """The last expansion of the model: values ≈ design @ state, with a Gaussian prior over the state."""
+    """Last linearisation of the model: values ≈ design @ state, with a Gaussian prior for the state."""
 
     shots: Sequence[Shot]
     shape: tuple[int, int]  # channels, wavelengths
     design: Array  # (value, state)
-    values: Array  # (value), what the expansion leaves on the right side
+    values: Array  # (value) right-hand side of the linearisation
     noise: Array  # (value) variances
-    mean: Array  # (state) before
-    covariance: Array  # (state, state) before
-    state: Array  # (state) after
+    mean: Array  # (state) of the prior
+    covariance: Array  # (state, state) of the prior
+    state: Array  # (state) solution
     error: float
     evidence: float
 
     def posterior(self) -> Posterior:
-        """Return the posterior with responsivities that are nowhere negative."""
+        """Return the posterior, with responsivities that are never negative."""
         count, size = self.shape
         curves = count * size
         state = self.state if self.state[:curves].min() >= 0 else self._not_negative()
@@ -254,10 +267,11 @@ class _Solution:
         curves = self.shape[0] * self.shape[1]
         free = np.diag(self.covariance) > 0
         root = np.linalg.cholesky(self.covariance[np.ix_(free, free)])
-        ours = np.linalg.solve(root, np.eye(len(root)))
+        whitening = np.linalg.solve(root, np.eye(len(root)))
         weight = 1.0 / np.sqrt(self.noise)
-        system = np.vstack([self.design[:, free] * weight[:, None], ours])
-        right = np.concatenate([(self.values - self.design[:, ~free] @ self.mean[~free]) * weight, ours @ self.mean[free]])
+        system = np.vstack([self.design[:, free] * weight[:, None], whitening])
+        measured = (self.values - self.design[:, ~free] @ self.mean[~free]) * weight
+        right = np.concatenate([measured, whitening @ self.mean[free]])
         least = np.where(np.arange(free.size) < curves, 0.0, -np.inf)[free]
         state = self.mean.copy()
         state[free] = lsq_linear(system, right, bounds=(least, np.inf)).x
@@ -278,9 +292,9 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
         off = right - design @ mean
         solved = np.linalg.solve(spread, off)
         state = mean + across @ solved
-        # Under a light that explains nothing the expansion may run away: it stays near the first guess.
+        # Under a wrong light the iteration may diverge, so it is kept near the first guess.
         scale = np.clip(_scale(state, prior), first / FARTHEST, first * FARTHEST)
-        exposures = slice(state.size - len(shots) * TERMS, None, TERMS)  # stay near those before
+        exposures = slice(state.size - len(shots) * TERMS, None, TERMS)  # kept near the previous exposures
         state[exposures] = np.clip(state[exposures], mean[exposures] / FARTHEST, mean[exposures] * FARTHEST)
     logarithm = np.log(np.diag(np.linalg.cholesky(spread))).sum()
     probability = -0.5 * off @ solved - logarithm + _peaks(state, prior)
@@ -288,7 +302,7 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
 
 
 def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
-    """Return the prior's mean curves, scaled to each channel of the first shot, with even light and no glare."""
+    """Return the initial state: mean curves of the prior scaled to the first shot, even light and no glare."""
     count = len(prior.mean)
     expected = [shot.stimuli @ prior.mean.T for shot in shots]
 
@@ -305,14 +319,14 @@ def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
 
 
 def _scale(state: Array, prior: Prior) -> Array:
-    """Return the factor (channel) of the prior's mean that fits a state best."""
+    """Return the factor (channel) by which the prior's mean fits a state best."""
     count, size = prior.mean.shape
     curves = state[: count * size].reshape(count, size)
     return np.maximum((curves * prior.mean).sum(axis=1) / (prior.mean**2).sum(axis=1), 1e-12)
 
 
 def _before(shots: Sequence[Shot], prior: Prior, scale: Array) -> tuple[Array, Array]:
-    """Return the mean and covariance of the state before anything is measured, at the scale of each channel."""
+    """Return mean and covariance of the state's prior, at the given scale of each channel."""
     count, size = prior.mean.shape
     curves = (scale[:, None] * prior.mean).ravel()
     factors = np.repeat(scale, size)
@@ -336,7 +350,7 @@ def _before(shots: Sequence[Shot], prior: Prior, scale: Array) -> tuple[Array, A
 
 
 def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
-    """Return the exposure of a further shot relative to the first's scale, 1 for the first."""
+    """Return the exposure of a shot relative to the first shot."""
     if index == 0:
         return 1.0
     shot, predicted = shots[index], shots[index].stimuli @ curves.T
@@ -344,7 +358,10 @@ def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
 
 
 def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error: float) -> tuple[Array, Array, Array]:
-    """Return design, right side and variances of all values, shot by shot, channel by channel, patch by patch."""
+    """Linearise the model about a state: design, right-hand side and variances of all values.
+
+    Values are ordered by shot, channel and patch.
+    """
     responsivity, glare, illumination = _split_state(state, len(shots), count, size)
     designs, rights, variances = [], [], []
     curves, offsets = count * size, len(shots) * count
@@ -366,7 +383,7 @@ def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error
 
 
 def _split_state(state: Array, shots: int, count: int, size: int) -> tuple[Array, Array, Array]:
-    """Return the responsivity (channel, wavelength), glare (shot, channel) and illumination (shot, term) of a state."""
+    """Split a state into responsivity (channel, wavelength), glare (shot, channel) and illumination (shot, term)."""
     curves, offsets = count * size, shots * count
     return (
         state[:curves].reshape(count, size),
@@ -376,20 +393,20 @@ def _split_state(state: Array, shots: int, count: int, size: int) -> tuple[Array
 
 
 def _predict(shot: Shot, responsivity: Array, glare: Array, illumination: Array) -> Array:
-    """Return the DN (patch, channel) of a shot."""
+    """Predict the DN (patch, channel) of a shot."""
     return (shot.terms @ illumination)[:, None] * (shot.stimuli @ responsivity.T) + glare
 
 
 def _peaks(state: Array, prior: Prior) -> float:
-    """Return the log-probability of the heights of the channels' peaks."""
+    """Return the log-probability of the relative heights of the channels' peaks."""
     count, size = prior.mean.shape
     heights = np.log(np.maximum(state[: count * size].reshape(count, size).max(axis=1), 1e-300))
     off = heights - heights.mean() - (prior.log_peak - prior.log_peak.mean())
     return float(-0.5 * off @ np.linalg.solve(prior.log_peak_covariance + 1e-9 * np.eye(count), off))
 
 
-IMPROBABLE = 0.02  # of a light: below it adds nothing to a band
-NOTICED = 3.0  # natural logarithm: the user is warned of a named light that is e³ times less probable than another
+IMPROBABLE = 0.02  # lights with a lower probability do not widen the band
+NOTICED = 3.0  # l3 warns if the named light is less probable than another by e to this power
 
 
 def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]) -> tuple[str, float]:
@@ -421,8 +438,10 @@ def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidate
 def probabilities(
     shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Return the probability of each candidate that it is the light of shot `index`, if it is one of them. Parameters are
-    those of `compare`."""
+    """Return the probability of each candidate light for shot `index`, given that it is one of them.
+
+    Parameters are the same as for `compare`.
+    """
     logarithms = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     top = max(logarithms.values())
     weights = {name: float(np.exp(each - top)) for name, each in logarithms.items()}
@@ -437,8 +456,11 @@ def unsure_of_light(
     likely: Mapping[str, float],
     candidates: Mapping[str, Array],
 ) -> Posterior:
-    """Return the posterior with what its covariance lacks if the light of shot `index` is only guessed: the scatter of the
-    curves under all candidates that it may be, by their probabilities `likely`, each at the posterior's overall scale."""
+    """Widen the covariance of a posterior for the uncertainty of a guessed light.
+
+    The added covariance is the scatter of the curves under all candidate lights, weighted by their probabilities `likely`.
+    All curves are brought to the same overall scale. `index` is the number of the shot whose light is guessed.
+    """
     added = np.zeros_like(posterior.covariance)
     for name, probability in likely.items():
         if probability < IMPROBABLE or candidates[name] is shots[index].light:
@@ -450,14 +472,13 @@ def unsure_of_light(
 
 
 def _likelihood(shots: Sequence[Shot], among: Sequence[Prior]) -> float:
-    """Return the natural logarithm of the probability of the values under these lights, up to a constant: mean over the
-    priors, tempered."""
+    """Return the tempered log-probability of the values under the shots' lights, averaged over the priors."""
     measured = any(prior.source == MEASURED for prior in among)
     return _log_mean([evidence(shots, prior) for prior in among]) / TEMPERING[measured]
 
 
 def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
-    """Return the shots, one of them under another light."""
+    """Return the shots, with one of them under another light."""
     return [replace(shot, light=light) if number == index else shot for number, shot in enumerate(shots)]
 
 
@@ -465,8 +486,11 @@ def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
 
 
 def response_errors(responsivity: Array, covariance: Array, light: Array, surfaces: Array) -> Array:
-    """Return the standard deviation (channel) of the responses to surfaces (surface, wavelength) under a light, RMS over
-    them, over the largest; their mean, which exposure and white balance set, is taken as known."""
+    """Return the uncertainty (channel) of the responses to surfaces under a light.
+
+    It is the RMS over surfaces (surface, wavelength) of the standard deviation, relative to the largest response. Exposure
+    and white balance fix the mean response, which therefore counts as known.
+    """
     count, size = responsivity.shape
     stimuli = surfaces * light
     errors = np.zeros(count)
@@ -482,8 +506,28 @@ def response_errors(responsivity: Array, covariance: Array, light: Array, surfac
 def next_light(
     shot: Shot, posterior: Posterior, candidates: Mapping[str, Array], judged_under: Sequence[Array], surfaces: Array
 ) -> tuple[str, float]:
-    """Return the candidate under which a second shot of the same chart would help most, and the share of the error of
-    responses to `surfaces` under the lights `judged_under` that would remain."""
+    """Find the light under which one more photo of the same chart would help most.
+
+    Parameters
+    ----------
+    shot : Shot
+        A photo of the chart.
+    posterior : Posterior
+        What is known now.
+    candidates : mapping of str to ndarray, (wavelength)
+        Lights to choose from.
+    judged_under : sequence of ndarray, (wavelength)
+        Lights under which colour errors count.
+    surfaces : ndarray, (surface, wavelength)
+        Reflectances whose colour errors count.
+
+    Returns
+    -------
+    light : str
+        The best candidate.
+    remaining : float
+        Fraction of today's colour error that would remain.
+    """
 
     def error(covariance: Array) -> float:
         each = [response_errors(posterior.responsivity, covariance, light, surfaces) for light in judged_under]
@@ -496,7 +540,7 @@ def next_light(
 
 
 def _with(shot: Shot, posterior: Posterior, light: Array) -> Array:
-    """Return the covariance of the responsivities after one more shot, of unknown exposure and glare, under a light."""
+    """Return the covariance of the responsivities after one more shot under a light, with unknown exposure and glare."""
     count = len(posterior.responsivity)
     stimuli = shot.reflectance * (light / light.mean() * shot.light.mean())
     predicted = (stimuli @ posterior.responsivity.T).T

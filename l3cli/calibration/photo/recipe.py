@@ -1,5 +1,7 @@
-"""Text of a camera recipe and its file of curves from the facts that raw files state about their camera, or that are known
-of a camera by its name; the rest is assumed, in comments."""
+"""Write a camera recipe and its curves from the facts that raw files, or a camera's name, provide.
+
+Comments in the recipe mark what is assumed.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,18 +18,18 @@ from l3cli.recipes.builtin import CURVES
 from l3cli.recipes.toml import toml_value
 from l3cli.system.text import printable
 
-PEAK_EFFICIENCY = 0.4  # of usual silicon cameras behind their lens
-ELECTRONS_PER_UM2 = 1500.0  # that fill a pixel of usual sensors at ISO 100
-BASE_ISO = 100.0
-READ_NOISE_E = 3.0  # of usual sensors
-USUAL_GAINS = (4.0, 16.0, 64.0)  # over the lowest ISO speed, for which transforms are learned
-FEWEST_ELECTRONS = 100.0  # at full scale
+PEAK_EFFICIENCY = 0.4  # typical peak quantum efficiency of a silicon camera with its lens
+ELECTRONS_PER_UM2 = 1500.0  # typical full-well capacity per µm² at ISO 100
+BASE_ISO = 100.0  # typical lowest ISO speed
+READ_NOISE_E = 3.0  # e-, typical read noise
+USUAL_GAINS = (4.0, 16.0, 64.0)  # gains relative to the lowest ISO speed for which transforms are learned
+FEWEST_ELECTRONS = 100.0  # e-, smallest plausible full scale
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """The sensor at the photo's sensitivity, and where that is from."""
+    """Gain and read noise at the photo's ISO speed, and their source."""
 
     gain: float  # DN/e-
     read_noise_e: float
@@ -36,23 +38,23 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class PhotoCamera:
-    """A camera as its raw files show it, or as it is known by its name."""
+    """A camera as its raw files describe it, or as it is known by its name."""
 
-    photo: Path | None  # None: of a camera by its name
+    photo: Path | None  # None if the camera is known by its name only
     body: Body
     black_level: float  # DN
     white_level: float  # DN
     stated: Stated
     wavelength: Array  # (wavelength) nm
-    curves: Array  # (channel, wavelength) per photon, to a common peak of 1
-    origin: str  # of the curves
+    curves: Array  # (channel, wavelength) per photon, scaled to a common peak of 1
+    origin: str  # source of the curves, for the recipe's comment
     noise: SensorNoise
-    white: str | None = None  # that its picture takes (‹white›): the light that was named, or that of the chart in it
-    gains: tuple[tuple[float, float], ...] = ()  # over that of the photo, and read noise (e-) at each, as other files state
-    overrides: Mapping[str, str] = field(default_factory=dict)  # what l3 render has to know better than its raw files
+    white: str | None = None  # value of ‹white› for rendering the photo: the named light, or the light of its chart
+    gains: tuple[tuple[float, float], ...] = ()  # gain relative to the photo and read noise (e-), from other files
+    overrides: Mapping[str, str] = field(default_factory=dict)  # options of l3 render that correct the raw files
 
     def gain_recipe(self) -> str:
-        """Return [gain] of the recipe; nothing if the photo does not state its ISO speed."""
+        """Return the table [gain] of the recipe, or nothing if the photo does not state its ISO speed."""
         if self.stated.iso is None:
             return ""
         lines = ["", "[gain]", f"iso = {self.stated.iso:g} # at gain_dn_per_e"]
@@ -69,7 +71,7 @@ class PhotoCamera:
 
     @property
     def assumed(self) -> list[str]:
-        """Return the facts that nothing states and the recipe assumes."""
+        """Names of the facts that the recipe has to assume."""
         known = self.stated
         names = {"pixel pitch": known.pitch_um, "focal length": self._focal_mm, "f-number": self._f_number}
         return ["peak efficiency", *(name for name, value in names.items() if value is None)]
@@ -85,7 +87,7 @@ class PhotoCamera:
         return value if value is not None and value >= LEAST_F_NUMBER else None
 
     def recipe(self) -> str:
-        """Return the camera recipe, with a comment on what each figure is from."""
+        """Return the camera recipe, with a comment on the source of each figure."""
         body = self.body
         known = "as it is known by its name" if self.photo is None else f"as its raw file shows it ({self.photo.name})"
         source = "nominal; a file states its own" if self.photo is None else "the file's"
@@ -125,7 +127,7 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
 {self.gain_recipe()}"""
 
     def curve_file(self) -> str:
-        """Return the curves as CSV, relative, per photon."""
+        """Return the relative curves per photon as CSV."""
         heading = ",".join(["wavelength_nm", *self.body.channels])
         lines = (
             f"{at:g}," + ",".join(f"{value:.5f}" for value in row)
@@ -137,15 +139,31 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
 def without_photo(
     body: Body, levels: tuple[float, float], known: Stated, curves: FinishedCurves, origin: str
 ) -> PhotoCamera:
-    """Return a camera known by its name, with its black and white level, in DN."""
+    """Describe a camera that is known by its name.
+
+    Parameters
+    ----------
+    body : Body
+        Sensor, array and optics.
+    levels : tuple of float
+        Black and white level in DN.
+    known : Stated
+        Facts about the camera.
+    curves : FinishedCurves
+        Its curves.
+    origin : str
+        Source of the curves, for the recipe's comment.
+    """
     noise = noise_of(known, levels[1] - levels[0])
     gains = tuple((gain, noise.read_noise_e) for gain in USUAL_GAINS) if known.iso else ()
     return PhotoCamera(None, body, *levels, known, curves.wavelength, curves.responsivity, origin, noise, gains=gains)
 
 
 def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, float], ...]:
-    """Return the gain over that of a raw file of the lowest ISO speed, and the read noise (e-) there, of each speed whose
-    noise others state, as far as recipes hold gains."""
+    """Return gains relative to a raw file, and the read noise (e-) at each gain, from other files that state noise.
+
+    Only higher ISO speeds count, up to the largest gain that a camera recipe may have.
+    """
     found: dict[float, float] = {}
     for each in others:
         if known.iso and each.iso and each.noise is not None and 1 < each.iso / known.iso <= MOST_GAIN:
@@ -155,7 +173,10 @@ def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, floa
 
 
 def noise_of(stated: Stated, span: float) -> SensorNoise:
-    """Return the noise that a raw file states, or what is usual at its sensitivity; `span` DN lie between its levels."""
+    """Return the noise that a raw file states, or typical noise at its ISO speed.
+
+    `span` is the difference of white and black level in DN.
+    """
     if stated.noise is not None:
         slope, constant = stated.noise
         return SensorNoise(span * slope, float(np.sqrt(constant)) / slope, "as the file's noise profile says")

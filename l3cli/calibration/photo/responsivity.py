@@ -1,4 +1,6 @@
-"""Photographs of charts, or colour matrices of a raw file → responsivities (docs/method.md#charts-in-photographs)."""
+"""Responsivities from photographs of charts, or from the colour matrices of a raw file (docs/method.md#charts-in-
+photographs).
+"""
 
 import functools
 from collections.abc import Mapping, Sequence
@@ -43,22 +45,22 @@ from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.measurement import Body, CurveStatistics, Measurements, PhotoCapture, SensorFigures
 from l3cli.physics import spectra
 
-UNEVEN, UNEVEN_LEFT = 0.2, 0.01  # spread of the illumination over the chart: without a white shot, after one
-LEAST_SHARE = 0.5  # of the patches that every channel must have
-LEAST_SIGNAL = 20.0  # DN of the brightest patch
-CANDIDATES = (  # lights that photos are taken under
+UNEVEN, UNEVEN_LEFT = 0.2, 0.01  # relative spread of the illumination without a white shot, and after correction by one
+LEAST_SHARE = 0.5  # fraction of the patches that every channel needs
+LEAST_SIGNAL = 20.0  # DN, smallest acceptable value of the brightest patch
+CANDIDATES = (  # lights that a photo may have been taken under
     "A", "2400K", "3200K", "4000K", "D50", "D55", "D65", "D75", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5",
 )  # fmt: skip
-JUDGED_UNDER = ("A", "D65", "F11")  # for the band of responses
-SURFACES_EVERY = 7  # of the library
-FAR, MOST_FAR = 4.0, 4  # standard deviations from which a patch is left out; values in all
+JUDGED_UNDER = ("A", "D65", "F11")  # lights under which the uncertainty of colours is evaluated
+SURFACES_EVERY = 7  # every seventh surface of the library is evaluated
+FAR, MOST_FAR = 4.0, 4  # outliers: standard deviations from the fit, and the largest number that is left out
 Array = NDArray[np.floating]
-ERROR = 0.02  # of a patch's value: what no matrix of nine numbers says of a camera, beside the misfit that is found
+ERROR = 0.02  # relative error of the patch values that a colour matrix predicts, in addition to the misfit found
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """A photo's patches."""
+    """The measured patches of a photo."""
 
     capture: PhotoCapture
     corners: Array  # (4, 2) col, row
@@ -70,7 +72,7 @@ class Photograph:
 
 
 def measure(capture: PhotoCapture, body: Body) -> Photograph:
-    """Return the patches of a photo; InputFileError if there is no chart, or if too few of its patches can be used."""
+    """Measure the patches of a photo. Raises InputFileError if the chart is not found or too few patches are usable."""
     frame = capture.frames[0]
     black = frame.black_level if not capture.darks else float(np.mean([dark.values.mean() for dark in capture.darks]))
     if not black < frame.white_level:
@@ -105,20 +107,20 @@ def measure(capture: PhotoCapture, body: Body) -> Photograph:
 
 
 def light_of(capture: PhotoCapture) -> Array:
-    """Return (wavelength) relative photon radiance of a photo's light, mean 1."""
+    """Return the relative photon radiance (wavelength) of a photo's light, with mean 1."""
     light = np.maximum(spectra.resample(capture.radiance, capture.wavelength, WAVELENGTH), 0.0)
     return np.asarray(light / light.mean())
 
 
 def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array) -> Array:
-    """Return the homography (3, 3) from the chart's cells to pixels."""
+    """Return the homography (3, 3) from chart cells to pixels."""
     rows, cols = capture.chart.grid
     if capture.corners is None:
         located = locate(mosaic, cfa, reflectance, capture.chart.grid)
         if located is None:
             raise InputFileError(
-                f"{capture.name}: no chart of {rows}×{cols} patches is found in it; give its corners, in a measurement "
-                "file, or photograph it sharp, larger and evenly lit"
+                f"{capture.name}: no chart of {rows}×{cols} patches found; give its corners in a measurement file, "
+                "or photograph the chart larger, sharp and evenly lit"
             )
         return located.to_pixels
     height, width = mosaic.shape
@@ -133,7 +135,7 @@ def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], refl
 
 
 def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: Array) -> None:
-    """Raise InputFileError if too few patches can be used, or if they are not the chart's."""
+    """Raise InputFileError if too few patches are usable, or if they do not look like the chart's."""
     count = len(values.mean)
     for channel, name in enumerate(body.channels):
         used = values.used[:, channel]
@@ -142,12 +144,12 @@ def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: 
             most = max(reasons, key=reasons.count)
             cure = "shorten the exposure" if most == "clipped" else "check chart and corners"
             raise InputFileError(
-                f"{capture.name}: only {used.sum()} of {count} patches are usable in channel {name}, most others are {most}"
-                f"; {cure}"
+                f"{capture.name}: only {used.sum()} of {count} patches are usable in channel {name}, most of the others are "
+                f"{most}; {cure}"
             )
         if values.mean[used, channel].max() < LEAST_SIGNAL:
             raise InputFileError(
-                f"{capture.name}: channel {name} sees nothing of the chart; expose longer, or check black level"
+                f"{capture.name}: channel {name} sees nothing of the chart; expose longer, or check the black level"
             )
     if capture.corners is not None and fit(values.mean, components(reflectance)) < LEAST_FIT / 2:
         cols = capture.chart.grid[1]
@@ -165,21 +167,32 @@ def _over_white(
     grid: tuple[int, int],
     saturation: float,
 ) -> Array:
-    """Return the light (patch, channel) at each patch over its mean, from an even white in the chart's place."""
+    """Return the relative light (patch, channel) on each patch, from a photo of an even white in the chart's place."""
     mosaics = [white.values.astype(np.float64) - black for white in whites]
     values = patch_values(mosaics, cfa, to_pixels, grid, saturation)
     if not values.used.all() or values.mean.min() <= 0:
         raise InputFileError(
-            f"{whites[0].name}: the white shot is clipped, dark or not plain where the chart lies; take it again"
+            f"{whites[0].name}: the white shot is clipped, dark or uneven where the chart lies; take it again"
         )
     return np.asarray(values.mean / values.mean.mean(axis=0))
 
 
 def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigures]:
-    """Return the curves to a common peak, the photos' part of the fit, and the sensor as its data sheet or the patches'
-    noise gives it.
+    """Estimate a camera from photos of charts.
 
-    InputFileError if a photo shows no usable chart, or if its noise is no sensor's and nothing is declared.
+    Returns
+    -------
+    Curves
+        Responsivities, scaled to a common peak.
+    PhotoFit
+        Details of the fit.
+    SensorFigures
+        The sensor from its data sheet, or from the noise of the patches.
+
+    Raises
+    ------
+    InputFileError
+        If a photo shows no usable chart, or if there is no data sheet and the noise is not that of a sensor.
     """
     photographs = [measure(capture, measurements.body) for capture in measurements.photos]
     among = _priors(measurements)
@@ -225,7 +238,7 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
 
 
 def curves_of(posterior: Posterior) -> Curves:
-    """Return its responsivities to a common peak of 1, with their 95 % bands."""
+    """Return the posterior's curves, scaled to a common peak of 1, with 95 % bands."""
     count, size = posterior.responsivity.shape
     deviation = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0)).reshape(count, size)
     relative = posterior.responsivity.astype(np.float64)
@@ -234,7 +247,7 @@ def curves_of(posterior: Posterior) -> Curves:
 
 @functools.cache
 def candidates() -> Mapping[str, Array]:
-    """Return name → (wavelength) relative photon radiance of the lights that a photo may have been taken under."""
+    """Return the relative photon radiance (wavelength) of each light that a photo may have been taken under."""
     return {name: spectra.illuminant(name, WAVELENGTH) for name in CANDIDATES}
 
 
@@ -247,7 +260,7 @@ def _surfaces() -> Array:
 
 
 def _under_lights(photographs: Sequence[Photograph], among: Sequence[Prior]) -> list[Shot]:
-    """Return the shots; those of unknown light are under the most probable of the usual lights."""
+    """Return the shots. Shots of unknown light get the most probable common light."""
     shots = [photo.shot for photo in photographs]
     for index, photo in enumerate(photographs):
         if photo.capture.light is None:
@@ -257,7 +270,7 @@ def _under_lights(photographs: Sequence[Photograph], among: Sequence[Prior]) -> 
 
 
 def _priors(measurements: Measurements) -> list[Prior]:
-    """Return the priors that the camera may be drawn from."""
+    """Return the priors that the camera may come from."""
     known = measurements.cameras
     table = known if known is None or isinstance(known, CurveStatistics) else priors.statistics(known)
     return plausible(measurements.body.channels, table)
@@ -267,7 +280,10 @@ def _priors(measurements: Measurements) -> list[Prior]:
 
 
 def _without_far_ones(shots: list[Shot], prior: Prior) -> tuple[Posterior, list[Shot], list[tuple[int, int, int]]]:
-    """Return the posterior without the values (shot, patch, channel) that lie far off it, a few at most."""
+    """Fit again without values far off the first fit, at most MOST_FAR of them.
+
+    Returns the posterior, the shots, and the values left out as (shot, patch, channel).
+    """
     posterior = estimate(shots, prior)
     far: list[tuple[float, int, int, int]] = []
     for index, (shot, predicted) in enumerate(zip(shots, posterior.predicted, strict=True)):
@@ -295,7 +311,7 @@ def _far_lines(
 
 
 def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
-    """Return (photo, patch, channel), charts of fewer patches filled."""
+    """Stack arrays per photo into (photo, patch, channel). Charts with fewer patches are padded with `fill`."""
     most = max(len(part) for part in parts)
     shape = (len(parts), most, parts[0].shape[1])
     result = np.full(shape, fill, dtype=bool if isinstance(fill, bool) else np.float64)
@@ -308,17 +324,22 @@ def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
 
 
 def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[SensorFigures, bool]:
-    """Return levels, gain and noise of the data sheet, or else of files and the patches' photon transfer (True)."""
+    """Return the sensor from the data sheet, or from the files' levels and the patches' noise. The flag is True for the
+    latter.
+    """
     first = photographs[0]
     if measurements.datasheet is not None:
         return replace(measurements.datasheet, black_level=first.black_level, white_level=first.white_level), False
     if first.white_level > 2**measurements.body.bits - 1:
-        raise InputFileError(f"{first.capture.name} has the white level {first.white_level:g}; correct sensor.bits")
+        raise InputFileError(
+            f"{first.capture.name} has the white level {first.white_level:g}, more than {measurements.body.bits} bits can "
+            "store; correct sensor.bits"
+        )
     transfer = photon_transfer([photo.values for photo in photographs])
     if transfer is None:
         raise InputFileError(
-            f"{first.capture.name}: its noise does not grow with the signal as a sensor's does; is it a raw file as the "
-            "camera writes it? Else declare gain and noise in a [datasheet]"
+            f"{first.capture.name}: its noise does not grow with the signal as in a raw file; give the camera's raw file, "
+            "or declare gain and noise in a [datasheet]"
         )
     gain, dark_noise = transfer
     well = (first.white_level - first.black_level) / gain
@@ -327,22 +348,24 @@ def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tu
 
 @dataclass(frozen=True)
 class ColourMatrix:
-    """Colours of a camera under one light as a raw file states them (DNG 1.7, ColorMatrix)."""
+    """Colours of a camera under one light, as ColorMatrix of a DNG file states them (DNG 1.7)."""
 
-    light: str  # its name
-    values: Array  # (channel, 3) XYZ → channels
+    light: str  # name of the light
+    values: Array  # (channel, 3) from XYZ to channels
 
 
 def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves:
-    """Return the most probable curves, relative, with 95 % bands, of a camera that has these matrices: the posterior of
-    `prior` given the responses that the matrices predict for a ColorChecker under their lights."""
+    """Return the most probable relative curves, with 95 % bands, of a camera with the given colour matrices.
+
+    They are the posterior of `prior`, given the responses to a ColorChecker that the matrices predict.
+    """
     reflectance = spectra.colorchecker(WAVELENGTH)[1]
     shots = [_shot(matrix, reflectance) for matrix in matrices]
     return curves_of(estimate(shots, prior))
 
 
 def usual_curves(prior: Prior) -> Curves:
-    """Return the mean of measured cameras, for one of which nothing is known."""
+    """Return the mean curves of measured cameras, for a camera about which nothing is known."""
     peaks = np.exp(prior.log_peak)[:, None]
     deviation = np.sqrt(np.diag(prior.covariance)).reshape(prior.mean.shape)
     mean = np.asarray(prior.mean * peaks, np.float64)
@@ -350,21 +373,21 @@ def usual_curves(prior: Prior) -> Curves:
 
 
 def balanced_curves(curves: Curves, light: str) -> Curves:
-    """Return curves scaled so that a grey under a light gives equal signals in all channels."""
+    """Scale the curves so that a grey surface under a light gives equal signals in all channels."""
     signals = curves.relative @ spectra.illuminant(light, curves.wavelength)
     scale = (signals.min() / signals)[:, None]
     return Curves(curves.wavelength, curves.relative * scale, curves.band * scale).to_common_peak()
 
 
 def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
-    """Return the prior of measured cameras for channels r, g and b, that of smoothness for others."""
+    """Return the prior of measured cameras for channels r, g and b, or the smooth prior for other channels."""
     if sorted(channels) != sorted(ROLES):
         return smooth(len(channels))
     return placed(camera_prior(known), [channels.index(role) for role in ROLES], len(channels))
 
 
 def _shot(matrix: ColourMatrix, reflectance: Array) -> Shot:
-    """Return the chart as the matrix predicts it, evenly lit and without glare."""
+    """Return a chart, evenly lit and without glare, with the values that a colour matrix predicts."""
     light = spectra.illuminant(matrix.light, WAVELENGTH)
     weights = spectra.xyz_weights(WAVELENGTH)
     xyz = (reflectance * light) @ weights.T / (weights[1] @ light)
