@@ -1,4 +1,4 @@
-"""The Python interface as `l3cli.NAME`: the four stages, evaluation, artifacts, raw frames, a renderer, figures of pictures.
+"""Python interface of l3, imported as `l3cli`: stages, artifacts, raw frames, a renderer and image-quality metrics.
 
     import l3cli as l3
 
@@ -7,9 +7,11 @@
     table = l3.train("training.h5", "table.h5", jobs=2)
     picture = l3.Renderer(table).picture(l3.read_raw("frame.dng", table))
 
-Stages take paths or artifacts, write the file that the command of their name writes, byte for byte, and return its content.
-They raise the errors of `l3cli.errors`: RecipeError (a wrong call or recipe), InputFileError, DeviceError, L3Error. They say
-nothing unless they are given a `console` (`l3cli.system.console.Console`).
+A stage takes paths or artifacts, writes the same bytes as the command of its name, and returns what it wrote. Stages print
+nothing unless you pass a `console` (`l3cli.system.console.Console`).
+
+All errors are subclasses of `L3Error`, in `l3cli.errors`: RecipeError for a wrong argument or recipe, InputFileError for an
+unusable file, DeviceError for OpenCL. Messages name a parameter as ‹force›.
 """
 
 from l3cli.api.figures import delta_e_2000, psnr, scielab, ssim

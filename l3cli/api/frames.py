@@ -1,4 +1,4 @@
-"""Raw frames in memory, and what renders them: one by one, or the mosaics of one size that a video program hands on."""
+"""Raw frames in memory, the renderer for them, and the entry that video programs use to render mosaics of one size."""
 
 import functools
 import math
@@ -40,13 +40,55 @@ def read_raw(
     stride: int | None = None, exposure: float | None = None, gain: float | None = None, camera: CameraModel | None = None,
     skip: int = 0, byte_order: str | None = None, opcodes: Literal["leave"] | None = None,
 ) -> RawFrame:  # fmt: skip
-    """Return the raw frame in a file of any format that `l3 render` reads, `values` (row, col) in DN.
+    """Read a raw frame from a file of any format that `l3 render` reads.
 
-    `black_level`, `white_level` (DN), `phase` (CFA row and column of the first pixel), `exposure` (s), `gain` (analog, over
-    the camera's): in place of what the file states; `size` (rows, columns), `packing`, `stride` (bytes), `skip` (bytes
-    before the frame), `byte_order` ("little", "big"): of headerless files. `camera`: model whose defects and flat field are
-    corrected. `opcodes`: "leave" reads a DNG without the opcodes, such as a lens warp, that it demands and l3 does not carry
-    out. InputFileError if it cannot be read, or has another CFA than the `sensor`.
+    Parameters
+    ----------
+    path : str or path
+        Raw file.
+    sensor : TransformTable or CameraModel
+        Table or camera model that the frame is meant for. Its filter array must be that of the file.
+    black_level, white_level : float, optional
+        Levels in DN that replace those of the file.
+    phase : (int, int), optional
+        Row and column, from 0, of the CFA site of the first pixel. Replaces the position that the file states.
+    size : (int, int), optional
+        Headerless files only: rows and columns. Default: those of `sensor`.
+    packing : str, optional
+        Headerless files only: packing of the values, such as "u16", "raw10" or "Mono12Packed".
+    stride : int, optional
+        Headerless files only: bytes from one row to the next. Default: rows without padding.
+    exposure : float, optional
+        Exposure time in s, which replaces that of the file. It scales the dark current that is subtracted.
+    gain : float, optional
+        Analog gain as a multiple of the camera's. Replaces the gain derived from the file.
+    camera : CameraModel, optional
+        Model whose defective pixels and flat field are corrected.
+    skip : int, default 0
+        Headerless files only: bytes before the frame.
+    byte_order : {"little", "big"}, optional
+        Headerless files only: byte order of 16-bit values. Default: "little".
+    opcodes : {"leave"}, optional
+        DNG files only: read a file although it requires opcodes that l3 does not apply, such as a lens warp.
+
+    Returns
+    -------
+    RawFrame
+        `values` (row, col) in DN, with levels, CFA phase and what else the file states.
+
+    Raises
+    ------
+    InputFileError
+        If the file cannot be read, or if its filter array is not that of `sensor`.
+    RecipeError
+        If an argument does not fit.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> frame = l3.read_raw("unseen/00000_composition-5-0_raw.tif", l3.load_table("table.h5"))
+    >>> frame.values.shape, frame.values.dtype
+    ((160, 240), dtype('uint16'))
     """
     correction = None if camera is None else correction_of(camera)
     known = RawOverrides(
@@ -62,11 +104,54 @@ def raw_frame(
     neutral: Mapping[str, float] | None = None, exposure: float | None = None, gain: float | None = None,
     camera: CameraModel | None = None,
 ) -> RawFrame:  # fmt: skip
-    """Return the raw frame of an array `values` (row, col) in DN, uint8 or uint16, that another program has read.
+    """Make a raw frame from an array that another program has read.
 
-    `pattern`: letters of R G B C M Y W, (row, col) from the first pixel on or, of a square, in one word, "rggb"; None: the
-    sensor's from its first site on, or from `phase`. `neutral`: signal of a grey by letter, as the camera took it. Others as
-    in `read_raw`. InputFileError if this is no frame, or has another CFA than the `sensor`.
+    Parameters
+    ----------
+    values : ndarray of uint8 or uint16, (row, col)
+        Mosaic in DN.
+    sensor : TransformTable or CameraModel
+        Table or camera model that the frame is meant for.
+    pattern : array_like of str, optional
+        Filter array in letters of R G B C M Y W, (row, col), beginning at the first pixel. A square array can be one word,
+        such as "rggb". Default: the array of `sensor`, beginning at `phase`.
+    black_level, white_level : float, optional
+        Levels in DN. Default: those of `sensor`.
+    phase : (int, int), optional
+        Row and column, from 0, of the CFA site of the first pixel. Default: (0, 0).
+    neutral : mapping of str to float, optional
+        Signal of a grey object for each letter of the pattern, above black and in any unit: the white balance of the camera.
+    exposure : float, optional
+        Exposure time in s. It scales the dark current that is subtracted.
+    gain : float, optional
+        Analog gain as a multiple of the camera's.
+    camera : CameraModel, optional
+        Model whose defective pixels and flat field are corrected.
+
+    Returns
+    -------
+    RawFrame
+        The frame, for `Renderer`.
+
+    Raises
+    ------
+    InputFileError
+        If `values` is not a mosaic, or if its filter array is not that of `sensor`.
+    RecipeError
+        If `pattern` has other letters or is not a rectangle.
+
+    Warns
+    -----
+    UserWarning
+        If values exceed the bit depth of the table.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import l3cli as l3
+    >>> frame = l3.raw_frame(np.full((48, 64), 500, np.uint16), l3.load_camera("bayer"), phase=(0, 1))
+    >>> frame.values.shape, frame.phase
+    ((48, 64), (0, 1))
     """
     known = RawOverrides(
         black_level, white_level, phase, exposure=exposure, gain=gain,
@@ -79,14 +164,14 @@ def raw_frame(
 
 
 def _codes(pattern: ArrayLike) -> NDArray[np.int64]:
-    """Return the codes (row, col) of letters; RecipeError if they are none, or no square."""
+    """Return the colour code (row, col) of each letter of a pattern."""
     letters = np.array(list(pattern) if isinstance(pattern, str) else pattern)
     side = math.isqrt(letters.size)
     if letters.ndim == 1 and side * side == letters.size:
         letters = letters.reshape(side, side)
     if letters.ndim != 2 or not set(text := "".join(letters.ravel()).upper()) <= set(LETTERS) or len(text) != letters.size:
         given = shortened(" ".join(str(pattern).split()))
-        raise RecipeError(f"pattern {given} is none; give letters of {LETTERS} (row, col), or as rggb")
+        raise RecipeError(f"pattern {given} is not a filter array; give letters of {LETTERS}, (row, col) or as rggb")
     return codes_of(text).reshape(letters.shape)
 
 
@@ -94,7 +179,10 @@ def _of_array(
     values: NDArray[Any], sensor: TransformTable | CameraModel, known: RawOverrides, content: dict[str, NDArray],
     name: str = "the array", level: int = 3,
 ) -> RawFrame:  # fmt: skip
-    """Return the frame of an array, which is checked; values beyond a table's converter bring a warning `level` calls up."""
+    """Return the frame of an array after checking it.
+
+    A warning about values beyond the converter's range points `level` calls up the stack, at the caller's line.
+    """
     array = np.asarray(values)
     if array.dtype not in (np.uint8, np.uint16) or array.ndim != 2 or not array.size:
         raise InputFileError(
@@ -107,10 +195,46 @@ def _of_array(
 
 
 class Renderer:
-    """Renderer of frames through a table, one or thousands, from any number of threads (one at a time is at work).
+    """Renders raw frames through one table: single frames, sequences or arrays.
 
-    A frame is what `read_raw` gives, or an array (row, col) of uint16 at the table's black and white level whose first pixel
-    has CFA site (0, 0). `backend`: "opencl" or "reference"; `device`, `variant`: of "opencl", as the command's options.
+    A renderer can be used from several threads. It renders one frame at a time.
+
+    Parameters
+    ----------
+    table : str, path or TransformTable
+        Table to render with.
+    backend : {"opencl", "reference"}, default "opencl"
+        "reference" renders with numpy in float64, slowly.
+    device : str, optional
+        OpenCL device: part of its name, or its number in `l3 bench`. Default: the environment variable L3_DEVICE.
+    variant : {"processor", "graphics"}, optional
+        Kernels for processors or for graphics cards. Default: by the type of the device.
+
+    Attributes
+    ----------
+    table : TransformTable
+        The table.
+
+    Raises
+    ------
+    InputFileError
+        If the file does not hold a table.
+    DeviceError
+        If the OpenCL device does not work.
+
+    Notes
+    -----
+    Every method takes frames as `RawFrame` (from `read_raw` or `raw_frame`) or as arrays of uint8 or uint16, (row, col). An
+    array is assumed to have the black and white level of the table, and its first pixel to be at CFA site (0, 0).
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> renderer = l3.Renderer("table.h5")
+    >>> frame = l3.read_raw("unseen/00000_composition-5-0_raw.tif", renderer.table)
+    >>> picture = renderer.picture(frame)
+    >>> picture.shape, picture.dtype
+    ((160, 240, 3), dtype('uint8'))
     """
 
     def __init__(
@@ -119,26 +243,51 @@ class Renderer:
         self.table = table if isinstance(table, TransformTable) else store.load(TransformTable, Path(table))
         chosen = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
         self._renderer, self._backend, self._chosen = NoiseRenderer(backend, self.table, **chosen), backend, chosen
-        self._pictured = self.table.pictured()  # what pictures are made by
+        self._pictured = self.table.pictured()  # the table with only the outputs that pictures need
         shows_all = self._pictured.outputs == self.table.outputs
         self._pictures = self._renderer if shows_all else NoiseRenderer(backend, self._pictured, **chosen)
-        self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._pictures}  # of its lights
+        self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._pictures}  # by mixture of the table's lights
         self._alone = ThreadLock()
 
     def picture(
         self, frame: RawFrame | NDArray[np.uint16], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> NDArray[Any]:  # fmt: skip
-        """Return the picture, upright, (row, col, 3): what `l3 render` writes of the frame. uint8 or uint16 by `bits`; with
-        32 float32, linear and not clipped.
+        """Render one frame to a picture with the values that `l3 render` writes.
 
-        `exposure`: factor of Y, None: the frame's 99th percentile is shown white. `white`: name ("D50", "3200K") or "x,y" of
-        the scene's white, a multiplier for each channel ("2.1,1,1.4"), "camera" as the file states it, "auto" estimated on
-        the frame, "chart" of a ColorChecker in it, "ROW,COL" or "ROW,COL,SIZE" of a grey in the picture, "table" that of
-        training, None: the file's where it states one, else the table's. `space`: "srgb", "display-p3", "rec2020" or,
-        linear, "acescg", "xyz".
-        RecipeError unless the table's outputs begin with X, Y, Z or are Y alone, InputFileError if the white cannot be
-        taken from the frame.
+        Parameters
+        ----------
+        frame : RawFrame or ndarray, (row, col)
+            Raw frame.
+        exposure : float, optional
+            Factor by which Y is multiplied; the result 1 is display white. Default: automatic, so that the 99th percentile
+            of Y is shown white.
+        white : str, optional
+            White of the scene, which the picture shows neutral:
+
+            * an illuminant ("D50", "3200K") or a chromaticity "x,y";
+            * one multiplier for each channel ("2.1,1,1.4");
+            * "camera" (stated by the file) or "table" (of training);
+            * "auto" (estimated from the frame) or "chart" (from a ColorChecker in the frame);
+            * "ROW,COL" or "ROW,COL,SIZE" of a grey area in the picture.
+
+            Default: the white that the file states, otherwise that of the table.
+        space : {"srgb", "display-p3", "rec2020", "acescg", "xyz"}, default "srgb"
+            Colour space. "acescg" and "xyz" are linear.
+        bits : {8, 16, 32}, default 8
+            Bits per value. 32: float32, linear and not clipped.
+
+        Returns
+        -------
+        ndarray of uint8, uint16 or float32, (row, col, 3)
+            The picture, rotated upright.
+
+        Raises
+        ------
+        RecipeError
+            If an argument does not fit, or if the outputs of the table are neither Y alone nor begin with X, Y, Z.
+        InputFileError
+            If the frame does not fit the table, or if the white cannot be measured in the frame.
         """
         return next(self.pictures([frame], exposure=exposure, white=white, space=space, bits=bits))
 
@@ -146,8 +295,21 @@ class Renderer:
         self, frames: Iterable[RawFrame | NDArray[np.uint16]], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> Iterator[NDArray[Any]]:  # fmt: skip
-        """Yield `picture` of each frame, in order, as they are asked for; each has its automatic exposure. Of a table of
-        several lights they have the transforms of that nearest to the white of the first."""
+        """Render frames one after the other, lazily, each with its own automatic exposure.
+
+        If the table holds transforms for several illuminants, all frames use the transforms nearest to the white of the
+        first frame. Parameters and errors are those of `picture`.
+
+        Parameters
+        ----------
+        frames : iterable of RawFrame or ndarray
+            Raw frames, such as a list or a generator.
+
+        Yields
+        ------
+        ndarray, (row, col, 3)
+            The picture of the next frame.
+        """
         renderer, shown = self._pictures, shown_as(self._pictured, exposure, white, space, bits)
         for place, each in enumerate(frames):
             frame = self._frame(each)
@@ -162,11 +324,29 @@ class Renderer:
         self, rate: Fraction | None, *, exposure: float | None = None, white: str | None = None, space: str = "srgb",
         bits: int = 8, temporal: bool = False,
     ) -> Callable[[RawFrame | NDArray[np.uint16]], NDArray[Any]]:  # fmt: skip
-        """Return a function that makes the `picture` of each frame of a sequence, called with one after the other.
-        Exposure and white that are measured follow at `rate` (frames/s), as in `l3 render` of a sequence; None: they stay
-        those of the first frame that it is called with, and the others may come in any order, from any thread.
-        `temporal`: frames come in their order and are filtered in time, as in `l3 render --temporal`; RecipeError if the
-        table does not know its camera's noise."""
+        """Return a function that renders the frames of a sequence, called once per frame.
+
+        Other parameters and errors are those of `picture`.
+
+        Parameters
+        ----------
+        rate : Fraction or None
+            Frame rate in frames/s. Automatic exposure and measured white then follow the scene smoothly, as in `l3 render`,
+            and frames must come in their order. None: exposure and white stay those of the first frame, and the other frames
+            may come in any order and from any thread.
+        temporal : bool, default False
+            Filter the frames over time as `l3 render --temporal` does. Frames must come in their order.
+
+        Returns
+        -------
+        callable
+            Takes a raw frame and returns its picture (row, col, 3).
+
+        Raises
+        ------
+        RecipeError
+            If `temporal` is set and the table does not hold the noise of its camera.
+        """
         how = (exposure, white, space, bits)
         shown, starting = shown_as(self._pictured, *how), ThreadLock()
         temporal_filter = Chunks(filters(self._backend, self.table, **self._chosen)) if temporal else None
@@ -189,25 +369,63 @@ class Renderer:
         return picture
 
     def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
-        """Return the table's outputs, upright, (row, col, output); 1 is `table.output_unit` cd s/m²."""
+        """Render one frame to the outputs of the table, linear and not adapted.
+
+        Parameters
+        ----------
+        frame : RawFrame or ndarray, (row, col)
+            Raw frame.
+
+        Returns
+        -------
+        ndarray of float32, (row, col, output)
+            Outputs in the order of `table.outputs`, rotated upright, in units of `table.output_unit` cd s/m².
+        """
         return self._pixels(self._renderer, self._frame(frame), OUTPUTS, 0.0, None)
 
     def uncertainty(self, frame: RawFrame | NDArray[np.uint16], *, like: Uncertainty | None = None) -> Uncertainty:
-        """Return the standard deviation (row, col, output) that the camera's noise leaves in `outputs`, upright, and a mask
-        of pixels that are clipped or of classes without training patches (docs/measurement.md#uncertainty). `like`: that of
-        another frame of the same scene, with which it takes a tenth of the time. RecipeError if the table does not hold its
-        camera."""
+        """Estimate the uncertainty of `outputs` that the noise of the camera causes (docs/measurement.md#uncertainty).
+
+        Parameters
+        ----------
+        frame : RawFrame or ndarray, (row, col)
+            Raw frame of at least 32 × 32 pixels.
+        like : Uncertainty, optional
+            Uncertainty of another frame of the same scene. Its noise gains are reused, which takes a tenth of the time.
+
+        Returns
+        -------
+        Uncertainty
+            `sigma` (row, col, output): standard deviation of each output, rotated upright; and `mask` (row, col): 1 for
+            pixels that clipped values affect, 2 for pixels of classes without training patches, 3 for both, 0 otherwise.
+
+        Raises
+        ------
+        RecipeError
+            If the table does not hold its camera, or if the frame is too small.
+        """
         given = self._frame(frame)
         with self._alone:
             return uncertainty(self._renderer.of_frame(given), given, like)
 
     def labels(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.integer]:
-        """Return the class (row, col) of every pixel, as the sensor lies."""
+        """Return the number of the class of each pixel.
+
+        Parameters
+        ----------
+        frame : RawFrame or ndarray, (row, col)
+            Raw frame.
+
+        Returns
+        -------
+        ndarray of int, (row, col)
+            Class numbers in the orientation of the sensor, not rotated.
+        """
         with self._alone:
             return self._renderer.labels(self._frame(frame))
 
     def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> NoiseRenderer:
-        """Return the renderer by the table's transforms for the light nearest to a given white, or to that of a frame."""
+        """Return the renderer with the transforms nearest to the given white, or to the white measured in the frame."""
         found = source.white(frame) if source else given_white(white, self._pictured)
         mix = None if found is None else nearest_for(self._pictured, found.light.xyz)
         with self._alone:
@@ -232,13 +450,27 @@ PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
 
 
 class Mosaics:
-    """A table that is open for a host's frames of one size (rows, columns; None: the table's)."""
+    """Renders the frames of a video program, which all have one size.
+
+    Parameters
+    ----------
+    table : str or path
+        Table to render with.
+    black_level, white_level, phase, camera, backend, device
+        As the options of `l3 render`.
+    size : (int, int) or None
+        Rows and columns of the frames; None: the size of the table's camera.
+
+    Raises
+    ------
+    RecipeError, InputFileError, DeviceError
+        If an option or the table cannot be used.
+    """
 
     def __init__(
         self, table: Name, *, black_level: float | None, white_level: float | None, phase: tuple[int, int] | None,
         size: tuple[int, int] | None, camera: Name | None, backend: str, device: str | None,
     ) -> None:  # fmt: skip
-        """Take the options of `l3 render`. RecipeError, InputFileError or DeviceError if they or the table cannot be."""
         self.renderer = Renderer(table, backend=backend, device=device)
         self._filters = functools.partial(filters, backend, self.renderer.table, **({"device": device} if device else {}))
         sensor = self.renderer.table
@@ -248,27 +480,58 @@ class Mosaics:
         self._known = RawOverrides(black_level, white_level, phase, correction=correction)
 
     def require_size(self, rows: int, cols: int) -> None:
-        """Raise RecipeError unless frames have the size that is expected: others may begin at another site of the array."""
+        """Raise RecipeError if frames have another size than expected: a cropped frame may begin at another CFA site."""
         if (rows, cols) != self._size:
             raise RecipeError(
-                f"frames of {rows}×{cols} pixels (rows × columns) are not of the {self._size[0]}×{self._size[1]} "
-                f"expected; if they are meant, give ‹size› {rows}x{cols}, and ‹phase› if they begin at another CFA site"
+                f"frames have {rows}×{cols} pixels (rows × columns), not {self._size[0]}×{self._size[1]} as expected; "
+                f"if that is right, give ‹size› {rows}x{cols}, and ‹phase› if they begin at another CFA site"
             )
 
     def in_time(self, read: Callable[[int], RawFrame], cache: int) -> AnyOrder:
-        """Return a temporal filter of frames that are asked for in any order; `read`: gives the raw frame of a number.
-        RecipeError if the table does not know its camera's noise."""
+        """Return a temporal filter whose frames can be requested in any order.
+
+        Parameters
+        ----------
+        read : callable
+            Returns the raw frame of a given number.
+        cache : int
+            Number of filtered frames to keep.
+
+        Raises
+        ------
+        RecipeError
+            If the table does not hold the noise of its camera.
+        """
         return AnyOrder(self._filters(), read, cache)
 
     def frame(self, values: NDArray[Any], order: str | None = None) -> RawFrame:
-        """Return the raw frame of values (row, col) in DN. `order`: colours of a Bayer array from its first pixel on,
-        "rggb", as the host states them, None: the table's. InputFileError if they do not fit."""
+        """Return the raw frame of values (row, col) in DN.
+
+        Parameters
+        ----------
+        values : ndarray of uint8 or uint16, (row, col)
+            Mosaic in DN.
+        order : str, optional
+            Bayer order of the first four pixels that the video program states, such as "rggb". Default: the order of the
+            table.
+
+        Raises
+        ------
+        InputFileError
+            If the array or the order does not fit the table.
+        """
         pattern = {} if order is None else {"pattern": _codes(order)}
         return _of_array(values, self.renderer.table, self._known, pattern, "the frame")
 
 
 def pair(text: str, separator: str, name: str) -> tuple[int, int] | None:
-    """Return two whole numbers, "720x1280" or "0,1"; None where there is no text. RecipeError if it is something else."""
+    """Return two whole numbers from text such as "720x1280" or "0,1", or None for empty text.
+
+    Raises
+    ------
+    RecipeError
+        If the text is something else. `name` names the option in the message.
+    """
     if not text:
         return None
     try:

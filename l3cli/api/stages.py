@@ -1,10 +1,13 @@
-"""The four stages and evaluation, as functions of files or artifacts, with the options of their commands by keyword;
-and artifacts: read, written, and handed to stages, which take files."""
+"""The four stages and evaluation as functions, and functions that load and save artifacts.
+
+Stages work on files. If one is given an artifact in memory, it is first saved to a temporary file.
+"""
 
 import contextlib
 import functools
 import inspect
 import tempfile
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from os import PathLike
@@ -18,22 +21,44 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, suggestion
 from l3cli.options.commands import CalibrateOptions, EvaluateOptions, SimulateOptions, TrainOptions
-from l3cli.options.option import Given, Options, declarations
+from l3cli.options.option import Declaration, Given, Options, declarations
 from l3cli.options.render import RenderOptions
 from l3cli.recipes.builtin import find_recipe
 from l3cli.system.text import a
 
 Name = str | PathLike[str]
-KINDS: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable)
+LOADABLE: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable)
 
 
 def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
-    """Return the artifact in a file of any kind: a camera model, a transform table, or the head of a training set. Where the
-    kind is known, `load_camera`, `load_table` and `load_training_set` give its type. InputFileError if the file holds no
-    artifact, or a byte has changed."""
+    """Load an artifact of any kind.
+
+    If you know the kind, use `load_camera`, `load_table` or `load_training_set`, which type checkers understand better.
+
+    Parameters
+    ----------
+    path : str or path
+        HDF5 file that l3 wrote.
+
+    Returns
+    -------
+    CameraModel, TransformTable or TrainingSet
+        A training set is returned without its frames, as by `load_training_set`.
+
+    Raises
+    ------
+    InputFileError
+        If the file does not hold an artifact, or if its bytes have changed since it was written.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> type(l3.load("table.h5")).__name__
+    'TransformTable'
+    """
     with store.open_artifact(Path(path)) as root:
         kind = str(root.attrs["kind"])
-    for cls in KINDS:
+    for cls in LOADABLE:
         if cls.kind == kind:
             return store.load(cls, Path(path))  # type: ignore[return-value]
     raise InputFileError(
@@ -42,32 +67,134 @@ def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
 
 
 def load_camera(camera: Name) -> CameraModel:
-    """Return the camera model in a file, or of a camera recipe: its file (.toml), or the name of one that comes with l3.
+    """Load a camera model from a file, or make one from a camera recipe.
 
-    InputFileError if the file holds none or a byte has changed, RecipeError if the recipe cannot be.
+    Parameters
+    ----------
+    camera : str or path
+        Camera model (.h5), camera recipe (.toml), or the name of a recipe that comes with l3, such as "bayer".
+
+    Returns
+    -------
+    CameraModel
+        Filter array, responsivities, noise and optics.
+
+    Raises
+    ------
+    InputFileError
+        If the file does not hold a camera model, or if its bytes have changed since it was written.
+    RecipeError
+        If the recipe has errors, or if no recipe has this name.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> camera = l3.load_camera("bayer")
+    >>> camera.channels
+    ('r', 'g', 'b')
+    >>> camera.cfa
+    array([[1, 0],
+           [2, 1]], dtype=uint8)
     """
     return camera_recipe.load_camera(find_recipe(str(camera), "cameras"))
 
 
 def load_table(path: Name) -> TransformTable:
-    """Return the transform table in a file. InputFileError if it holds none, or a byte has changed."""
+    """Load a transform table.
+
+    Parameters
+    ----------
+    path : str or path
+        File that `l3 train` wrote.
+
+    Returns
+    -------
+    TransformTable
+        The transforms of all classes, with the camera for which they were trained.
+
+    Raises
+    ------
+    InputFileError
+        If the file does not hold a transform table, or if its bytes have changed since it was written.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> l3.load_table("table.h5").outputs
+    ('X', 'Y', 'Z')
+    """
     return store.load(TransformTable, Path(path))
 
 
 def load_training_set(path: Name) -> TrainingSet:
-    """Return the head of the training set in a file: its camera, outputs and history. InputFileError if it holds none, or a
-    byte has changed. Frames are read one by one through `l3cli.artifacts.training_set.open_training_set`."""
+    """Load the description of a training set, without its frames.
+
+    Parameters
+    ----------
+    path : str or path
+        File that `l3 simulate` wrote.
+
+    Returns
+    -------
+    TrainingSet
+        The camera, the outputs and the history. To read the frames one by one, use
+        `l3cli.artifacts.training_set.open_training_set`.
+
+    Raises
+    ------
+    InputFileError
+        If the file does not hold a training set, or if its bytes have changed since it was written.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> l3.load_training_set("training.h5").outputs
+    ('X', 'Y', 'Z')
+    """
     return store.load(TrainingSet, Path(path))
 
 
 def save(artifact: CameraModel | TransformTable, path: Name) -> None:
-    """Write a camera model or a transform table, whole or not at all. L3Error if `path` cannot be written."""
+    """Save a camera model or a transform table as HDF5.
+
+    The file appears only when it is complete. An existing file is replaced.
+
+    Parameters
+    ----------
+    artifact : CameraModel or TransformTable
+        What to save.
+    path : str or path
+        File to write.
+
+    Raises
+    ------
+    L3Error
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> l3.save(l3.load_camera("bayer"), "my_camera.h5")
+    """
     store.save(artifact, Path(path))
 
 
 @contextlib.contextmanager
 def file_of(given: Name | Artifact, kind: str | None = None) -> Iterator[Path]:
-    """Yield the file of an artifact: the named one (a recipe of a `kind` also by its name), or one made for the while."""
+    """Yield the file of an artifact, or a temporary file to which an artifact in memory has been saved.
+
+    Parameters
+    ----------
+    given : str, path or Artifact
+        File, artifact in memory, or the name of a recipe if `kind` is given.
+    kind : str, optional
+        Folder of configs/ in which recipes are looked up by name, such as "cameras".
+
+    Yields
+    ------
+    Path
+        The file, which is deleted after the block if it is temporary.
+    """
     if not isinstance(given, Artifact):
         yield Path(given) if kind is None else find_recipe(str(given), kind)
         return
@@ -86,8 +213,11 @@ R = TypeVar("R")
 
 
 class by_keyword(Generic[P, O]):
-    """Decorator of a function of paths and options: it takes the options by keyword, under the types and with the texts of
-    their declarations. BLAS computes in one thread, as in the command: the number of cores must not change how it rounds."""
+    """Decorator that gives a function of (paths…, options) one keyword parameter for each declared option.
+
+    Signature and docstring list the options with the types and help texts of the command line. The function runs with one
+    BLAS thread, as the command does, because results are rounded differently with other numbers of threads.
+    """
 
     def __init__(self, options: Callable[P, O]) -> None:
         self._options: Any = options
@@ -103,7 +233,7 @@ class by_keyword(Generic[P, O]):
 
         @functools.wraps(function)
         def called(*given: Any, **named: Any) -> Any:
-            import scipy.linalg  # noqa: F401 # whose BLAS is another one, which has to be there to be limited
+            import scipy.linalg  # noqa: F401 # scipy brings a BLAS of its own, which is limited only once it is loaded
             from threadpoolctl import threadpool_limits
 
             given += tuple(named.pop(each.name) for each in paths[len(given) :] if each.name in named)
@@ -115,10 +245,17 @@ class by_keyword(Generic[P, O]):
                 return function(*given, options)
 
         called.__signature__ = self._signature(paths, function)  # type: ignore[attr-defined]
-        called.__doc__ = f"{inspect.getdoc(function)}\n\n" + "\n".join(
-            f"{name}: {each.help}" for name, each in declared.items()
-        )
+        # numpydoc has the section "Other Parameters" between Returns and Raises.
+        before, raises, after = (inspect.getdoc(function) or "").partition("Raises\n------")
+        listed = "\n".join(self._described(name, each) for name, each in declared.items())
+        called.__doc__ = f"{before}Other Parameters\n----------------\n{listed}\n\n{raises}{after}"
         return called
+
+    def _described(self, name: str, declared: Declaration) -> str:
+        """Return the entry of an option in a numpydoc section."""
+        default = "optional" if declared.default in (None, ()) else f"default {declared.default!r}"
+        text = textwrap.fill(declared.help, 110, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
+        return f"{name} : {default}\n{text}"
 
     def _signature(self, paths: list[inspect.Parameter], function: Callable[..., Any]) -> inspect.Signature:
         options = (
@@ -135,8 +272,38 @@ class by_keyword(Generic[P, O]):
 
 @by_keyword(CalibrateOptions)
 def calibrate(measurements: Name | None, output: Name, options: CalibrateOptions) -> CameraModel:
-    """Return the camera model of a measurement file, or (None) of raw photos of a chart, also written to `output` (`l3
-    calibrate`)."""
+    """Estimate a camera model from lab measurements, or from raw photos of a ColorChecker.
+
+    Does the same as `l3 calibrate`.
+
+    Parameters
+    ----------
+    measurements : str, path or None
+        Measurement file (.toml). None if `photos` are given instead.
+    output : str or path
+        Camera model to write (.h5).
+
+    Returns
+    -------
+    CameraModel
+        The model that was written.
+
+    Raises
+    ------
+    RecipeError
+        If the measurement file or an option has an error.
+    InputFileError
+        If a capture cannot be used.
+    L3Error
+        If `output` exists, or if the model fails its checks and `accept` is not set.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> camera = l3.calibrate("lab/MEASUREMENTS.toml", "my_camera.h5")
+    >>> camera.channels
+    ('r', 'g', 'b')
+    """
     from l3cli.stages import calibration
 
     return calibration.calibrate(None if measurements is None else Path(measurements), Path(output), options)[0]
@@ -144,8 +311,40 @@ def calibrate(measurements: Name | None, output: Name, options: CalibrateOptions
 
 @by_keyword(SimulateOptions)
 def simulate(scenes: Name, camera: Name | CameraModel, output: Name, options: SimulateOptions) -> TrainingSet:
-    """Write the training set of a scene recipe and a camera, files or names of recipes that come with l3, or a camera model
-    (`l3 simulate`); its head."""
+    """Simulate raw frames of many scenes with a camera, together with their ideal pictures: a training set.
+
+    Does the same as `l3 simulate`.
+
+    Parameters
+    ----------
+    scenes : str or path
+        Scene recipe (.toml), or the name of one that comes with l3, such as "default" or "small".
+    camera : str, path or CameraModel
+        Camera model, camera recipe (.toml), or the name of a recipe that comes with l3.
+    output : str or path
+        Training set to write (.h5).
+
+    Returns
+    -------
+    TrainingSet
+        The description of the training set that was written, without its frames.
+
+    Raises
+    ------
+    RecipeError
+        If a recipe or an option has an error.
+    InputFileError
+        If the camera or a scene file cannot be used.
+    L3Error
+        If `output` exists.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> training = l3.simulate("unseen.toml", "camera.h5", "my_training.h5", seed=1)
+    >>> training.outputs
+    ('X', 'Y', 'Z')
+    """
     from l3cli.stages.simulation import simulate as stage
 
     with file_of(camera, "cameras") as file:
@@ -155,7 +354,38 @@ def simulate(scenes: Name, camera: Name | CameraModel, output: Name, options: Si
 
 @by_keyword(TrainOptions)
 def train(training: Name | Sequence[Name], output: Name, options: TrainOptions) -> TransformTable:
-    """Return the transform table learned from one or more training sets, also written to `output` (`l3 train`)."""
+    """Learn a transform table from one or more training sets.
+
+    Does the same as `l3 train`.
+
+    Parameters
+    ----------
+    training : str, path or sequence of these
+        Training sets of one camera (.h5).
+    output : str or path
+        Transform table to write (.h5).
+
+    Returns
+    -------
+    TransformTable
+        The table that was written.
+
+    Raises
+    ------
+    RecipeError
+        If the class recipe or an option has an error.
+    InputFileError
+        If a training set cannot be used, or if the sets do not fit together.
+    L3Error
+        If `output` exists.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> table = l3.train("training.h5", "my_table.h5", classes="classes.toml")
+    >>> table.outputs
+    ('X', 'Y', 'Z')
+    """
     from l3cli.stages.training import train as stage
 
     return stage.train(_paths(training), Path(output), options)
@@ -163,8 +393,41 @@ def train(training: Name | Sequence[Name], output: Name, options: TrainOptions) 
 
 @by_keyword(RenderOptions)
 def render(table: Name | TransformTable, inputs: Name | Sequence[Name], output: Name, options: RenderOptions) -> int:
-    """Render raw files or a sequence into a picture, numbered files, a folder or a video (`l3 render`); how many frames were
-    left out. For arrays in memory there is `Renderer`."""
+    """Render raw files or a sequence to a picture, numbered files, a folder or a video.
+
+    Does the same as `l3 render`. For arrays in memory use `Renderer`.
+
+    Parameters
+    ----------
+    table : str, path or TransformTable
+        Table to render with.
+    inputs : str, path or sequence of these
+        Raw files, or one sequence: a folder, a pattern such as "a_%04d.tif", a stack or a video.
+    output : str or path
+        Picture, pattern of numbered files, folder or video to write.
+
+    Returns
+    -------
+    int
+        Number of frames that were left out; 0 unless `skip_bad` is set.
+
+    Raises
+    ------
+    RecipeError
+        If an option has an error, or if the output does not fit the inputs.
+    InputFileError
+        If an input or the table cannot be used.
+    DeviceError
+        If the OpenCL device does not work.
+    L3Error
+        If `output` exists.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> l3.render("table.h5", "unseen/00000_composition-5-0_raw.tif", "my_picture.png", exposure="+1EV")
+    0
+    """
     from l3cli.stages.rendering import render as stage
 
     with file_of(table) as file:
@@ -173,7 +436,38 @@ def render(table: Name | TransformTable, inputs: Name | Sequence[Name], output: 
 
 @by_keyword(EvaluateOptions)
 def evaluate(table: Name | TransformTable, frames: Name, options: EvaluateOptions) -> dict[str, Any]:
-    """Return the document of `l3 evaluate --json`: figures of a table on frames of a training set not seen in training."""
+    """Evaluate a table on frames of a training set that it was not trained on.
+
+    Does the same as `l3 evaluate`.
+
+    Parameters
+    ----------
+    table : str, path or TransformTable
+        Table to evaluate.
+    frames : str or path
+        Training set (.h5) of the same camera. A warning goes to `console` if the table was trained on it.
+
+    Returns
+    -------
+    dict
+        The document that `l3 evaluate --json` prints, except its "run". Among its keys are "frames" (metrics of each frame),
+        "mean" (their means), "by_level", "by_illuminant" and "standards". In each of them "ours" holds the metrics of the
+        table, and each baseline in "pipelines" has a key of its own.
+
+    Raises
+    ------
+    RecipeError
+        If an option has an error.
+    InputFileError
+        If a file cannot be used.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> found = l3.evaluate("table.h5", "unseen.h5")
+    >>> found["mean"]["ours"]["mean_delta_e"] < found["mean"]["basic"]["mean_delta_e"]
+    True
+    """
     from l3cli.stages import evaluation
 
     with file_of(table) as file:

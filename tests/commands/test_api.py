@@ -1,6 +1,8 @@
 """`import l3cli as l3`: the commands as functions, with artifacts and arrays, and the bytes of the commands."""
 
+import doctest
 import inspect
+import shutil
 import subprocess
 import sys
 import threading
@@ -212,7 +214,7 @@ def test_options_have_names_types_and_ranges(tmp_path: Path) -> None:
             name for name, each in named.items() if each.kind is each.KEYWORD_ONLY
         ]
     assert inspect.signature(l3.render).parameters["fps"].annotation == Fraction | float | str | None
-    assert "white: Scene white shown neutral" in (inspect.getdoc(l3.render) or "")
+    assert "\nwhite : optional\n    " in (inspect.getdoc(l3.render) or "")
     same = RenderOptions(exposure="+1EV", frames="1-5x2", fps=29.97002997, phase=(1, 0), dark=tmp_path, shard=(1, 4))
     assert same == RenderOptions(
         exposure=Exposure(None, 1.0), frames=range(1, 6, 2), fps="30000/1001", phase="1,0", dark=[tmp_path], shard="1/4"
@@ -252,6 +254,22 @@ def test_an_option_that_no_picture_has_is_described(options: dict[str, Any], des
         renderer.picture(np.zeros((20, 20), np.uint16), **options)
     with pytest.raises(RecipeError, match=described):
         renderer.sequence(None, **options)
+
+
+EXAMPLES = [each for name in l3.__all__ if inspect.isfunction(each := getattr(l3, name)) or inspect.isclass(each)]
+
+
+@pytest.mark.parametrize("documented", [each for each in EXAMPLES if each is not L3Error])
+def test_examples_run_as_shown(
+    documented: Any, pipeline: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a folder with the files of a pipeline; help() shows sections of numpydoc."""
+    shutil.copytree(pipeline, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    text = inspect.getdoc(documented) or ""
+    assert [each for each in ("Parameters\n---", "Examples\n---") if each not in text] == []
+    example = doctest.DocTestParser().get_doctest(text, {}, documented.__name__, None, None)
+    assert doctest.DocTestRunner().run(example).failed == 0, capsys.readouterr().out
 
 
 def test_figures_of_two_pictures_are_those_of_evaluations() -> None:
