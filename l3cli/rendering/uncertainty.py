@@ -122,7 +122,7 @@ class RegionMean:
 def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tuple[float, float]]) -> RegionMean:
     """Average the outputs over a polygon, with the uncertainty of the mean.
 
-    Neighbouring pixels share raw values, so their errors are correlated. The uncertainty of the mean takes this into account.
+    Neighbouring pixels share raw values, so their errors are correlated. The uncertainty of the mean allows for this.
 
     Parameters
     ----------

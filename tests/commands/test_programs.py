@@ -77,7 +77,7 @@ def test_arrays_of_rawpy(there: Path) -> None:
 def test_arrays_that_are_no_frames(there: Path) -> None:
     table, values = l3cli.load_table("table.h5"), np.full((8, 8), 100, np.uint16)
     for pattern in ("rgb", "rgxb", ["rg", "gb"], np.array([["rg", "g"], ["g", "b"]])):
-        with pytest.raises(RecipeError, match=r"pattern .* is none; give letters of RGBCMYW"):
+        with pytest.raises(RecipeError, match=r"pattern .* is not a filter array; give letters of RGBCMYW"):
             l3cli.raw_frame(values, table, pattern=pattern)
     with pytest.raises(InputFileError, match="the array has the colour filter array rr/gg"):
         l3cli.raw_frame(values, table, pattern="rrgg")
