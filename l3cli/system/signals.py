@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-REFINEMENT = 0.05  # seconds until a signal comes again that came where it must wait
+RETRY_SECONDS = 0.05  # until a signal that came where it must wait is sent again
 
 _uninterrupted: set[CodeType] = set()
 _waiting: type[BaseException] | None = None  # what a signal that waits will be
@@ -110,4 +110,4 @@ def _come_again(number: int) -> None:
     """Send the main thread a signal a little later."""
     main_thread = threading.main_thread().ident
     assert main_thread is not None
-    threading.Timer(REFINEMENT, signal.pthread_kill, (main_thread, number)).start()
+    threading.Timer(RETRY_SECONDS, signal.pthread_kill, (main_thread, number)).start()

@@ -27,7 +27,7 @@ from l3cli.stages.rendering import clips
 from l3cli.stages.rendering.clips import STATE, ClipJob
 from l3cli.stages.rendering.render import render
 from tests.helpers.calls import L3, Refused
-from tests.helpers.sequences import COUNT, FAST, RUN, frames, pictures, write_raw_video
+from tests.helpers.sequences import COUNT, FAST, RUN, frames, pictures, write_raw_video, write_stack
 
 
 @pytest.fixture
@@ -78,6 +78,29 @@ def test_each_clip_is_rendered_as_if_alone(l3: L3, tmp_path: Path, table: Path, 
         assert list(ours) == list(theirs)
         assert len(ours) == COUNT
         assert all(np.array_equal(ours[each], theirs[each]) for each in ours)
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".fits", ".tif"])
+def test_several_stacks_are_clips(l3: L3, tmp_path: Path, table: Path, suffix: str) -> None:
+    """Names do not tell a stack from a single frame; contents do."""
+    stacks = [tmp_path / f"{name}{suffix}" for name in ("a", "b")]
+    for path in stacks:
+        write_stack(path)
+    call = ("render", table, *stacks, "-o", tmp_path / "out", *FAST, "--json")
+    code, out, err = l3(*call)
+    assert (code, err) == (0, "")
+    assert [(clip["state"], clip["frames"]) for clip in document(out)["clips"]] == [("rendered", COUNT)] * 2
+    assert l3("render", table, stacks[1], "-o", tmp_path / "alone", *FAST)[0] == 0
+    ours, alone = pictures(tmp_path / "out/b"), pictures(tmp_path / "alone")
+    assert list(ours) == list(alone) == [f"b_{number:06d}.png" for number in range(COUNT)]
+    assert all(np.array_equal(ours[name], alone[name]) for name in ours)
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".fits", ".raw", ".h5"])
+def test_an_empty_stack_is_a_bad_file(refused: Refused, tmp_path: Path, table: Path, suffix: str) -> None:
+    empty = write_stack(tmp_path / f"empty{suffix}", frames(0))
+    chosen = ("--dataset", "take/raw") if suffix == ".h5" else ()
+    assert "empty" in refused(3, "render", table, empty, "-o", tmp_path / "out", *FAST, *chosen)
 
 
 def test_a_clip_that_fails_stops_no_other_and_is_all_that_is_done_again(

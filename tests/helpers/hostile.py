@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import itertools
 import os
 import resource
 import shutil
@@ -156,7 +157,8 @@ class Workshop:
 
     def files(self) -> set[Path]:
         """Everything there is."""
-        return set(self.folder.rglob("*"))
+        # Path.rglob of Python 3.11.2 fails at a link whose target has too long a name.
+        return {Path(folder, name) for folder, *names in os.walk(self.folder) for name in itertools.chain(*names)}
 
     def judge(self, subject: Subject, choices: Choices) -> str | None:
         """Spoil the subject's file and have it read; what did not hold, or None."""

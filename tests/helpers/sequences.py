@@ -9,6 +9,8 @@ import av
 import h5py
 import numpy as np
 import pytest
+import tifffile
+from astropy.io import fits
 
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
@@ -38,15 +40,21 @@ def write_frames(folder: Path) -> Path:
     return folder
 
 
-def write_stack(path: Path) -> Path:
+def write_stack(path: Path, mosaics: np.ndarray | None = None) -> Path:
+    """Write `frames()`, or other mosaics (frame, row, col), in the format of the file's suffix."""
+    mosaics = frames() if mosaics is None else mosaics
     if path.suffix == ".npy":
-        np.save(path, frames())
+        np.save(path, mosaics)
     elif path.suffix == ".raw":
-        frames().astype("<u2").tofile(path)
+        mosaics.astype("<u2").tofile(path)
+    elif path.suffix == ".fits":
+        fits.PrimaryHDU(mosaics).writeto(path)
+    elif path.suffix == ".tif":
+        tifffile.imwrite(path, mosaics, photometric="minisblack")
     else:
         with h5py.File(path, "w") as root:
-            root.create_dataset("take/raw", data=frames(), chunks=(1, 20, 28), compression="gzip")
-            root["take/other"] = frames()[0]
+            root.create_dataset("take/raw", data=mosaics, chunks=(1, 20, 28), maxshape=(None, 20, 28), compression="gzip")
+            root["take/other"] = frames(1)[0]
     return path
 
 

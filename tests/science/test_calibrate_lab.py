@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -151,12 +152,13 @@ def test_finished_curves_get_no_band_by_the_scale_of_charts(
 ) -> None:
     """The errors of Eq. 2 and of K alone are no band of curves of which nothing else is known."""
     truth = load_camera(fine_bayer_recipe)
-    write_curves(lab_folder / "curves.csv", truth.wavelength, truth.responsivity, truth.channels)
-    head, *blocks = re.split(r"(?m)^(?=\[\[?\w)", (lab_folder / "MEASUREMENTS.toml").read_text())
+    folder = Path(shutil.copytree(lab_folder, tmp_path / "lab"))
+    write_curves(folder / "curves.csv", truth.wavelength, truth.responsivity, truth.channels)
+    head, *blocks = re.split(r"(?m)^(?=\[\[?\w)", (folder / "MEASUREMENTS.toml").read_text())
     blocks = [block for block in blocks if not block.startswith(("[[mono]]", "[uncertainty]"))]
     curves = '[curves]\nfile = "curves.csv"\nper_energy = false\n'
-    (lab_folder / "finished.toml").write_text("".join([head, *blocks, curves]))
-    result = compared(lab_folder, "finished.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
+    (folder / "finished.toml").write_text("".join([head, *blocks, curves]))
+    result = compared(folder, "finished.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
     camera = load(CameraModel, tmp_path / "camera.h5")
     assert camera.absolute
     assert not camera.responsivity_band.any()

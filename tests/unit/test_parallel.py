@@ -151,6 +151,7 @@ def test_a_signal_that_falls_into_hdf5_waits_until_it_has_written(tmp_path: Path
     """An exception out of what HDF5 calls would crash it, or be forgotten together with what was to be written."""
     program = f"""
 import os, pathlib, signal, time
+from unittest import mock
 import numpy as np
 from l3cli import cli
 from l3cli.system import signals
@@ -170,7 +171,7 @@ def work(*_, **__):
     print(container.check(path, ""), flush=True)
     time.sleep(60)
 
-signals.LATER = 2.0
+mock.patch.object(signals, "RETRY_SECONDS", 2.0).start()
 cli.l3.main = work
 cli.main()
 """

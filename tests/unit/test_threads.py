@@ -184,12 +184,14 @@ def test_no_interrupt_makes_threads_wait_for_ever() -> None:
     """At any moment of what is handed from thread to thread: half through a notification the next would be lost."""
     program = """
 import random, signal, sys, time
+from unittest import mock
 from l3cli.system import signals
 from l3cli.parallel import threads
 from l3cli.parallel.threads import WriteBehind, prefetched
 
-threads.WRITING = 1e9
-moments, sys.unraisablehook, signals.LATER = random.Random(0), signals.repeat_lost, 0.02
+mock.patch.object(threads, "WRITING", 1e9).start()
+mock.patch.object(signals, "RETRY_SECONDS", 0.02).start()
+moments, sys.unraisablehook = random.Random(0), signals.repeat_lost
 for _ in range(100):
     for each in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signals.end)
