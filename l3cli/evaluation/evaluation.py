@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingPair, TrainingSet
+from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet
 from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.classes.features import further_features
 from l3cli.classes.names import AXES
@@ -196,21 +196,23 @@ class Evaluation:
             "shown": frame.shown and {"scene": frame.shown.scene.tolist(), "light": frame.shown.light},
         }  # fmt: skip
         judged: dict[str, tuple[Any, Array]] = {}
+        counted = _counted(frame, border)
         if self._pictures:
-            target, variances = Target(frame.target, frame.white, border, self._viewing), {}
+            target, variances = Target(frame.target, frame.white, border, self._viewing, counted), {}
             for name, of in planes.items():
                 figures, errors, variances[name] = target.judge(of)
                 judged[name] = figures, errors
             self._patches.append((_octave(level), target.patches.kinds, variances))
         else:
             judge = judge_reflectances if self._table.outputs == REFLECTANCES else judge_bands
-            judge = functools.partial(judge, target=frame.target, white=frame.white, border=border)
+            wanted: dict[str, Any] = {"target": frame.target, "white": frame.white, "border": border, "counted": counted}
+            judge = functools.partial(judge, **wanted)
             judged = {name: judge(of) for name, of in planes.items()}
         self._frames.append({**about, **{name: dataclasses.asdict(figures) for name, (figures, _) in judged.items()}})
         if not self._pictures:
-            self._bands.append({name: band_figures(of, frame.target, frame.white, border) for name, of in planes.items()})
-        counted = np.isfinite(judged[OURS][1])  # the target alone decides
-        self._classes.add(cropped(labels, border)[counted], {name: errors[counted] for name, (_, errors) in judged.items()})
+            self._bands.append({name: band_figures(of, **wanted) for name, of in planes.items()})
+        known = np.isfinite(judged[OURS][1])  # the target alone decides
+        self._classes.add(cropped(labels, border)[known], {name: errors[known] for name, (_, errors) in judged.items()})
 
     def document(self, by_gain: Sequence[dict[str, Any]] = ()) -> dict[str, Any]:
         """Return all figures, ready for JSON. The keys are those of `l3 evaluate --json`:
@@ -308,6 +310,17 @@ class Evaluation:
             members = [frame for frame in self._frames if key(frame) == value]
             groups.append({**about(value), "frames": len(members), **self._mean(members)})
         return groups
+
+
+def _counted(frame: TrainingPair, border: int) -> NDArray[np.bool_] | None:
+    """Return the pixels (row, col) of a frame that its scene's file holds data for; None: all. InputFileError if there are
+    none within the border."""
+    if not isinstance(frame, TrainingFrame) or frame.ignored is None:
+        return None
+    counted = frame.ignored.mask == 0
+    if not cropped(counted, border).any():
+        raise InputFileError(f"frame {frame.scene} has no pixel with data within a border of {border}; leave the scene out")
+    return np.asarray(counted)
 
 
 def _octave(level: float) -> tuple[float, float]:

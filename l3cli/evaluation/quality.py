@@ -23,9 +23,10 @@ KINDS = ("white", "grey", "dark", *(name for _, name in HUES))
 
 
 class PlainPatches:
-    """The patches of a target, CIELAB (row, col, 3) as displayed, that have one colour."""
+    """The patches of a target, CIELAB (row, col, 3) as displayed, that have one colour, in its `counted` pixels (row, col),
+    None: in all."""
 
-    def __init__(self, target: Array) -> None:
+    def __init__(self, target: Array, counted: NDArray[np.bool_] | None = None) -> None:
         from scipy.ndimage import find_objects, label, maximum_filter1d, minimum_filter1d
 
         def extreme(of: Any) -> Array:
@@ -33,7 +34,8 @@ class PlainPatches:
             return np.asarray(of(of(target, window, axis=0, mode="nearest"), window, axis=1, mode="nearest"))
 
         self._target = target
-        numbers, _ = label((extreme(maximum_filter1d) - extreme(minimum_filter1d)).max(axis=2) <= EVEN)
+        plain = (extreme(maximum_filter1d) - extreme(minimum_filter1d)).max(axis=2) <= EVEN
+        numbers, _ = label(plain if counted is None else plain & counted)
         sizes = np.bincount(numbers.ravel())
         sizes[0] = 0
         largest = np.argsort(-sizes, kind="stable")[:MOST]
@@ -130,17 +132,26 @@ class BandQuality:
 
 class Target:
     """The target of a frame as displayed, XYZ planes (3, row, col) of the light `white` (3), to which pictures of it are
-    compared; a margin of `border` is left out. `viewing` is the samples a degree of S-CIELAB."""
+    compared; a margin of `border` is left out. `viewing` is the samples a degree of S-CIELAB. `counted` (row, col): pixels
+    whose errors count; None: all."""
 
-    def __init__(self, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> None:
+    def __init__(
+        self,
+        target: Array,
+        white: Array,
+        border: int = 0,
+        viewing: float = VIEWING,
+        counted: NDArray[np.bool_] | None = None,
+    ) -> None:
         self._white, self._border, self._viewing = white, border, viewing
-        self._scale = white_luminance(target[1])
+        self._scale = white_luminance(of_counted(target[1], counted))
+        self._counted = None if counted is None else cropped(counted, border)
         # Deep red has no Z at all.
         self._peaks = self._scale * np.where(white > 0, white, white[1])[:, None, None] / white[1]
         self._target = cropped(target, border)
         linear = displayed(self._target, white, self._scale)
         self._curve, self._labs = srgb_curve(linear), self._labs_of(linear)
-        self.patches = PlainPatches(self._labs[0])
+        self.patches = PlainPatches(self._labs[0], self._counted)
 
     def _labs_of(self, linear: Array) -> tuple[Array, Array]:
         """Return L*a*b* (row, col, 3) as displayed, and after the eye's blur."""
@@ -148,27 +159,29 @@ class Target:
         return lab(xyz, daylight()), _blurred_lab(xyz, daylight(), self._viewing)
 
     def judge(self, rendered: Array) -> tuple[Quality, Array, Array]:
-        """Return the figures of XYZ planes (3, row, col), their ΔE00 as displayed (row, col) within the border, and the
-        variance of colour in each plain patch."""
+        """Return the figures of XYZ planes (3, row, col), their ΔE00 as displayed (row, col) within the border, NaN where it
+        does not count, and the variance of colour in each plain patch."""
         rendered = cropped(rendered, self._border)
         linear = displayed(rendered, self._white, self._scale)
         curve = srgb_curve(linear)
         labs = self._labs_of(linear)
-        difference, seen = map(delta_e_2000, labs, self._labs)
-        variances = self.patches.variances(labs[0])
+        counted = self._counted
+        everywhere, seen = map(delta_e_2000, labs, self._labs)
+        variances, difference = self.patches.variances(labs[0]), of_counted(everywhere, counted)
+        curves = [of_counted(np.moveaxis(each, -1, 0), counted) for each in (curve, self._curve)]
         return (
             Quality(
                 mean_delta_e=float(difference.mean()),
                 median_delta_e=float(np.median(difference)),
                 p95_delta_e=float(np.percentile(difference, 95)),
-                scielab=float(seen.mean()),
+                scielab=float(of_counted(seen, counted).mean()),
                 mottle=mottle(variances),
                 visual_noise=self.patches.visual_noise(labs[1], self._labs[1]),
-                psnr=psnr(curve, self._curve),
-                output_psnr=psnr(rendered / self._peaks, self._target / self._peaks),
-                ssim=ssim(curve @ LUMA, self._curve @ LUMA),
+                psnr=psnr(*curves),
+                output_psnr=psnr(*(of_counted(each / self._peaks, counted) for each in (rendered, self._target))),
+                ssim=ssim(curve @ LUMA, self._curve @ LUMA, counted),
             ),
-            difference,
+            everywhere if counted is None else np.where(counted, everywhere, np.nan),
             variances,
         )
 
@@ -178,22 +191,27 @@ def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewi
     return Target(target, white, border, viewing).judge(rendered)[0]
 
 
-def judge_bands(rendered: Array, target: Array, white: Array, border: int = 0) -> tuple[BandQuality, Array]:
+def judge_bands(
+    rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
+) -> tuple[BandQuality, Array]:
     """Return the figures of planes of any outputs (output, row, col) in one unit, and their spectral angle in degrees (row,
-    col) within the border, NaN where the target has none; `white` (output) and `border` as of Target."""
+    col) within the border, NaN where the target has none or the pixel does not count; `white` (output), `border` and
+    `counted` as of Target."""
     angles = spectral_angle(cropped(rendered, border), cropped(target, border))
+    whole, counted = counted, None if counted is None else cropped(counted, border)
+    angles = angles if counted is None else np.where(counted, angles, np.nan)
     angle = angles[np.isfinite(angles)] if np.isfinite(angles).any() else np.zeros(1)  # all of the target is black
-    linear, shares = _linear_and_shares(rendered, target, white, border)
-    error = cropped(rendered - target, border) / _positive(white)
+    linear, shares = _linear_and_shares(rendered, target, white, border, whole)
+    error = of_counted(cropped(rendered - target, border) / _positive(white), counted)
     return BandQuality(
         mean_angle=float(angle.mean()),
         median_angle=float(np.median(angle)),
         p95_angle=float(np.percentile(angle, 95)),
         gfc=float(np.abs(np.cos(np.radians(angle))).mean()),
         rmse=float(np.sqrt(np.mean(error**2))),
-        psnr=psnr(*map(_rounded, shares)),
-        output_psnr=psnr(*linear),
-        ssim=float(np.mean([ssim(*of_band) for of_band in zip(*shares, strict=True)])),
+        psnr=psnr(*(_rounded(of_counted(each, counted)) for each in shares)),
+        output_psnr=psnr(*(of_counted(each, counted) for each in linear)),
+        ssim=float(np.mean([ssim(*of_band, counted) for of_band in zip(*shares, strict=True)])),
     ), angles
 
 
@@ -202,21 +220,28 @@ def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) 
     return judge_bands(rendered, target, white, border)[0]
 
 
-def band_figures(rendered: Array, target: Array, white: Array, border: int = 0) -> list[dict[str, float]]:
-    """Return psnr, output_psnr and ssim of each output, as in BandQuality; arguments as in `band_quality`."""
-    linear, shares = _linear_and_shares(rendered, target, white, border)
+def band_figures(
+    rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
+) -> list[dict[str, float]]:
+    """Return psnr, output_psnr and ssim of each output, as in BandQuality; arguments as in `judge_bands`."""
+    linear, shares = _linear_and_shares(rendered, target, white, border, counted)
+    counted = None if counted is None else cropped(counted, border)
     return [
-        {"psnr": psnr(*map(_rounded, share)), "output_psnr": psnr(*of_band), "ssim": ssim(*share)}
+        {
+            "psnr": psnr(*(_rounded(of_counted(each, counted)) for each in share)),
+            "output_psnr": psnr(*(of_counted(each, counted) for each in of_band)),
+            "ssim": ssim(*share, counted),
+        }
         for of_band, share in zip(zip(*linear, strict=True), zip(*shares, strict=True), strict=True)
     ]
 
 
 def _linear_and_shares(
-    rendered: Array, target: Array, white: Array, border: int
+    rendered: Array, target: Array, white: Array, border: int, counted: NDArray[np.bool_] | None
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return both pictures over what a linear PSNR takes for 1, and as shares of white, cut to 0…1."""
     positive = _positive(white)
-    peaks = white_luminance(target.mean(axis=0)) * (positive / white.mean())
+    peaks = white_luminance(of_counted(target.mean(axis=0), counted)) * (positive / white.mean())
     rendered, target = cropped(rendered, border), cropped(target, border)
     shares = np.clip(rendered / positive, 0.0, 1.0), np.clip(target / positive, 0.0, 1.0)
     return (rendered / peaks, target / peaks), shares
@@ -235,6 +260,11 @@ def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
     return planes[..., border : planes.shape[-2] - border, border : planes.shape[-1] - border]
 
 
+def of_counted(planes: NDArray[Any], counted: NDArray[np.bool_] | None) -> NDArray[Any]:
+    """Return the pixels (…, pixel) of planes (…, row, col) that count (row, col); the planes themselves if all do."""
+    return planes if counted is None else planes[..., counted]
+
+
 # ----------------------------------------------------------------------------------------------------- figures of arrays
 
 
@@ -243,11 +273,11 @@ def psnr(one: Array, other: Array) -> float:
     return float(-10.0 * np.log10(max(float(np.mean((one - other) ** 2)), LEAST_ERROR)))
 
 
-def ssim(one: Array, other: Array) -> float:
+def ssim(one: Array, other: Array, counted: NDArray[np.bool_] | None = None) -> float:
     """Return the mean structural similarity of two pictures (row, col) in 0…1 (Wang et al. 2004: 11 × 11 Gaussian window of
     σ 1.5).
 
-    Only whole windows count, unless the picture is smaller than one.
+    Only whole windows about `counted` pixels (row, col), None: about all, are taken, unless there are none.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -260,8 +290,10 @@ def ssim(one: Array, other: Array) -> float:
     luminance_term = (2 * mean_one * mean_other + STABILISERS[0]) / (mean_one**2 + mean_other**2 + STABILISERS[0])
     similarity = luminance_term * (2 * covariance + STABILISERS[1]) / (variances + STABILISERS[1])
     if min(similarity.shape) > 2 * WINDOW_REACH:
-        similarity = similarity[WINDOW_REACH:-WINDOW_REACH, WINDOW_REACH:-WINDOW_REACH]
-    return float(similarity.mean())
+        inside = None if counted is None else cropped(counted, WINDOW_REACH)
+        if inside is None or inside.any():
+            similarity, counted = cropped(similarity, WINDOW_REACH), inside
+    return float(of_counted(similarity, counted).mean())
 
 
 def spectral_angle(rendered: Array, target: Array) -> Array:

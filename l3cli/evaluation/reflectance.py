@@ -12,7 +12,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingPair
 from l3cli.evaluation.basic import balance_of, balanced_bands, light_of, white_electrons
 from l3cli.evaluation.demosaic import best_of_bands
-from l3cli.evaluation.quality import BandQuality, cropped, judge_bands
+from l3cli.evaluation.quality import BandQuality, cropped, judge_bands, of_counted
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 
@@ -33,12 +33,16 @@ class ReflectanceQuality(BandQuality):
     delta_e_f11: float
 
 
-def judge_reflectances(rendered: Array, target: Array, white: Array, border: int = 0) -> tuple[ReflectanceQuality, Array]:
+def judge_reflectances(
+    rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
+) -> tuple[ReflectanceQuality, Array]:
     """Return the figures of planes of spectra.REFLECTANCES and their spectral angle, as `judge_bands`."""
-    figures, angles = judge_bands(rendered, target, white, border)
+    figures, angles = judge_bands(rendered, target, white, border, counted)
+    inside = None if counted is None else cropped(counted, border)
     shares = [cropped(planes, border) / white[:, None, None] for planes in (rendered, target)]
     colours = {
-        figure: float(delta_e_2000(*(_lab(each, light) for each in shares)).mean()) for figure, light in LIGHTS.items()
+        figure: float(of_counted(delta_e_2000(*(_lab(each, light) for each in shares)), inside).mean())
+        for figure, light in LIGHTS.items()
     }
     return ReflectanceQuality(**asdict(figures), **colours), angles
 

@@ -23,8 +23,10 @@ from l3cli.evaluation.quality import (
     BLUR,
     OPPONENT_FROM_XYZ,
     PlainPatches,
+    Target,
     band_figures,
     band_quality,
+    judge_bands,
     mottle,
     psnr,
     quality,
@@ -99,6 +101,24 @@ def test_the_border_is_left_out() -> None:
     broken[:, :, -2:] = 0
     assert quality(broken, a_picture(0), D65, border=2).mean_delta_e < 1e-9
     assert band_quality(broken, a_picture(0), D65, border=2).p95_angle < 1e-6
+
+
+def test_pixels_without_data_count_in_no_figure() -> None:
+    """Whatever a pipeline makes of them, within its windows or as a class."""
+    counted = np.ones((20, 30), bool)
+    counted[5:9, 20:25] = counted[0, 0] = False
+    broken, border = a_picture(0), 1
+    broken[:, ~counted] = 1e3
+    shown, errors, _ = Target(a_picture(0), D65, border, counted=counted).judge(broken)
+    assert (shown.mean_delta_e, shown.p95_delta_e) == pytest.approx((0, 0), abs=1e-9)
+    assert (shown.psnr, shown.output_psnr) == pytest.approx((120, 120))
+    assert np.array_equal(np.isnan(errors), ~counted[1:-1, 1:-1])
+    of_bands, angles = judge_bands(broken, a_picture(0), D65, border, counted)
+    assert (of_bands.p95_angle, of_bands.rmse, of_bands.psnr, of_bands.output_psnr) == pytest.approx(
+        (0, 0, 120, 120), abs=1e-6
+    )
+    assert np.array_equal(np.isnan(angles), ~counted[1:-1, 1:-1])
+    assert [each["psnr"] for each in band_figures(broken, a_picture(0), D65, border, counted)] == pytest.approx([120] * 3)
 
 
 def test_delta_e_is_that_of_isetcam(l3_data: Path) -> None:

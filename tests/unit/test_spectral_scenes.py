@@ -1,6 +1,7 @@
 """Spectral cubes of every storage: what their files state about values, wavelengths and missing data is read, or refused by
 the name of what states it."""
 
+import dataclasses
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,7 @@ import tifffile
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.errors import InputFileError
+from l3cli.evaluation.evaluation import Evaluation
 from l3cli.frames.scene import Scene, SpectralCube
 from l3cli.io.scenes import bands, cube, envi
 from l3cli.simulation.light import OUTPUTS, Target, require_seen
@@ -21,6 +23,7 @@ from l3cli.training.layers.mosaics import Mosaics, _usable
 from l3cli.training.patches import sample_patches
 from tests.helpers.calls import L3, Refused
 from tests.helpers.recipes import FEW_CLASSES
+from tests.helpers.tables import random_table
 
 NM = np.arange(400.0, 701.0, 10.0)
 PLAIN = np.kron([[0.9, 0.6], [0.3, 0.1]], np.ones((10, 12)))  # (row, col) reflectances of four areas
@@ -335,6 +338,29 @@ def test_no_patch_touches_a_marked_pixel(tmp_path: Path, simulated: Callable[[st
     free[7 - 2 : 10 + 3, 33 - 2 : 36 + 3] = False
     assert set(centres) <= set(np.flatnonzero(free))
     assert centres.size > 0.9 * free.sum()
+
+
+def test_a_marked_pixel_counts_in_no_figure_of_evaluate(simulated: Callable[[str], Path], tmp_path: Path) -> None:
+    stored = TRUTH.astype("<f4")
+    stored[4:7, 6:9] = np.nan
+    written(tmp_path, stored, "data ignore value = nan")
+    with open_training_set(simulated('source = "envi"\nfile = "scene.hdr"\n')) as reader:
+        frame, head = reader.frame(0), reader.head
+    assert isinstance(frame, TrainingFrame)
+    camera = head.camera
+    table = random_table(camera.cfa.tolist(), bits=camera.bits, black_level=camera.black_level, patch=3)
+    table = dataclasses.replace(table, channels=camera.channels)
+    evaluation = Evaluation(table, head)
+    planes = {name: frame.target.copy() for name in evaluation.pipelines}
+    for each in planes.values():
+        each[:, 4:7, 6:9] *= 5
+    evaluation.add(frame, planes, np.zeros(frame.raw.shape, np.int64))
+    document = evaluation.document()
+    assert document["mean"]["ours"]["p95_delta_e"] < 1e-6
+    assert document["mean"]["ours"]["psnr"] == pytest.approx(120)
+    rows, cols = frame.raw.shape
+    inside = (rows - 2 * document["border"]) * (cols - 2 * document["border"])
+    assert sum(each["pixels"] for each in document["by_class"]["level"]) == inside - 9
 
 
 def test_layers_learn_from_no_pixel_near_a_marked_one(simulated: Callable[[str], Path], tmp_path: Path) -> None:
