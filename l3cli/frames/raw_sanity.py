@@ -30,6 +30,8 @@ ARRAYS_DIFFER = (
     0.05  # of the signal: mean difference of sites; real Bayer frames leave 0.001 to 0.02, other arrays 0.05 to 2
 )
 MOST_SITES_DIFFER = 0.03  # of the signal: exceeded by 30 % of the sites of another array, by none but those for autofocus
+STRIPED = 0.25  # of the differences: stripes leave no more, once each row or column has its own factor
+TWO_GAINS = 2.0  # ratio of gains of sensors whose pairs of rows alternate between two
 CONTROL = 3.0  # times as much as modulo a period that no array has
 FITS = 0.01  # of the signal: sites of one channel that differ less fit an array
 SMALLEST_BLACK = 16.0  # DN: of less nothing can be said
@@ -103,7 +105,7 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
     Sites at the same place of the stated super-pixel have the same mean over a frame, whichever super-pixel they belong to,
     unless the array is another one; and so have sites of one channel, unless another phase explains it (`phase_doubt`). Few
     pixels that differ, as those for autofocus do, are no such evidence; nor are differences that show as well modulo a
-    period which no sensor has.
+    period which no sensor has; nor are stripes of the scene along rows or columns, which multiply all channels alike.
     """
     tile, control = _mean_tile(frame), (5 * cfa.shape[0], 5 * cfa.shape[1])  # no array has that period
     if min(np.array(tile.shape) // control) < 2 or any(TILE % period for period in control):
@@ -112,7 +114,8 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
         return None
     places = np.arange(cfa.size).reshape(cfa.shape)
     _, usual = _differences(_means(tile, control), places)
-    found = [_differences(_means(tile, tuple(np.lcm(cfa.shape, each))), places) for each in PERIODS]
+    modulo = [_means(tile, tuple(np.lcm(cfa.shape, each))) for each in PERIODS]
+    found = [_differences(means, places) for means in modulo if not _are_stripes(means, cfa.shape)]
     if phase_doubt(frame, cfa) is None:
         found.append(_differences(_means(tile, cfa.shape), shifted_cfa(cfa, frame.phase)))
     limit = max(ARRAYS_DIFFER, CONTROL * usual)
@@ -136,6 +139,32 @@ def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.flo
     down, across = tile.shape[0] // period[0], tile.shape[1] // period[1]
     whole = tile[: down * period[0], : across * period[1]].reshape(down, period[0], across, period[1])
     return np.asarray(whole.mean(axis=(0, 2)))
+
+
+def _are_stripes(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
+    """Return whether sites differ from those a super-pixel of `period` away by one factor for each row, or for each column.
+    Pairs of rows that alternate between two factors are none: sensors that are read at two gains have them."""
+    rows, cols = period
+    blocks = means.reshape(means.shape[0] // rows, rows, means.shape[1] // cols, cols)
+    sites = blocks.mean(axis=(0, 2), keepdims=True)  # as if no super-pixel differed from another
+    differ = np.abs(blocks - sites).mean()
+    for along in ((2, 3), (0, 1)):  # rows, and columns
+        lines = blocks.mean(axis=along, keepdims=True)
+        factors = lines / np.maximum(lines.mean(axis=0 if along == (2, 3) else 2, keepdims=True), LEAST_SIGNAL)
+        if np.abs(blocks - sites * factors).mean() <= STRIPED * differ:
+            return along == (0, 1) or not _has_two_gains(factors.ravel())
+    return False
+
+
+def _has_two_gains(factors: NDArray[np.float64]) -> bool:
+    """Return whether the factors of rows alternate, in pairs, between two gains."""
+    pairs = [np.roll(factors, shift).reshape(-1, 2) for shift in (0, 1)]
+    return any(
+        np.ptp(each, axis=1).max() <= FITS
+        and max(np.ptp(each[::2]), np.ptp(each[1::2])) <= FITS
+        and each.max() >= TWO_GAINS * each.min()
+        for each in pairs
+    )
 
 
 def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tuple[float, float]:

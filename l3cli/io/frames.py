@@ -17,10 +17,10 @@ from l3cli.frames.frame import RawFrame, shifted_cfa
 from l3cli.frames.measurement import CaptureFolder, RawFile
 from l3cli.io.images import mono_of, opened
 from l3cli.io.isolated import isolated
-from l3cli.io.raw import RawContent, refuse_faults, unread
+from l3cli.io.raw import MultiFrameFile, RawContent, refuse_faults, unread
 from l3cli.io.raw.cfa_codes import FilterArray, find_phase
 from l3cli.io.raw.files import BY_SUFFIX, RawOverrides, format_of, frame_of, read_raw
-from l3cli.io.raw.tiff import read_plain, stack
+from l3cli.io.raw.tiff import read_plain
 from l3cli.io.raw.unread import UNREAD
 from l3cli.io.raw.values import require_dn
 from l3cli.spectra.file import SUFFIXES, read_table
@@ -65,10 +65,8 @@ class FrameFiles:
             if pages is None:
                 yield read_frame(path, self.shape, self.bits, self.array)
                 continue
-            for name, values in pages:
-                _check(path, str(values.dtype), 1, values.shape, self.shape, self.bits)
-                require_bits(Path(name), values, self.bits)
-                yield values.astype(np.uint16, copy=False)
+            for name, content in pages:
+                yield _whole_frame(Path(name), content, self.shape, self.bits, self.array)
 
 
 @dataclass(frozen=True)
@@ -95,12 +93,12 @@ class WholeFrames:
         if pages is None:
             yield read_raw(path, self.camera)
             return
-        for name, values in pages:
-            yield frame_of(name, RawContent(values=values), self.camera, RawOverrides())
+        for name, content in pages:
+            yield frame_of(name, content, self.camera, RawOverrides())
 
 
-def pages_of(path: Path) -> Iterator[tuple[str, NDArray[np.unsignedinteger]]] | None:
-    """Return the pages of a TIFF stack.
+def pages_of(path: Path) -> Iterator[tuple[str, RawContent]] | None:
+    """Return the frames of a stack: a TIFF of several pages, a .npy or a FITS file of three axes.
 
     Parameters
     ----------
@@ -109,26 +107,35 @@ def pages_of(path: Path) -> Iterator[tuple[str, NDArray[np.unsignedinteger]]] | 
 
     Returns
     -------
-    iterator of (str, ndarray), or None
-        Name and values (row, col) of each page; None if the file is no TIFF or has one page.
+    iterator of (str, RawContent), or None
+        Name and content of each frame; None if the file holds one, or is of another format.
 
     Raises
     ------
     InputFileError
         If the pages are not frames of one size and kind.
     """
-    if path.suffix.lower() not in TIFF:
-        return None
-    require_regular(path, RAW_FILE)
-    pages = stack(path)
+    pages = _stack(path)
     if pages is None or pages.count is None:
         return None
-    return ((f"{path} {pages.name(number)}", _values(pages.read(number))) for number in range(pages.count))
+    return ((f"{path} {pages.name(number)}", _counted(pages, number)) for number in range(pages.count))
 
 
-def _values(content: RawContent | None) -> NDArray[np.unsignedinteger]:
+def _stack(path: Path) -> MultiFrameFile | None:
+    """Return the frames of a stack, None of any other file."""
+    kind = BY_SUFFIX.get(path.suffix.lower())
+    if kind is None or not kind.holds_frame or kind.wants_geometry:
+        return None
+    require_regular(path, RAW_FILE)
+    return kind.stack(path)
+
+
+def _counted(pages: MultiFrameFile, number: int) -> RawContent:
+    content = pages.read(number)
     assert content is not None  # a stack has as many frames as it counts
-    return content["values"]
+    if content["values"].dtype.kind in "iu" and content["values"].dtype.itemsize > 2:  # DN of any type, as of single frames
+        content["values"] = require_dn(pages.name(number), content["values"])
+    return content
 
 
 def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray | None = None) -> NDArray[np.uint16]:
@@ -139,16 +146,23 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
     """
     if path.suffix.lower() in BY_SUFFIX and format_of(path).suffixes[0] not in PICTURES:
         content = raw_content(path, ("black_level",))
-        values, pattern = content["values"], content.get("pattern")
-        if array is not None and pattern is not None:
-            phase = phase_of(path, pattern, array)
-            if not np.array_equal(shifted_cfa(array.cfa, phase), array.cfa):
-                begins = f"row {phase[0]}, column {phase[1]} of cfa.pattern"
-                raise InputFileError(f"{path} begins at {begins}; begin cfa.pattern there")
     elif bits > 8 and path.suffix.lower() in TIFF and (plain := read_plain(path, (16,))) is not None:
-        values = plain["values"]
+        content = plain
     else:
-        values = _read_picture(path, *shape, bits)
+        content = RawContent(values=_read_picture(path, *shape, bits))
+    return _whole_frame(path, content, shape, bits, array)
+
+
+def _whole_frame(
+    path: Path, content: RawContent, shape: tuple[int, int], bits: int, array: FilterArray | None
+) -> NDArray[np.uint16]:
+    """Return the values of a frame of the whole sensor; InputFileError as of `read_frame`."""
+    values, pattern = content["values"], content.get("pattern")
+    if array is not None and pattern is not None:
+        phase = phase_of(path, pattern, array)
+        if not np.array_equal(shifted_cfa(array.cfa, phase), array.cfa):
+            begins = f"row {phase[0]}, column {phase[1]} of cfa.pattern"
+            raise InputFileError(f"{path} begins at {begins}; begin cfa.pattern there")
     _check(path, str(values.dtype), 1, values.shape, shape, bits)
     require_bits(path, values, bits)
     return values.astype(np.uint16, copy=False)
@@ -237,11 +251,9 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def read_capture(path: Path) -> RawFile:
-    """Return a raw frame as it stands, of a TIFF stack its first page; InputFileError of a developed picture or a damaged
-    file."""
-    pages = stack(path) if path.suffix.lower() in TIFF else None
-    content = raw_content(path) if pages is None else pages.read(0)
-    assert content is not None
+    """Return a raw frame as it stands, of a stack its first one; InputFileError of a developed picture or a damaged file."""
+    pages = _stack(path)
+    content = raw_content(path) if pages is None else _counted(pages, 0)
     return RawFile(
         np.ascontiguousarray(require_dn(str(path), content["values"])),
         max(content.get("exposure") or 0.0, 0.0) or None,
@@ -261,8 +273,8 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
         except L3Error as error:
             if Path(name).suffix.lower() in PROSE and not _has_numbers(folder.folder / name):
                 continue
-            reason = str(error).removeprefix(f"{folder.folder / name}: ").partition(";")[0]
-            notes.append(f"{name}: no table of spectra ({reason}); left out")
+            reason = str(error).removeprefix(f"{folder.folder / name}: ").removeprefix(f"{folder.folder / name} ")
+            notes.append(f"{name}: no table of spectra, {reason}; left out")
     return found
 
 

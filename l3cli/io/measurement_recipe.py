@@ -35,6 +35,7 @@ from l3cli.system.limits import MEGAPIXELS, most_pixels
 
 EXPOSURES = ("exposure_s", "exposure_ms", "exposure_us")
 CAPTURES = ("mono", "band", "chart", "white", "dark")  # lists of tables that name frames
+MOST_UNREFERENCED = 2.0  # and its inverse: of readings without a reference, a number further from 1 is no ratio
 MOST_MONITOR = 10.0  # and its inverse: a lamp that changes more is another lamp
 Below1 = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 Names = Annotated[list[str], msgspec.Meta(min_length=1)]

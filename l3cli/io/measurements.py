@@ -50,6 +50,7 @@ from l3cli.io.curves import prior_files, read_cameras, read_finished, read_sweep
 from l3cli.io.frames import FrameFiles, WholeFrames, phase_of, raw_content
 from l3cli.io.measurement_recipe import (
     MOST_MONITOR,
+    MOST_UNREFERENCED,
     BodyRecipe,
     CaptureRecipe,
     ChartRecipe,
@@ -68,6 +69,7 @@ from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, neutral_of_channels
 from l3cli.physics import charts, spectra
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import parse_recipe, parse_toml, read_text
+from l3cli.spectra import units
 from l3cli.spectra.file import names_file, read_table
 from l3cli.spectra.table import RELATIVE, CurveTable, without_noise
 from l3cli.system.files import sha256, stamp, write_whole
@@ -340,22 +342,41 @@ def monitor_at(monitor: MonitorRecipe, nm: float, path: Path) -> float:
     Raises
     ------
     InputFileError
-        If the table does not reach the wavelength, or the ratio is that of another lamp.
+        If the table does not reach the wavelength, the ratio is that of another lamp, or a column without reference holds
+        readings instead of ratios.
     """
     table = read_table(path.parent / monitor.file)
     first, last = table.wavelength[0], table.wavelength[-1]
     if not first - 1 <= nm <= last + 1:
         raise InputFileError(f"{table.path} holds {first:g}…{last:g} nm, and a capture is at {nm:g} nm; add its reading")
-    columns = [monitor.column, *([] if monitor.reference is None else [monitor.reference])]
-    readings = [float(np.interp(nm, table.wavelength, table.column(column).values[0])) for column in columns]
-    ratio = readings[0] / readings[1] if len(readings) > 1 and readings[1] else readings[0]
-    if not 1 / MOST_MONITOR <= ratio <= MOST_MONITOR:
-        what = "a ratio" if monitor.reference is not None else "a reading over that when the spectrum was measured"
+    reading, unit = _reading(table, monitor.column, nm)
+    if monitor.reference is None:
+        if unit or not 1 / MOST_UNREFERENCED <= reading <= MOST_UNREFERENCED:
+            raise InputFileError(
+                f"{table.path}: {reading:.4g} at {nm:g} nm{' has a unit and' if unit else ''} is no ratio near 1 of "
+                "readings during the capture and before; as reference name the column of those before"
+            )
+        return reading
+    before, other = _reading(table, monitor.reference, nm)
+    if unit != other:
         raise InputFileError(
-            f"{table.path}: {ratio:.4g} at {nm:g} nm is not {what}, within {1 / MOST_MONITOR:g}…{MOST_MONITOR:g}; name the "
-            "column of the readings when the spectra were measured as reference"
+            f"{table.path}: the columns of monitor have different units; name two columns of one detector's readings"
+        )
+    ratio = reading / before if before > 0 else math.inf
+    if not 1 / MOST_MONITOR <= ratio <= MOST_MONITOR:
+        raise InputFileError(
+            f"{table.path}: at {nm:g} nm the reading is {reading:.4g} and its reference {before:.4g}, which is not within "
+            f"{1 / MOST_MONITOR:g}…{MOST_MONITOR:g} of it; name the column of the readings when the spectra were measured"
         )
     return ratio
+
+
+def _reading(table: CurveTable, column: int | str, nm: float) -> tuple[float, dict[str, int]]:
+    """Return a column's value at a wavelength, in SI units where the heading states its unit, and these units' powers."""
+    found = table.column(column)
+    unit = None if found.units[0] is None else units.parse(found.units[0])
+    value = float(np.interp(nm, found.wavelength, found.values[0]))
+    return (value, {}) if unit is None else (value * unit.scale, unit.powers)
 
 
 def step_radiance(table: CurveTable, step: MonoRecipe, path: Path) -> tuple[CurveTable, NDArray[np.float64]]:

@@ -12,6 +12,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.cli import run
+from l3cli.errors import InputFileError
 from l3cli.io.curves import write_curves
 from l3cli.io.frames import read_capture
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
@@ -266,7 +267,7 @@ def test_what_is_no_raw_frame_is_distinguished(lab: Path, tmp_path: Path, l3: L3
     (folder / "notes.txt").write_text("The lamp was warm.\n")
     code, _, err = l3("calibrate", "--draft", folder, "-o", tmp_path / "M.toml")
     assert code == 0
-    assert "developed.tif has 3 channels of uint8; left out" in err
+    assert any("developed.tif has 3 channels of uint8" in line and line.endswith("left out") for line in err.splitlines())
     assert "1 × .jpg: developed pictures, never raw values; left out" in err
     assert "labels.png: has no noise, as masks and drawings have none; left out" in err
     assert "another size or array (96×256, such as white_other.tif): left out" in err
@@ -275,6 +276,20 @@ def test_what_is_no_raw_frame_is_distinguished(lab: Path, tmp_path: Path, l3: L3
     assert "notes.txt" not in err
     frames = "".join(re.findall("frames = .*", (tmp_path / "M.toml").read_text()))
     assert not re.search("developed|shown|labels|other", frames)
+
+
+def test_what_a_reader_says_to_do_reaches_the_user(lab: Path, tmp_path: Path, l3: L3) -> None:
+    folder = tmp_path / "captures"
+    shutil.copytree(lab / "white", folder)
+    np.save(folder / "white_float.npy", read_capture(next(folder.glob("*.tif"))).values / 4095)
+    (folder / "lamp.csv").write_text("wavelength_nm,power\n400,1\n410,1\n405,1\n")
+    code, _, err = l3("calibrate", "--draft", folder, "-o", tmp_path / "M.toml")
+    assert code == 0
+    for name, reader in (("white_float.npy", read_capture), ("lamp.csv", read_table)):
+        with pytest.raises(InputFileError) as refused:
+            reader(folder / name)
+        said = str(refused.value).removeprefix(str(folder / name)).lstrip(": ")
+        assert any(name in line and said in line for line in err.splitlines()), name
 
 
 def test_a_photo_of_a_chart_is_found(l3_data: Path, tmp_path: Path, l3: L3) -> None:

@@ -54,6 +54,33 @@ def test_a_table_of_readings_gives_the_ratio_at_each_step(lab: Path) -> None:
         load_measurements(with_monitor(lab, '{ file = "power.csv" }'))
 
 
+@pytest.mark.parametrize(
+    ("heading", "reading", "before", "named", "ratio"),
+    [
+        ("share (%),", 110.0, 1.0, 'column = "share"', 1.1),
+        ("now (mW),then (W)", 1.2, 1e-3, 'column = "now", reference = "then"', 1.2),
+        ("now (µA),then (W)", 1.2, 1.0, 'column = "now", reference = "then"', None),
+        ("now (µA),", 1.2, 1.0, 'column = "now"', None),  # near 1 by chance
+        ("now,", 2.3, 1.0, 'column = "now"', None),
+        ("now,", 0.4, 1.0, 'column = "now"', None),
+        ("now,then", 2.3, 1.0, 'column = "now", reference = "then"', 2.3),
+        ("now,then", 1.0, 0.0, 'column = "now", reference = "then"', None),
+    ],
+)
+def test_readings_are_ratios_or_have_a_reference(
+    lab: Path, heading: str, reading: float, before: float, named: str, ratio: float | None
+) -> None:
+    two = not heading.endswith(",")
+    rows = [f"{nm},{reading}" + f",{before}" * two for nm in range(300, 1101, 50)]
+    (lab / "power.csv").write_text("\n".join([f"wavelength_nm,{heading.rstrip(',')}", *rows]) + "\n")
+    path = with_monitor(lab, f'{{ file = "power.csv", {named} }}')
+    if ratio is None:
+        with pytest.raises(InputFileError, match=r"power\.csv.*reference|power\.csv.*detector"):
+            load_measurements(path)
+        return
+    np.testing.assert_allclose([step.monitor for step in load_measurements(path).mono], ratio, rtol=1e-9)
+
+
 def test_a_table_is_for_monochromatic_captures(lab: Path, refused: Refused) -> None:
     path = lab / "CHART.toml"
     text = (lab / "MEASUREMENTS.toml").read_text()

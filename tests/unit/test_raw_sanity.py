@@ -126,6 +126,22 @@ def test_true_bayer_frames_pass(name: str) -> None:
     assert array_doubt(bayer_frame(TRUE_BAYER[name]), np.array(BAYER, np.uint8)) is None
 
 
+@pytest.mark.parametrize("period", [4, 6, 8, 12])
+@pytest.mark.parametrize("line", [ROW, COL], ids=["rows", "columns"])
+@pytest.mark.parametrize("contrast", [0.3, 0.99])
+def test_stripes_of_an_exact_period_are_no_other_array(period: int, line: np.ndarray, contrast: float) -> None:
+    light = 0.3 * (1 + contrast * np.sin(2 * np.pi * line / period + 0.6))
+    assert array_doubt(bayer_frame(light), np.array(BAYER, np.uint8)) is None
+
+
+def test_pairs_of_rows_of_two_gains_are_another_array() -> None:
+    for first in range(4):
+        light = np.where((ROW + first) % 4 < 2, 0.1, 0.4)
+        doubt = array_doubt(bayer_frame(light), np.array(BAYER, np.uint8))
+        assert doubt is not None
+        assert "dual_iso" in doubt.likely(KNOWN)[:2]
+
+
 @pytest.mark.parametrize("period", [8, 12, 16, 24])
 @pytest.mark.parametrize("places", [[(1, 1)], [(1, 1), (5, 5)], [(0, 0), (1, 1), (4, 4), (5, 5)]])
 def test_pixels_for_autofocus_are_no_other_array(period: int, places: list[tuple[int, int]]) -> None:

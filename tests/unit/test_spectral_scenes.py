@@ -227,6 +227,15 @@ def test_a_harmless_field_changes_nothing(tmp_path: Path) -> None:
     assert (other.white, other.good, other.ignored) == (plain.white, plain.good, plain.ignored)
 
 
+def test_fields_of_a_maker_that_may_change_values_are_named(tmp_path: Path, l3: L3, bayer_recipe: Path) -> None:
+    more = "radiance gain = {2, 3}\nfps = 30\nDark  Level = 12\ncalibration =\ndata offset values = {0}"
+    path = written(tmp_path, TRUTH.astype("<f4"), more)
+    assert envi.unknown(path) == ["radiance gain", "dark level"]
+    (tmp_path / "scenes.toml").write_text('exposure_share = [0.9]\n[[scene]]\nsource = "envi"\nfile = "scene.hdr"\n')
+    code, _, err = l3("simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "set.h5")
+    assert (code, sum("scene.hdr" in line and "dark level" in line for line in err.splitlines())) == (0, 1)
+
+
 # ---------------------------------------------------------------------------------------------------- the question
 
 

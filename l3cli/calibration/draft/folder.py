@@ -23,6 +23,7 @@ from l3cli.frames.measurement import DIODE, CaptureFolder, RawFile
 from l3cli.system.text import counted
 
 SAMPLED = 6  # frames from which the period of the array is estimated
+LEFT_OUT = "; left out"  # ends the notes of files that are not used
 MOST_NOTED = 12  # rejected files that get a line of their own
 
 
@@ -81,8 +82,9 @@ def survey(
     """
     facts = _facts(listing, notes, reading)
     if not facts:
-        reason = f": {notes[0].removesuffix('; left out')}" if notes else ""
-        raise InputFileError(f"{listing.folder} holds no raw frame{reason}; give the folder of a camera's captures")
+        reason = f": {notes[0].removesuffix(LEFT_OUT)}" if notes else ""
+        cure = "" if "; " in reason else "; give the folder of a camera's captures"  # the reader's own says more
+        raise InputFileError(f"{listing.folder} holds no raw frame{reason}{cure}")
     used = _frames_of_one_sensor(facts, notes)
     shape, pattern = used[0].shape, used[0].raw.pattern
     if camera is not None and shape != (camera.rows, camera.cols):
@@ -118,7 +120,7 @@ def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_
         try:
             raw = reading.read(path)
         except L3Error as error:
-            refused.append(str(error).replace(f"{listing.folder / path}", path).partition(";")[0] + "; left out")
+            refused.append(str(error).replace(f"{listing.folder / path}", path) + LEFT_OUT)
             continue
         rows, cols = raw.values.shape
         fits = raw.values.nbytes < room

@@ -25,6 +25,7 @@ class SceneFormat:
     keys: tuple[str, ...] = ()  # of the recipe, that the reader takes
     is_folder: bool = False  # a scene is a folder, not a file
     has_files: bool = False  # a scene is in several files
+    names_unknown: bool = False  # headers may hold fields that l3 does not know, which the module's `unknown` names
     holds: str = ""  # what the files are and where they state wavelengths, for the documentation
     states: str = ""  # what else the files state that l3 reads
 
@@ -42,6 +43,11 @@ class SceneFormat:
         """Return all that is read of a scene."""
         return self._reader.files(path) if self.has_files else [path]
 
+    def unknown(self, path: Path) -> list[str]:
+        """Return the fields of a file's header that l3 does not know and that may change values."""
+        fields: list[str] = self._reader.unknown(path) if self.names_unknown else []
+        return fields
+
     @property
     def _reader(self) -> Any:
         return importlib.import_module(f"l3cli.io.scenes.{self.module}")
@@ -55,7 +61,8 @@ FORMATS = (
         states='wavelengths in the names of the files: "450nm.png", "face_450.5nm.tif", "450.png"',
     ),
     SceneFormat(
-        "envi", "envi", keys=("holds",), has_files=True, holds="ENVI header (.hdr) with its data beside it",
+        "envi", "envi", keys=("holds",), has_files=True, names_unknown=True,
+        holds="ENVI header (.hdr) with its data beside it",
         states="[all fields of the header that change values](#fields-of-envi-headers)",
     ),
     SceneFormat(

@@ -1,7 +1,8 @@
 """ENVI cubes: a header in text, the data beside it.
 
 FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) and what
-becomes of it. Fields that are not listed are those of a maker, and are passed over.
+becomes of it. Fields that are not listed are those of a maker. They are passed over; `unknown` names those that may change
+values.
 """
 
 import math
@@ -26,6 +27,12 @@ AXES = {"bsq": ("bands", "lines", "samples"), "bil": ("lines", "bands", "samples
 STANDARD = ("envi standard", "envi", "standard", *UNSTATED)  # file types of a cube without compression
 DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube", ".hyspex")
 CURE = "give a whole ENVI header"
+
+# Words in the names of a maker's fields that may say how values are to be changed, such as "radiance gain" or "dark level".
+CHANGING = re.compile(
+    r"gain|offset|scal|factor|calib|coeff|multipl|slope|intercept|bias|dark|black|white|ceiling|gamma|linear|"
+    r"no ?data|ignore|mask|bad|invalid|fill|unit|quantity|radiance|reflectance|responsivity|sensitivity"
+)
 
 READ, REFUSED, HARMLESS = "read", "refused", "harmless"
 
@@ -200,6 +207,12 @@ def files(path: Path) -> list[Path]:
     """Return an ENVI header and its data; InputFileError unless both are there."""
     _fields(path)
     return [path, _data(path)]
+
+
+def unknown(path: Path) -> list[str]:
+    """Return the fields of a header that are not of the format and may change values by their names."""
+    known = {field.name for field in FIELDS}
+    return [name for name, text in _fields(path).items() if name not in known and text and CHANGING.search(name)]
 
 
 def _fields(path: Path) -> dict[str, str]:

@@ -206,6 +206,21 @@ def fitting(
     return readable, len(bad)
 
 
+def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Console) -> None:
+    """Say which fields of scene files may change values and are not known to l3."""
+    found: dict[str, Path] = {}  # field: the first file that states it
+    for source, paths in zip(run.recipe.scene, files, strict=True):
+        for path in paths:
+            for field in format_of(sources.name_of(source), path).unknown(path):
+                found.setdefault(field, path)
+    if found:
+        first = next(iter(found.values()))
+        console.info(
+            f"{first}: l3 does not know the field{'s' if len(found) > 1 else ''} {listed(found)}; "
+            "if values depend on it, apply it to the data first"
+        )
+
+
 def input_files(run: SimulationRun, files: list[list[Path]]) -> dict[str, list[Path]]:
     """Return all files of a run by their role; `files` are those of each source."""
     return {

@@ -21,7 +21,14 @@ from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.recipe import SceneRecipe, shots
-from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare, warn_of_unknown
+from l3cli.stages.simulation.preparation import (
+    fitting,
+    head_of,
+    input_files,
+    note_unknown_fields,
+    prepare,
+    warn_of_unknown,
+)
 from l3cli.stages.simulation.units import StoredFrames, is_of_run, key_of, received, remove_finished, simulate_unit, units_of
 from l3cli.system.checkpoint import incomplete_folder, parts_folder, refuse_other_run
 from l3cli.system.console import Console
@@ -68,6 +75,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         if note := columns_left_out(camera):
             console.info(note)
         warn_of_unknown(run, console)
+        note_unknown_fields(run, files, console)
         note_inputs({"scene recipe": [scenes], **inputs})
         note_places((output, *folders))
         with contextlib.ExitStack() as unfinished:
