@@ -85,6 +85,8 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
     "clipped white": lambda: with_clipped_white(
         with_refinement(a_table([[0, 1], [2, 3]], 12, 64.0, contrasts=()), 5), 0.2
     ),
+    "no filters": lambda: a_table([[0]], 12, 64.0),
+    "luminance": lambda: a_table([[0, 1], [1, 2]], 12, 64.0, outputs=("Y",)),
     "a tree, 6 × 6": lambda: with_tree(a_table(SIX, 12, 64.0, contrasts=()), ratios=2),
 }  # fmt: skip
 needs_compiler = pytest.mark.skipif(CC is None, reason="there is no C compiler (cc, gcc or CC)")
@@ -129,6 +131,8 @@ CASES += [
     ("one layer, 2 × 3, 16 bits", "int16"),
     ("coarse chroma", "int16"),
     ("clipped white", "int16"),
+    ("no filters", "int16"),
+    ("luminance", "int16"),
     ("a tree, 6 × 6", "int16"),
 ]
 
