@@ -2,7 +2,6 @@
 mean errors by class, to see which are worst."""
 
 import dataclasses
-import functools
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -206,8 +205,7 @@ class Evaluation:
         else:
             judge = judge_reflectances if self._table.outputs == REFLECTANCES else judge_bands
             wanted: dict[str, Any] = {"target": frame.target, "white": frame.white, "border": border, "counted": counted}
-            judge = functools.partial(judge, **wanted)
-            judged = {name: judge(of) for name, of in planes.items()}
+            judged = {name: judge(of, **wanted) for name, of in planes.items()}
         self._frames.append({**about, **{name: dataclasses.asdict(figures) for name, (figures, _) in judged.items()}})
         if not self._pictures:
             self._bands.append({name: band_figures(of, **wanted) for name, of in planes.items()})

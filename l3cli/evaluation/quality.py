@@ -179,7 +179,7 @@ class Target:
                 visual_noise=self.patches.visual_noise(labs[1], self._labs[1]),
                 psnr=psnr(*curves),
                 output_psnr=psnr(*(of_counted(each / self._peaks, counted) for each in (rendered, self._target))),
-                ssim=ssim(curve @ LUMA, self._curve @ LUMA, counted),
+                ssim=ssim(curve @ LUMA, self._curve @ LUMA, counted=counted),
             ),
             everywhere if counted is None else np.where(counted, everywhere, np.nan),
             variances,
@@ -211,7 +211,7 @@ def judge_bands(
         rmse=float(np.sqrt(np.mean(error**2))),
         psnr=psnr(*(_rounded(of_counted(each, counted)) for each in shares)),
         output_psnr=psnr(*(of_counted(each, counted) for each in linear)),
-        ssim=float(np.mean([ssim(*of_band, counted) for of_band in zip(*shares, strict=True)])),
+        ssim=float(np.mean([ssim(*of_band, counted=counted) for of_band in zip(*shares, strict=True)])),
     ), angles
 
 
@@ -230,7 +230,7 @@ def band_figures(
         {
             "psnr": psnr(*(_rounded(of_counted(each, counted)) for each in share)),
             "output_psnr": psnr(*(of_counted(each, counted) for each in of_band)),
-            "ssim": ssim(*share, counted),
+            "ssim": ssim(*share, counted=counted),
         }
         for of_band, share in zip(zip(*linear, strict=True), zip(*shares, strict=True), strict=True)
     ]
@@ -273,7 +273,7 @@ def psnr(one: Array, other: Array) -> float:
     return float(-10.0 * np.log10(max(float(np.mean((one - other) ** 2)), LEAST_ERROR)))
 
 
-def ssim(one: Array, other: Array, counted: NDArray[np.bool_] | None = None) -> float:
+def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) -> float:
     """Return the mean structural similarity of two pictures (row, col) in 0…1 (Wang et al. 2004: 11 × 11 Gaussian window of
     σ 1.5).
 
