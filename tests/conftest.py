@@ -54,7 +54,7 @@ def fiveband() -> CameraModel:
 @pytest.fixture
 def l3(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, str, str]]:
     """Run `l3 ARGUMENTS`: exit code, stdout, stderr; how far it is is not said, however slow the machine."""
-    monkeypatch.setattr(terminal, "OFTEN", 3600.0)
+    monkeypatch.setattr(terminal, "SHORTEST_SILENCE", 3600.0)
 
     def call(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()

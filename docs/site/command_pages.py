@@ -46,5 +46,5 @@ def row(option: click.Option, context: click.Context) -> tuple[str, str]:
     value = "" if option.is_flag or option.count else f" {option.make_metavar(context)}"
     meaning = plain(option.help or "")
     if isinstance(option.default, str | int | float) and option.default is not False and "default" not in meaning:
-        meaning += f" Default: {code(str(option.default))}."
+        meaning += f" [default: {option.default}]"
     return code(names + value), meaning + (" Required." if option.required else "")

@@ -1,4 +1,4 @@
-"""The command line: a group that imports a command only when it is called, and reports every error in one place."""
+"""The command line: imports a command when it is called, and reports every error in one place."""
 
 import errno
 import functools
@@ -28,30 +28,30 @@ COMMANDS = {
     "simulate": "camera × scenes × lights → training set",
     "train": "training set → transform table",
     "render": "raw frames through a table → pictures",
-    "evaluate": "quality of a table on frames it was not trained on",
+    "evaluate": "quality of a table on unseen frames",
     "report": "artifacts → one page with plots and pictures",
-    "compare": "evaluations of several cameras over luminance",
-    "design": "filters × scenes × lights → arrays by predicted error",
-    "info": "kind, version, axes, units, history of an artifact",
-    "export": "camera or table → files that other software reads, C source",
+    "compare": "evaluations of several cameras, compared over luminance",
+    "design": "filters × scenes × lights → arrays ranked by predicted error",
+    "info": "contents and history of an artifact",
+    "export": "camera or table → C source, or files for other software",
     "bench": "frame times on this machine, stage by stage",
-    "check": "all that is wrong with recipes, and what they mean",
+    "check": "errors in recipes, and what recipes mean",
     "schema": "JSON schema of recipes, for editors",
-    "lab": "virtual lab: simulated measurements of a camera",
-    "init": "folder of recipes and pipelines for one kind of camera",
+    "lab": "virtual lab: camera → simulated measurements",
+    "init": "folder with recipes and a Makefile for a camera",
 }
 
-CURES = {
+ADVICE = {
     errno.ENOSPC: "; free some space and run it again",
-    errno.EACCES: "; ask for the right to read and write it, or name another",
-    errno.EROFS: "; name an output elsewhere",
+    errno.EACCES: "; change its permissions, or name another file",
+    errno.EROFS: "; name an output on another file system",
     errno.ENOTDIR: "; a part of the path is a file, not a folder",
 }
-NO_THREAD = "can't start new thread"  # what Python says
+NO_THREAD = "can't start new thread"  # Python's message of a RuntimeError
 
 
 class Pipeline(click.Group):
-    """Commands in the order of the pipeline, each in a module."""
+    """The commands, in the order of the pipeline, each in a module of its own."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -67,7 +67,7 @@ class Pipeline(click.Group):
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list["CompletionItem"]:
-        """Return names and meanings from the list above, as completion must not import every command."""
+        """Complete the names of commands from COMMANDS, without importing the commands."""
         from click.shell_completion import CompletionItem
 
         commands = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]
@@ -87,13 +87,13 @@ class Pipeline(click.Group):
 @click.version_option(__version__, prog_name="l3")
 @click.pass_context
 def l3(context: click.Context) -> None:
-    """Give a camera with any colour filter array its image pipeline.
+    """Build the image-processing pipeline of a camera with any colour filter array.
 
-    Calibrate the camera from measurements (calibrate), simulate it on scenes (simulate), learn a table of local linear
-    transforms (train), render raw frames through it (render). Every stage writes one HDF5 file for the next.
+    Calibrate a camera from measurements (calibrate), simulate it on scenes (simulate), learn a table of local linear
+    transforms (train) and render raw frames with the table (render). Each stage writes one HDF5 file for the next.
     """
     require_address_space()
-    if context.invoked_subcommand is None:  # a wrong call, such as of a script whose variable is empty
+    if context.invoked_subcommand is None:  # an error: in a script, a variable may be empty
         for line in context.get_help().splitlines():
             to_stderr(line)
         context.exit(2)
@@ -101,7 +101,7 @@ def l3(context: click.Context) -> None:
 
 
 def main() -> None:
-    """Run the command line; every failure ends as one line on stderr and its exit code (docs/limits.md#exit-codes)."""
+    """Run the command line. Every failure prints one line on stderr and sets an exit code (docs/limits.md#exit-codes)."""
     prepare()
     heed()
     one_blas_thread()
@@ -112,7 +112,7 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Return exit code of `l3 ARGUMENTS`, after printing its results and messages."""
+    """Run `l3 ARGUMENTS` and return its exit code."""
     Logged.current, record = None, begin(arguments)
     results: list[Result] = []
     try:
@@ -126,7 +126,10 @@ def run(arguments: list[str]) -> int:
 
 
 def _called(arguments: list[str], record: Record | None, results: list[Result]) -> int:
-    """Return exit code of the command, whose result is put among the `results` and, unless it is recorded, printed."""
+    """Run the command and return its exit code.
+
+    The result is appended to `results`, and printed unless it goes into the JSON record.
+    """
     try:
         result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False)
     except Planned as plan:
@@ -143,7 +146,7 @@ def _called(arguments: list[str], record: Record | None, results: list[Result]) 
 
 
 def _guarded(work: Callable[[], int | None]) -> int:
-    """Return exit code of a part of the run; whatever goes wrong in it is said."""
+    """Run `work` and return its exit code. Report any error on stderr."""
     try:
         code = work()
         sys.stdout.flush()
@@ -155,7 +158,7 @@ def _guarded(work: Callable[[], int | None]) -> int:
     except L3Error as error:
         return _fail(str(error), error.exit_code)
     except BrokenPipeError:
-        drop(sys.stdout)  # whoever read it has gone: nothing is left to say
+        drop(sys.stdout)  # the reader of the pipe has closed it
         return 1
     except (KeyboardInterrupt, click.Abort):
         return _fail("interrupted", 130)
@@ -164,7 +167,7 @@ def _guarded(work: Callable[[], int | None]) -> int:
     except MemoryError:
         return _fail("out of memory; use fewer --jobs or smaller frames", 1)
     except ImportError as error:
-        return _fail(f"a library cannot be loaded: {error}; free some memory, or install l3cli again", 1)
+        return _fail(f"cannot load a library: {error}; free some memory, or reinstall l3cli", 1)
     except RuntimeError as error:
         if str(error) != NO_THREAD:
             raise
@@ -172,12 +175,12 @@ def _guarded(work: Callable[[], int | None]) -> int:
     except OSError as error:
         if error.filename is None:
             drop(sys.stdout)
-        cure = CURES.get(error.errno or 0, "")
-        return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}{cure}", 1)
+        advice = ADVICE.get(error.errno or 0, "")
+        return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}{advice}", 1)
 
 
 def _usage(error: click.ClickException) -> str:
-    """Return what is wrong with a call, and which help to read."""
+    """Return the message of a wrong call, with the help that explains the command."""
     message = error.format_message().rstrip(".")
     if isinstance(error, click.NoSuchOption):
         similar = [name for name in error.possibilities or () if name.startswith("--")]

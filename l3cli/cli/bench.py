@@ -1,4 +1,4 @@
-"""l3 bench: the OpenCL devices, and the times of frames by stage."""
+"""l3 bench: OpenCL devices, and the time of a frame by stage."""
 
 from typing import Any
 
@@ -13,8 +13,8 @@ from l3cli.options.commands import BenchOptions
 @click.command()
 @declared.of(BenchOptions)
 def bench(options: BenchOptions) -> Result:
-    """Time the rendering of synthetic frames on an OpenCL device by stage, uint16 in host memory to sRGB in host memory:
-    medians of 40 frames; and of tiny ones by the numpy reference.
+    """Measure how long an OpenCL device takes to render synthetic frames, stage by stage: the median of 40 frames, from
+    uint16 raw values to sRGB, both in host memory. Tiny frames are also timed with the numpy reference.
 
     \b
     Example: l3 bench --device 0 --json
@@ -37,10 +37,10 @@ def _text(document: dict[str, Any]) -> None:
     for number, result in enumerate(document["results"], 1):
         times = [f"{result['stages_ms'][stage]:.2f}" if stage in result["stages_ms"] else "" for stage in stages]
         what = [
-            str(number),  # identifies rows where the table is divided
+            str(number),  # identifies the row if the table is split to fit the terminal
             f"{result['width']}×{result['height']}",
             *(str(result[key]) for key in ("channels", "patch", "classes", "outputs", "variant")),
         ]
         rows.append([*what, *times, f"{result['frame_ms']:.2f}", f"{result['mp_per_s']:.1f}"])
     headings = ["", "frame", "channels", "patch", "classes", "outputs", "variant", *stages, "whole", "MP/s"]
-    show_table(["", "rendering, medians in ms a frame"], headings, rows)
+    show_table(["", "rendering, median in ms per frame"], headings, rows)

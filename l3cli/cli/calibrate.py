@@ -16,7 +16,8 @@ from l3cli.options.commands import DraftOptions
 @declared.output("Camera model to write; with --draft the measurement file")
 @declared.of(DraftOptions, declared.trust, declared.dry_run)
 def calibrate(measurements: Path | None, output: Path, options: DraftOptions) -> Result:
-    """Estimate responsivities, gain and noise of a camera from its lab measurements, or from photos of a chart.
+    """Estimate the spectral responsivities, gain and noise of a camera from lab measurements, or from photos of a
+    ColorChecker.
 
     \b
     Example: l3 calibrate --draft captures -o MEASUREMENTS.toml
@@ -26,12 +27,12 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
     if options.draft is not None:
         return _draft(options.draft, measurements, output, options)
     if options.camera is not None:
-        raise click.UsageError("--camera goes with --draft; a measurement file states its camera itself")
+        raise click.UsageError("--camera is for --draft; a measurement file states its camera itself")
     from l3cli.calibration import figures
     from l3cli.io.raw.files import is_photo
 
     if measurements is not None and is_photo(measurements):
-        raise click.UsageError(f"{measurements} is a raw file; a photo of a ColorChecker goes with --photo")
+        raise click.UsageError(f"{measurements} is a raw file; give a photo of a ColorChecker with --photo")
     from l3cli.stages.calibration import calibrate as stage
 
     _, result = stage(measurements, output, options)
@@ -39,12 +40,12 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
 
 
 def _draft(folder: Path, measurements: Path | None, output: Path, options: DraftOptions) -> Result:
-    """Write the draft; UsageError if what only a calibration takes is given, too."""
+    """Write a draft of a measurement file. Raise UsageError if options of a calibration are given."""
     from l3cli.stages.calibration import draft
 
     given = [name for name in ("photos", "light", "truth", "export", "sheet", "accept") if getattr(options, name)]
     if measurements is not None or given:
         name = "MEASUREMENTS.toml" if measurements is not None else f"--{given[0].removesuffix('s')}"
-        raise click.UsageError(f"--draft writes a measurement file and calibrates nothing; leave {name} out")
+        raise click.UsageError(f"--draft writes a measurement file and does not calibrate; leave {name} out")
     draft(folder, output, options)
     return Result({"measurements": str(output)})

@@ -1,4 +1,4 @@
-"""l3 check: all that is wrong with recipes, and what they mean."""
+"""l3 check: errors in recipes, and what recipes mean."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from l3cli.options.commands import CheckOptions
 
 
 class AnyRecipe(declared.RecipeFile):
-    """A recipe of any kind, or a folder of them; the stage looks for it, since several kinds may have one of a name."""
+    """A recipe of any kind or a folder of recipes. The stage finds it, since recipes of several kinds may share a name."""
 
     def __init__(self) -> None:
         super().__init__("")
@@ -31,9 +31,11 @@ class AnyRecipe(declared.RecipeFile):
 @click.argument("recipes", type=AnyRecipe(), nargs=-1, required=True, metavar="RECIPE…")
 @declared.of(CheckOptions)
 def check(recipes: tuple[str, ...], options: CheckOptions) -> Result:
-    """Check recipes (camera, lab, scenes, classes) and measurement files with the files that they name, and list all that is
-    wrong as FILE:LINE: MESSAGE (exit code 3); of a recipe without faults show what it means. RECIPE is a file, the name of
-    a recipe that comes with l3, or a folder of recipes. What is given together with a camera recipe is checked for it.
+    """Check recipes (camera, lab, scenes, classes) and measurement files, including the files that they name. Print every
+    error as FILE:LINE: MESSAGE (exit code 3). For a recipe without errors, print what it means.
+
+    RECIPE is a file, the name of a recipe that comes with l3, or a folder of recipes. If one of them is a camera recipe, the
+    others are checked for this camera.
 
     \b
     Example: l3 check camera.toml scenes.toml

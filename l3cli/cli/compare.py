@@ -1,4 +1,4 @@
-"""l3 compare: evaluations of several cameras over luminance."""
+"""l3 compare: evaluations of several cameras, compared over luminance."""
 
 import textwrap
 from pathlib import Path
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @declared.output("HTML page with the curves", required=False)
 @declared.of(CompareOptions, declared.dry_run)
 def compare(evaluations: tuple[Path, ...], output: Path | None, options: CompareOptions) -> Result:
-    """Compare cameras by figures of their evaluations at each luminance: which is better where, and where it clips.
+    """Compare the evaluations of several cameras at each luminance: which camera is better where, and where each one clips.
 
     \b
     Example: l3 compare bayer.json rgbw.json --figure psnr -o curves.html
@@ -45,6 +45,6 @@ def _text(comparison: "Comparison") -> None:
 
 
 def _lines(sentences: list[str]) -> list[str]:
-    """Return sentences as lines that fit the terminal."""
+    """Wrap sentences to the width of the terminal."""
     wide = width()
     return [line for each in sentences for line in (textwrap.wrap(printable(each), wide) if wide else [each])]

@@ -1,4 +1,4 @@
-"""l3 design: which array? Filters × scenes × lights → arrays by predicted error; and the moments of scenes that it needs."""
+"""l3 design: ranks colour filter arrays by predicted error. l3 design moments: the statistics of scenes that it needs."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from l3cli.options.commands import DesignOptions, MomentsOptions
 if TYPE_CHECKING:
     from l3cli.artifacts.design import Design
 
-SHOWN = 20  # arrays that are printed
+SHOWN = 20  # arrays printed at most
 
 
 @click.command()
@@ -23,12 +23,12 @@ SHOWN = 20  # arrays that are printed
     type=declared.CAMERA,
     required=True,
     metavar="CAMERA|DESIGN.toml",
-    help="Camera model or recipe, its name, or design recipe: lens and pixel count, its filters do not.",
+    help="Camera model, camera recipe, name of a recipe, or design recipe. Only its lens and pixel matter.",
 )
 @declared.output("Moments to write")
 @declared.of(MomentsOptions, declared.trust, declared.dry_run)
 def moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> Result:
-    """Gather what the error of any array follows from: second moments of the spectra of scenes behind a lens and pixel.
+    """Compute the second moments of scene spectra behind a lens and pixel. The error of any array follows from them.
 
     \b
     Example: l3 design moments default --camera bayer -o scenes.h5
@@ -41,7 +41,7 @@ def moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -
 
 
 class _WithMoments(click.Command):
-    """A command whose first word may be `moments`, another command."""
+    """A command whose first argument may be the subcommand `moments`."""
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
@@ -56,9 +56,11 @@ class _WithMoments(click.Command):
 @declared.output("Design to write")
 @declared.of(DesignOptions, declared.dry_run)
 def design(recipe: Path, output: Path, options: DesignOptions) -> Result:
-    """Judge colour filter arrays by the error that they will reach, without training them. DESIGN.toml is a recipe or the
-    name of one that comes with l3: pixel, filters, arrays to try, lights. "l3 design moments SCENES.toml --camera CAMERA -o
-    SCENES.h5" gathers, once, what scenes are behind that lens and pixel.
+    """Rank colour filter arrays by their predicted error, without training them. DESIGN.toml is a recipe, or the name of
+    one that comes with l3, with the pixel, the filters, the arrays to try and the lights.
+
+    First run "l3 design moments SCENES.toml --camera CAMERA -o SCENES.h5" once to get the moments of scenes behind this lens
+    and pixel.
 
     \b
     Example: l3 design dyes --moments scenes.h5 -o design.h5
@@ -83,5 +85,5 @@ def _text(made: "Design") -> None:
     show_table([made.caption], *made.table(SHOWN), *made.verdict, *made.crossings, *tuned)
     if truth := made.truth:
         show_table(
-            ["trained and judged on the same unseen scenes"], *truth.table(made.levels), *truth.agreement(made.levels)
+            ["trained, and evaluated on the same unseen scenes"], *truth.table(made.levels), *truth.agreement(made.levels)
         )

@@ -1,4 +1,4 @@
-"""l3 evaluate: a table's quality on frames with known targets, as tables on stdout."""
+"""l3 evaluate: prints the quality of a table on frames with known targets."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 @click.argument("frames", type=declared.FILE, required=False, metavar="TRAINING.h5")
 @declared.of(SequenceOptions, declared.dry_run)
 def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) -> Result:
-    """Render the raw frames of a training set that TABLE was not trained on and compare them with their targets.
+    """Render the raw frames of a training set that TABLE was not trained on, and compare the pictures with their targets.
 
-    Pictures are compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown as white.
-    Baselines are a basic pipeline that is not learned (interpolation, white balance, colour matrix) and, for a Bayer
-    array if colour-demosaicing is installed, Malvar's and Menon's demosaicking with the same matrix.
+    Pictures are compared as displayed: adapted to D65, with the 99th percentile of the target's luminance shown white. The
+    baselines are a basic pipeline without training (interpolation, white balance, colour matrix) and, for Bayer arrays if
+    colour-demosaicing is installed, Malvar's and Menon's demosaicking with the same matrix.
 
-    Bands of the camera are compared as spectra (angle), linear values, and 8-bit codes of which white is 255. Baselines
-    are bilinear interpolation, Malvar and Menon for Bayer, spectral differences (sd) and the pseudo-panchromatic image
-    difference (ppid) for arrays in which every band occurs once a period.
+    If the outputs are the camera's bands, they are compared as spectra (angle), as linear values, and as 8-bit codes with
+    white at 255. The baselines are bilinear interpolation, Malvar and Menon for Bayer arrays, and spectral differences (sd)
+    and pseudo-panchromatic image difference (ppid) for arrays in which every band occurs once per period.
 
-    Reflectances and radiances are compared as spectra, too; reflectances also as colours (mean ΔE00) under A, D65 and
-    F11. Beside them stand two linear estimates of each pixel from its demosaicked bands (wiener, pinv), that learn from
-    drawn scenes under the frame's light.
+    Reflectances and radiances are also compared as spectra, and reflectances also as colours (mean ΔE00) under A, D65 and
+    F11. Their baselines are two linear estimates of each pixel from its demosaicked bands (wiener, pinv), which learn from
+    drawn scenes under the light of the frame.
 
-    With --rival: pictures of another pipeline beside them, under the name of their folder. Their brightness does not
-    matter: one factor a picture is fitted.
+    With --rival, pictures of another pipeline are evaluated, too, under the name of their folder. Their brightness does not
+    matter, because one factor per picture is fitted.
 
-    With --sequence: noise and flicker of CIE L* over time on patches that stand still, the largest jump of a frame's
-    mean, and beside ideal pictures PSNR, ΔE00 and how the error changes along the known motion.
+    With --sequence, rendered pictures are evaluated over time: noise and flicker of CIE L* on patches that stand still, and
+    the largest jump of a frame's mean. With --ideal also PSNR, ΔE00 and how the error changes along the known motion.
 
     \b
     Example: l3 evaluate table.h5 unseen.h5 --json
@@ -49,7 +49,7 @@ def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) 
     if options.sequence is not None:
         return _sequence(options.sequence, table, options)
     if table is None or frames is None or options.ideal is not None:
-        raise click.UsageError("give TABLE.h5 and TRAINING.h5, or --sequence PICTURES with or without --ideal")
+        raise click.UsageError("give TABLE.h5 and TRAINING.h5, or --sequence PICTURES and optionally --ideal")
     from l3cli.stages.evaluation import evaluate as stage
 
     document = stage(table, frames, options)
@@ -58,7 +58,7 @@ def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) 
 
 def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> Result:
     if table is not None or options.pictures is not None or options.rivals:
-        raise click.UsageError("--sequence judges pictures; leave TABLE.h5, TRAINING.h5, --pictures and --rival out")
+        raise click.UsageError("--sequence evaluates pictures; leave TABLE.h5, TRAINING.h5, --pictures and --rival out")
     for name in ("backend", "viewing", "force"):
         if click.get_current_context().get_parameter_source(name) is not ParameterSource.DEFAULT:
             raise click.UsageError(f"--{name} is for a table; leave it out with --sequence")
@@ -68,14 +68,16 @@ def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> R
     return Result(figures.document(), lambda: print_sequence(figures))
 
 
-WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
+WIDE = 110  # characters: narrower tables leave out the metrics LESS_NEEDED, which the JSON holds
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
-NOT_SHOWN = ("visual_noise", "gfc", "delta_e_a", "delta_e_f11")  # JSON and report hold them
+NOT_SHOWN = ("visual_noise", "gfc", "delta_e_a", "delta_e_f11")  # only in JSON and report
 
 
 def print_tables(document: dict[str, Any]) -> None:
-    """Print frames, means, light levels, illuminants and standards, with the main figure of each baseline. Classes, patches,
-    bands and gains are in JSON and report."""
+    """Print the metrics by frame, light level and illuminant, their means and the metrics of standards.
+
+    Baselines show only their main metrics. Classes, patches, bands and gains are only in the JSON and the report.
+    """
     width = terminal.width()
     wide = width is None or width >= WIDE
     figures = [
@@ -101,18 +103,18 @@ def print_tables(document: dict[str, Any]) -> None:
     _print_standards(document["standards"]["figures"])
     for baseline, counts in document["better"].items():
         shares = ", ".join(f"{FIGURES[figure].short} {counts[figure]}" for figure in main)
-        show(f"better than {baseline} in so many of {len(document['frames'])} frames: {shares}")
+        show(f"better than {baseline}, in frames of {len(document['frames'])}: {shares}")
 
 
 def _print_standards(figures: dict[str, dict[str, float | None]]) -> None:
-    """Print sharpness, cycles a pixel, and the least light of each pipeline (docs/measurement.md)."""
+    """Print the sharpness (cycles/pixel) and the lowest usable light of each pipeline (docs/measurement.md)."""
     names = list(next(iter(figures.values())))
     rows = [[owner, *(figure_text(name, of[name]) for name in names)] for owner, of in figures.items()]
     show_table(["", "by standards"], ["pipeline", *(FIGURES[name].short for name in names)], rows)
 
 
 def print_sequence(figures: "SequenceFigures") -> None:
-    """Print frames of a sequence one by one, and figures of the whole."""
+    """Print the metrics of each frame of a sequence, then those of the whole sequence."""
     named = ["frame", "mean L*", "jump", "step σ", "warped\nerror", "PSNR dB", "ΔE00 mean"]
     rows = []
     for each in figures.frames:

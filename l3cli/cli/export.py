@@ -1,4 +1,4 @@
-"""l3 export: camera or transform table → files that other software reads, or that run elsewhere."""
+"""l3 export: camera or transform table → C source, or files for other software."""
 
 from pathlib import Path
 
@@ -18,12 +18,13 @@ from l3cli.options.option import declarations
 @declared.output("Folder to write to", metavar="DIR")
 @declared.of(ExportOptions, declared.dry_run)
 def export(artifact: Path, output: Path, options: ExportOptions) -> Result:
-    """Write CAMERA, a camera.h5 or a camera recipe, as other software reads it: curves (CSV, rawtoaces JSON), data sheet
-    (CSV), DCP matrices (JSON), of a Bayer array tuning files of libcamera. Prints how far the matrices for each light leave
-    the colours of measured surfaces.
+    """Write files for other software.
 
-    Or write TABLE.h5, a transform table, as C99 source that renders to sRGB without l3 (make test compares it with
-    l3's reference on a test mosaic), or as little-endian arrays for other hardware.
+    Of CAMERA, a camera.h5 or a camera recipe: curves (CSV, rawtoaces JSON), a data sheet (CSV), DCP matrices (JSON) and, for
+    Bayer arrays, tuning files of libcamera. The colour error of the matrices on measured surfaces is printed for each light.
+
+    Of TABLE.h5, a transform table: C99 source that renders to sRGB without l3 ("make test" compares it with l3's reference
+    on a test mosaic), or little-endian arrays for other hardware.
 
     \b
     Example: l3 export table.h5 -o source --to c

@@ -1,4 +1,4 @@
-"""l3 info: contents of an artifact, or versions of this installation."""
+"""l3 info: contents of an artifact, or the versions of this installation."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 @click.argument("inputs", type=declared.FILE, nargs=-1, metavar="[INPUT…]")
 @declared.of(InfoOptions)
 def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> Result:
-    """Show kind, version, history and every dataset (axes, type, unit, meaning) of FILE; of a transform table also
-    classes, patches, noise gain, gain of flat areas, and its noisiest classes.
+    """Show the kind, version, history and data sets (axes, type, unit, meaning) of FILE. For a transform table, also show
+    its classes, patches, noise gain, gain of flat areas and noisiest classes.
 
-    With --verify check every byte of FILE against its digest, read all of it, and say which of the files that its history
-    names are given as INPUT: artifacts, recipes, frames, spectra. An INPUT that the history does not name is another file,
-    or has changed: exit code 3.
+    With --verify, check every byte of FILE against its digest, read all of it, and compare the files that its history names
+    (artifacts, recipes, frames, spectra) with the given INPUTs. If an INPUT is not in the history, it is another file or has
+    changed: exit code 3.
 
     \b
     Example: l3 info camera.h5
@@ -37,7 +37,7 @@ def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> R
     if options.verify and file is not None:
         return _verify(file, inputs)
     if options.verify or inputs:
-        raise click.UsageError("one file at a time, unless --verify compares it with what it was made of")
+        raise click.UsageError("give one file; only --verify takes INPUTs, the files that it was made from")
     from l3cli.stages.information import content, versions
 
     document = versions() if file is None else content(file)
@@ -51,14 +51,14 @@ def _show(lines: list[str]) -> None:
 
 
 def _verify(file: Path, inputs: tuple[Path, ...]) -> Result:
-    """Return what is verified and what is not given; InputFileError with it if something differs."""
+    """Verify an artifact. The result carries an InputFileError if an input does not match."""
     from l3cli.stages.information import verification
 
     result = verification(file, inputs)
     fault = None
     if result.strangers:
         named = ", ".join(str(path) for path in result.strangers)
-        fault = InputFileError(f"{named}: not what {file} was made of; another file, or changed since")
+        fault = InputFileError(f"{named}: {file} was not made from it; give the original file, or make {file} again")
     return Result(result.document(), lambda: show(*_verified(file, result)), fault)
 
 
@@ -84,9 +84,9 @@ def _lines(content: dict[str, Any]) -> list[str]:
 
 
 def _verified(file: Path, verification: "Verification") -> list[str]:
-    """Return lines on what is verified, and what the history names that is not given."""
+    """Return lines that say what was verified, and how many files of the history were not given."""
     intact = verification.intact
-    digest = "every byte is as written" if intact.digest else "without a digest of its bytes, which version 2 has"
+    digest = "every byte is as written" if intact.digest else "has no digest of its bytes, unlike version 2"
     lines = [f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets can be read"]
     for link in verification.links:
         names = ", ".join(link.given[:4]) + (" …" if len(link.given) > 4 else "")
@@ -104,7 +104,7 @@ def _line(item: dict[str, Any]) -> str:
 
 
 def _short(value: Any) -> str:
-    """Return a number to six digits, text as it is; JSON has all digits."""
+    """Return a number with six digits, or text unchanged. The JSON holds all digits."""
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
     return figure(value, ".6g") if isinstance(value, float) else str(value)

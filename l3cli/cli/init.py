@@ -1,5 +1,4 @@
-"""l3 init: a folder with the recipes of a camera, one kind or by name, and pipelines from them to a picture, or with a
-benchmark."""
+"""l3 init: a folder with the recipes and pipeline of a camera, or with a benchmark."""
 
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from l3cli.options.commands import InitOptions
 
 
 def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Return the names of recipes and cameras for the shell."""
+    """Complete the names of recipes and cameras."""
     from l3cli.recipes.builtin import cameras_by_name, starters
 
     return [name for name in (*starters(), *cameras_by_name()) if name.startswith(incomplete)]
@@ -26,11 +25,15 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 @click.argument("more", nargs=-1, metavar="")
 @declared.of(InitOptions, declared.dry_run)
 def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options: InitOptions) -> Result:
-    """Make DIR with the recipes of one kind of camera and a Makefile that makes a picture and a report from them, and
-    the same pipeline for Snakemake and for job arrays of Slurm. RECIPE is also the name of a camera whose measured curves
-    come with l3 (--list), or a camera recipe of your own (.toml), which is copied with its curves. With --from, the recipe
-    is that of the camera which took the raw files; of several cameras, each gets a folder in DIR; of a design (l3 design),
-    it is that of its best array. A benchmark's Makefile learns from one folder of your pictures and evaluates on another.
+    """Create the folder DIR with recipes for a camera and a Makefile that makes a picture and a report from them. DIR also
+    gets the same pipeline for Snakemake and for Slurm job arrays.
+
+    RECIPE is the name of a kind of camera or of a benchmark, the name of a camera whose measured curves come with l3
+    (--list), or a camera recipe of your own (.toml), which is copied together with its curves. The Makefile of a benchmark
+    trains on one folder of your pictures and evaluates on another.
+
+    With --from, the camera recipe is derived from raw files. If several cameras took them, each camera gets a folder in DIR.
+    With --from and a design ("l3 design"), the recipe is that of its best array.
 
     Without arguments, list the recipes.
 
@@ -45,35 +48,35 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
 
     for_photos = "light", "phase", "pattern", "black_level", "white_level", "opcodes"
     of_photos = [name for name in for_photos if getattr(options, name) is not None]
-    if options.photos:  # the shell may have made several files of a pattern
+    if options.photos:  # the shell may have expanded a pattern to several files
         named = [Path(each) for each in (recipe, folder, *more) if each is not None]
         if not named:
             raise click.UsageError('name the folder to make, such as "l3 init --from photo.dng mine"')
         if single := next((each for each in options.photos if each.suffix in (".h5", ".toml")), None):
             what, make = ("design", start_designed) if single.suffix == ".h5" else ("recipe", start_recipe)
             if len(options.photos) + len(named) != 2:
-                raise click.UsageError(f"a {what} gives one folder; give one file with --from")
+                raise click.UsageError(f"--from takes one {what} and one folder; give them alone")
             if of_photos:
-                raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is that of photos; a {what} has none")
+                raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is for raw files; leave it out with a {what}")
             make(single, named[0], options)
             return Result({"folders": [str(named[0])]})
         made = start_from([*options.photos, *named[:-1]], named[-1], options)
         return Result({"folders": [str(each) for each in made]})
     if of_photos:
-        raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is that of photos; give them with --from")
+        raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is for raw files; give them with --from")
     if more:
-        raise click.UsageError(f'one recipe and one folder are wanted, not "{more[0]}"; give raw files with --from')
+        raise click.UsageError(f'"{more[0]}" is one argument too many after recipe and folder; give raw files with --from')
     if options.named:
         words = " ".join(str(each) for each in (recipe, folder) if each is not None)
         cameras = {name: ", ".join(names) for name, names in cameras_by_name(words).items()}
         if not cameras:
-            raise click.UsageError(f'no camera by the name "{words}"; l3 init --list without words lists all')
+            raise click.UsageError(f'no camera is called "{words}"; "l3 init --list" lists all of them')
         return Result({"cameras": cameras}, lambda: _list(cameras))
     known, by_name = starters(), cameras_by_name()
     if recipe is None:
         recipes = {name: summary(path) for name, path in known.items()}
-        options.console.info(f"{len(by_name)} cameras by name: l3 init --list")
-        options.console.info('next: one of them and a new folder, such as "l3 init bayer demo"')
+        options.console.info(f'"l3 init --list" lists {len(by_name)} more cameras by name')
+        options.console.info('next: name one of them and a new folder, such as "l3 init bayer demo"')
         return Result({"recipes": recipes}, lambda: _list(recipes))
     if recipe.endswith(".toml"):
         if folder is None:

@@ -1,4 +1,4 @@
-"""Options of the command line, made of their declarations (l3cli/options); those of how a command speaks and runs."""
+"""Options of the command line, built from their declarations in l3cli/options, and the options that every command has."""
 
 import functools
 import importlib
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-FILE = click.Path(path_type=Path, readable=False)  # the reader checks it, with a message and an exit code that fit
+FILE = click.Path(path_type=Path, readable=False)  # checked when it is opened, where message and exit code can be specific
 
 
 class RecipeFile(click.Path):
-    """A recipe: a file, or the name of one of the `kind` (a folder of configs/) that come with l3."""
+    """A recipe file, or the name of a recipe in the folder `kind` of configs/."""
 
     def __init__(self, kind: str) -> None:
         super().__init__(path_type=Path, readable=False)
@@ -34,7 +34,7 @@ class RecipeFile(click.Path):
         return Recipe(self.kind).read(value)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
-        """Return names and, beside them, files: bash completes no files where anything else is offered."""
+        """Return names and files. bash completes no files by itself if anything else is offered."""
         from click.shell_completion import CompletionItem
 
         from l3cli.recipes.builtin import known_recipes
@@ -51,7 +51,7 @@ CAMERA = RecipeFile("cameras")
 
 
 class Value(click.ParamType):
-    """A value that the reader of an option takes."""
+    """A value that the reader of an option parses."""
 
     name = "value"
 
@@ -66,7 +66,7 @@ class Value(click.ParamType):
 
 
 class Word(click.Choice):
-    """One of the words of a choice."""
+    """One of several words."""
 
     def __init__(self, reader: Choice) -> None:
         super().__init__(list(map(str, reader.values)))
@@ -88,7 +88,7 @@ def _type(reader: Reader) -> click.ParamType | None:
 
 
 def _option(name: str, declared: Declaration) -> Callable[[F], F]:
-    """Return click's option for a declared one."""
+    """Return the click option for a declaration."""
     default = declared.default
     return click.option(
         f"--{declared.flag or name.replace('_', '-')}",
@@ -104,8 +104,10 @@ def _option(name: str, declared: Declaration) -> Callable[[F], F]:
 
 
 def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]:
-    """Add all options of a command as its parameter `options`: the declared ones, `modes`, and how the command speaks
-    (--quiet, --log FILE, --json)."""
+    """Decorator that adds all options of a command and passes them as its parameter `options`.
+
+    These are the declared options, `modes`, and --quiet, --log FILE and --json.
+    """
     declared = declarations(options)
 
     def decorated(command: Callable[..., Any]) -> Any:
@@ -142,20 +144,20 @@ def _console(context: click.Context, parameter: click.Parameter, quiet: bool) ->
 
 
 _QUIET = click.option(
-    "--quiet", "console", is_flag=True, callback=_console, help="Print no messages on stderr but errors.",
+    "--quiet", "console", is_flag=True, callback=_console, help="Print only errors on stderr.",
 )  # fmt: skip
 _LOG = click.option(
     "--log", type=FILE, metavar="FILE", is_eager=True, expose_value=False, callback=_log,
-    help="Also append all messages to FILE, with time, level and command.",
+    help="Also append all messages, with time, level and command, to FILE.",
 )  # fmt: skip
-_JSON = click.option(  # results.begin has seen it already
+_JSON = click.option(  # results.begin has read it already
     JSON, "as_json", is_flag=True, expose_value=False,
-    help="Print results, warnings, times and digests as one JSON object on stdout.",
+    help="Print results, warnings, times and file digests as one JSON object on stdout.",
 )  # fmt: skip
 
 
 def _mode(name: str, module: str, what: str) -> Callable[[F], F]:
-    """Add a flag under which the whole command runs within the block that `module` has of its name."""
+    """Add a flag that runs the whole command inside the context manager `name` of a module."""
 
     def enter(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
         if wanted:
@@ -166,9 +168,9 @@ def _mode(name: str, module: str, what: str) -> Callable[[F], F]:
 
 trust = _mode(
     "trust", "l3cli.system.limits",
-    "Decode raw, image, MATLAB and video files in this process, not in an isolated one with limits.",
+    "Decode raw, image, MATLAB and video files in this process instead of in an isolated process with limits.",
 )  # fmt: skip
 dry_run = _mode(
     "dry_run", "l3cli.system.outputs",
-    "Check everything that is checked before work, say what would be read and made, and write nothing.",
+    "Make all checks that come before the work, show what would be read and written, and write nothing.",
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""l3 render: raw frames through a table."""
+"""l3 render: raw frames through a table → pictures."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,41 +17,40 @@ if TYPE_CHECKING:
 
 
 def _refuse_watching(context: Any, parameter: Any, value: str | None) -> None:
-    """Raise UsageError for options that there were once."""
+    """Raise UsageError for removed options."""
     if value is not None:
-        raise click.UsageError(
-            "--watch is no more; call again for what has arrived: l3 render TABLE.h5 FOLDER -o OUTPUT --resume"
-        )
+        raise click.UsageError("--watch was removed; to render new files, run the same command with --resume")
 
 
 @click.command()
 @click.argument("table", type=declared.FILE, metavar="TABLE.h5")
 @click.argument("inputs", type=declared.FILE, nargs=-1, metavar="INPUT...")
 @declared.output(
-    "Picture (.png .tif .jpg .jxl .exr .dng), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m to stdout)"
+    "Picture (.png .tif .jpg .jxl .exr .dng), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m on stdout)"
 )
 @declared.of(RenderOptions, declared.trust, declared.dry_run)
 @click.option(
     "--watch", "--every", hidden=True, is_eager=True, expose_value=False, callback=_refuse_watching,
-    help="No more: --resume renders what has arrived in a folder.",
+    help="Removed: use --resume to render new files in a folder.",
 )  # fmt: skip
 def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions) -> Result:
-    """Render INPUT through TABLE.h5: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw,
-    .bin, .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
-    FITS, MATLAB), a headerless file of many frames, SER, a grey video (FFV1 in MKV, y4m, uncompressed AVI), or - (headerless
-    frames on stdin).
+    """Render INPUT through TABLE.h5. INPUT is raw files or one sequence.
 
-    Several INPUTs of which one is a sequence are clips, and so is what lies in a folder of videos, stacks and folders: each
-    becomes a folder or file of its name in the folder -o, and what is wrong with one does not stop the others (exit code 1).
-    With --resume the same call renders what has been added or changed since.
+    Files: DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, or headerless .raw, .bin, .raw10 or .raw12. Sequences:
+    a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5, FITS, MATLAB), a headerless file of
+    many frames, SER, a grey video (FFV1 in MKV, y4m, uncompressed AVI), or - (headerless frames on stdin).
 
-    With --exposure auto the 99th percentile of Y is shown white, smoothed over time in a sequence.
+    If several INPUTs are given and one is a sequence, each is a clip. If an INPUT folder holds videos, stacks or folders,
+    each of them is a clip. Every clip becomes a folder or file of its name in the folder -o. If a clip fails, the others are
+    still rendered (exit code 1). With --resume, the same command renders what was added or changed since.
+
+    With --exposure auto, the 99th percentile of Y is shown white. In a sequence, the exposure changes smoothly over time.
 
     \b
     Example: l3 render table.h5 frame.dng -o picture.png
     """
     if Record.current is not None and output == Path("-"):
-        raise click.UsageError("-o - writes pictures to stdout, where --json goes; name a file or leave --json out")
+        raise click.UsageError("--json and -o - both write to stdout; name an output file or leave --json out")
     from l3cli.io.isolated import start
     from l3cli.io.raw.files import is_photo, needs_isolation
 
@@ -62,14 +61,14 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     if not inputs:
         raise click.UsageError("Missing argument 'INPUT...'.")
     if any(needs_isolation(path) for path in inputs):
-        start()  # it takes a third of a second, like what follows
+        start()  # takes a third of a second, as long as the imports that follow
     from l3cli.stages.rendering.clips import ClipJob, alone, are_clips, clips_of
 
     clips = clips_of(inputs, table, options, output)
     if clips == inputs and not are_clips(inputs, table, options, output):
         return clips_result(alone(table, inputs, output, options))
     if options.shard is not None:
-        raise click.UsageError("--shard divides one sequence; these inputs are several clips")
+        raise click.UsageError("--shard is for one sequence, and these inputs are several clips; render one clip")
     job = ClipJob(table, output, options)
     try:
         job.run(clips)
@@ -81,14 +80,14 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
 
 
 def clips_result(summary: "Summary", fault: BaseException | None = None, show_text: bool = False) -> Result:
-    """Return the result of l3 render; with `show_text`, or where `fault` ended a run over many clips, with a table."""
+    """Return the result of l3 render. It prints a table if `show_text` is set, or if `fault` ended a run over many clips."""
     document = _worded(summary.document())
     text = (lambda: _table(document)) if show_text or fault else None
     return Result(document, text, fault, summary.exit_code)
 
 
 def _worded(value: Any) -> Any:
-    """Return a document in which messages name options."""
+    """Return a document whose messages name options as --option."""
     if isinstance(value, dict):
         return {key: _worded(each) for key, each in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""l3 report: any set of artifacts as one page."""
+"""l3 report: artifacts → one page with plots and pictures."""
 
 from pathlib import Path
 
@@ -14,12 +14,11 @@ from l3cli.options.commands import ReportOptions
 @declared.output("HTML page to write")
 @declared.of(ReportOptions, declared.dry_run)
 def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> Result:
-    """Show camera models, training sets and transform tables on one page that needs no network.
+    """Show camera models, training sets and transform tables on one HTML page that needs no network.
 
-    Every table is evaluated on every training set of its colour filter array that it was not trained on; several of these
-    stand side by side. A camera is shown once; if no camera
-    model is given, those stored in the training sets are shown. What l3 evaluate --sequence prints as JSON is plotted over
-    time, several of them in one plot.
+    Every table is evaluated on every training set of the same colour filter array that it was not trained on. Several
+    evaluations stand side by side. If no camera model is given, the page shows those stored in the training sets. JSON files
+    from "l3 evaluate --sequence" are plotted over time, all in one plot.
 
     \b
     Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html

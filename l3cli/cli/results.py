@@ -1,4 +1,4 @@
-"""Result of a command: one document, of which the text is made; with --json it is printed, and how the command ran."""
+"""The result of a command: a document and its text for people. --json prints it with a record of the run."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -13,9 +13,9 @@ from l3cli.system.console import Console, Passing
 from l3cli.system.files import Dated, Ledger, close_ledger, dated, open_ledger, outputs_of, require_regular, sha256
 
 T = TypeVar("T")
-FORMAT = 1  # of "run", raised when its keys change
-KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # of errors, by exit code
-MOST_KEPT = 1000  # messages, and as many warnings: there may be many frames
+RUN_FORMAT = 1  # version of the keys of "run"
+ERROR_KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # by exit code
+MOST_MESSAGES = 1000  # kept, and as many warnings: a run over many frames can produce any number
 JSON = "--json"
 
 
@@ -24,49 +24,52 @@ class Result:
     """Result of a command."""
 
     document: Mapping[str, Any] = field(default_factory=dict)  # ready for JSON
-    text: Callable[[], object] | None = None  # prints the same for people; None: messages have said it
-    fault: BaseException | None = None  # that the result shows, or that ended the command when this much was done
-    code: int = 0  # exit code, if there is no fault
+    text: Callable[[], object] | None = None  # prints the document for people; None: messages have said it already
+    fault: BaseException | None = None  # error that the result reports, or that ended the command early
+    code: int = 0  # exit code without a fault
 
 
 @dataclass
 class Record:
-    """Course of a command and its messages; held only for --json."""
+    """What happened during a command, and its messages; only for --json."""
 
-    current: ClassVar["Record | None"] = None  # of the command that is running
+    current: ClassVar["Record | None"] = None  # record of the running command
 
     ledger: Ledger
     command: str = ""
     warnings: list[str] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
-    left_out: int = 0  # warnings and messages beyond MOST_KEPT
+    left_out: int = 0  # warnings and messages beyond MOST_MESSAGES
     steps: dict[str, tuple[int, float]] = field(default_factory=dict)  # name → items done, seconds
     error: dict[str, str] | None = None
-    console: Console = field(default_factory=Terminal)  # of the command
+    console: Console = field(default_factory=Terminal)  # where the command's messages go
     begun: float = field(default_factory=time.time)  # s since 1970
     start: float = field(default_factory=time.monotonic)
 
     def add(self, messages: list[str], message: str) -> None:
-        if len(messages) < MOST_KEPT:
+        if len(messages) < MOST_MESSAGES:
             messages.append(with_options(message))
         else:
             self.left_out += 1
 
     def fail(self, message: str, code: int) -> None:
-        """Note the error that ends the command."""
-        self.error = {"kind": KINDS.get(code, "failure"), "message": with_options(message)}
+        """Record the error that ended the command."""
+        self.error = {"kind": ERROR_KINDS.get(code, "failure"), "message": with_options(message)}
 
     def show(self, result: Result | None, code: int) -> None:
-        """Print the document, and under "run" how the command ran; digests unless an error has ended it."""
+        """Print the document as JSON, with the course of the command under "run". Digests are left out after an
+        interruption."""
         seconds, console = time.monotonic() - self.start, recorded(self.console)
         is_whole = result is not None and (result.fault is None or isinstance(result.fault, L3Error))
-        roles, outputs = (self.ledger.inputs, outputs_of(self.ledger)) if is_whole else ({}, [])  # no waiting after Ctrl-C
+        roles, outputs = (
+            (self.ledger.inputs, outputs_of(self.ledger)) if is_whole else ({}, [])
+        )  # digests would delay Ctrl-C
         close_ledger()
         inputs = {role: [_file(path, at, console) for path, at in files.items()] for role, files in roles.items()}
         made = [_file(path, dated(path), console) for path in outputs]
         document = finite(result.document if result else {}, console)
         run = {
-            "format": FORMAT,
+            "format": RUN_FORMAT,
             "command": self.command,
             "l3": __version__,
             "exit_code": code,
@@ -84,12 +87,12 @@ class Record:
 
 
 def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
-    """Return a file's name, size and SHA-256; without these if it is no file, or has changed since it was `at` that date."""
+    """Return path, size and SHA-256 of a file. Size and digest are None if it is no file, or has changed since `at`."""
     size, digest = None, None
     try:
         require_regular(path)
         if dated(path) != at:
-            console.warn(f"{path} has changed while it was worked on; no digest says what was read")
+            console.warn(f"{path} changed during the run; its digest is left out")
         else:
             size, digest = at[0] if at else None, sha256(path)
     except InputFileError:
@@ -98,7 +101,7 @@ def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
 
 
 def begin(arguments: list[str]) -> Record | None:
-    """Return the record of a command, if its arguments ask for JSON: known before they are read, as they may be wrong."""
+    """Return a new record if the arguments contain --json. It must exist before the arguments are parsed, which may fail."""
     before = arguments[: arguments.index("--")] if "--" in arguments else arguments
     Record.current = None
     if JSON in before:
@@ -107,14 +110,14 @@ def begin(arguments: list[str]) -> Record | None:
 
 
 class Recorded(Passing):
-    """A console that keeps everything for the record."""
+    """A console that passes everything on and keeps it for the record."""
 
     def __init__(self, console: Console, record: Record) -> None:
         super().__init__(console)
         self._record = record
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Show progress as the other console; steps of one name count together."""
+        """Show progress on the inner console and record its duration. Steps of the same name are added up."""
         start = time.monotonic()
         done, before = self._record.steps.get(what, (0, 0.0))
         for item in self._console.progress(items, total, what):
@@ -127,5 +130,5 @@ class Recorded(Passing):
 
 
 def recorded(console: Console) -> Console:
-    """Return the console, and the record hears of all that is said to it, if there is one."""
+    """Return a console that also writes to the record, if there is one."""
     return console if Record.current is None else Recorded(console, Record.current)

@@ -14,8 +14,10 @@ KINDS = ("camera", "lab", "scenes", "classes", "design", "measurements")
 @click.argument("kind", type=click.Choice(KINDS), metavar="KIND")
 @declared.of(Options)
 def schema(kind: str, options: Options) -> Result:
-    """Print the JSON schema of a KIND of recipe: camera, lab, scenes, classes, design or measurements. With it editors
-    (taplo, Even Better TOML) check a recipe whose first line is "#:schema camera.schema.json", the file that holds it.
+    """Print the JSON schema of a KIND of recipe: camera, lab, scenes, classes, design or measurements.
+
+    Editors (taplo, Even Better TOML) check a recipe against the schema if its first line is
+    "#:schema camera.schema.json", the name of the file with the schema.
 
     \b
     Example: l3 schema camera

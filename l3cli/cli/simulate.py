@@ -16,12 +16,12 @@ from l3cli.options.commands import SimulateOptions
     type=declared.CAMERA,
     required=True,
     metavar="CAMERA",
-    help="Camera model, camera recipe (.toml) or its name.",
+    help="Camera model, camera recipe (.toml), or the name of a recipe that comes with l3.",
 )
 @declared.output("Training set to write")
 @declared.of(SimulateOptions, declared.trust, declared.dry_run)
 def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions) -> Result:
-    """Simulate raw frames of many scenes by a camera, and their ideal pictures.
+    """Simulate raw frames of many scenes with a camera, and the ideal pictures of these scenes.
 
     SCENES.toml is a recipe, or the name of one that comes with l3, such as default or small.
 

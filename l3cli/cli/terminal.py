@@ -1,5 +1,5 @@
-"""The only place that prints. Names and texts may come from untrusted files: none of them can move the cursor, hide other
-text or add a line."""
+"""The only module that prints. It escapes control characters, because names and texts may come from untrusted files, which
+must not move the cursor, hide text or add lines."""
 
 import contextlib
 import json
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from l3cli.system.console import Console
 
 T = TypeVar("T")
-SIZE = re.compile("0*[1-9][0-9]{0,5}")  # of a terminal, in COLUMNS or LINES
-PARAMETER = re.compile("‹([a-z_]+)›")  # as messages from below the command line mark it
+SIZE = re.compile("0*[1-9][0-9]{0,5}")  # valid values of COLUMNS and LINES
+PARAMETER = re.compile("‹([a-z_]+)›")  # parameter in a message from below the command line
 
 
 def show(*lines: str) -> None:
@@ -30,17 +30,17 @@ def show(*lines: str) -> None:
 
 
 def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Sequence[str]], *notes: str) -> None:
-    """Print a table on stdout, as wide as that is, between the lines of its title and notes."""
+    """Print a table on stdout, fitted to the width of the terminal, with a title above and notes below."""
     show(*title, *columns(headings, rows, width()), *notes)
 
 
 def show_json(document: Any) -> None:
-    """Print a document as JSON on stdout: in ASCII, so that it works in every encoding and with every file name."""
+    """Print a document as JSON on stdout, in ASCII, which every encoding and every file name survives."""
     click.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
 def finite(document: Any, console: "Console") -> Any:
-    """Return a document for JSON, which has no NaN: a figure that cannot be computed is null, and named on the console."""
+    """Replace NaN and infinity by null, since JSON has neither, and name the replaced values in a warning."""
     missing: list[str] = []
     known = _finite(document, "", missing)
     if missing:
@@ -50,7 +50,7 @@ def finite(document: Any, console: "Console") -> Any:
 
 
 def _finite(value: Any, name: str, missing: list[str]) -> Any:
-    """Return `value` with null for NaN and infinity; their names are added to `missing`."""
+    """Replace NaN and infinity in `value` by None, and append their names to `missing`."""
     if isinstance(value, dict):
         return {key: _finite(each, f"{name}.{key}".lstrip("."), missing) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -62,12 +62,12 @@ def _finite(value: Any, name: str, missing: list[str]) -> Any:
 
 
 def with_options(message: str) -> str:
-    """Return a message that may come from below the command line, with an option for each parameter (‹skip_bad›)."""
+    """Replace parameters such as ‹skip_bad› in a message by options such as --skip-bad."""
     return PARAMETER.sub(lambda match: f"--{match[1].replace('_', '-')}", message)
 
 
 def to_stderr(message: str) -> None:
-    """Print one message on stderr. If it cannot be written, on a full disk or to a closed pipe, the work continues."""
+    """Print one message on stderr. If stderr cannot be written, the command continues without the message."""
     try:
         click.echo(printable(with_options(message)), err=True)
     except OSError:
@@ -75,7 +75,7 @@ def to_stderr(message: str) -> None:
 
 
 def prepare() -> None:
-    """Make "?" of characters that stdout or stderr cannot encode; ignore a COLUMNS or LINES that is no number."""
+    """Print "?" for characters that stdout or stderr cannot encode, and ignore invalid COLUMNS or LINES."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -85,7 +85,7 @@ def prepare() -> None:
 
 
 def drop(stream: IO[str]) -> None:
-    """Send what is left for a stream nowhere, if it cannot be written: Python must not try to at exit."""
+    """Redirect a stream that cannot be written to the null device, so that Python does not fail when it flushes at exit."""
     try:
         stream.flush()
     except OSError:
@@ -93,11 +93,11 @@ def drop(stream: IO[str]) -> None:
             os.dup2(nowhere.fileno(), stream.fileno())
 
 
-SELDOM, OFTEN = 600.0, 10.0  # seconds after which a log hears of the progress at the latest, and before which it does not
+LONGEST_SILENCE, SHORTEST_SILENCE = 600.0, 10.0  # s between two lines of progress without a terminal
 
 
 def width() -> int | None:
-    """Return characters in a line of stdout, by its terminal or the environment variable COLUMNS; None: any number."""
+    """Return the width of stdout in characters, from the terminal or COLUMNS, or None for a pipe or file."""
     import shutil
 
     if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
@@ -106,7 +106,7 @@ def width() -> int | None:
 
 
 def folded(line: str, deeper: int) -> list[str]:
-    """Return a line of stdout as several, `deeper` characters further in from the second, where the terminal is narrower."""
+    """Wrap a line to the terminal; continuation lines are indented by `deeper` characters."""
     import textwrap
 
     wide = width()
@@ -117,10 +117,10 @@ def folded(line: str, deeper: int) -> list[str]:
 
 
 class Terminal:
-    """The console of a command: everything on stderr."""
+    """Console of a command: all messages go to stderr."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Show a bar on a terminal, elsewhere plain lines, one every tenth; with share, time passed, rate, time left."""
+        """Show a bar on a terminal. Elsewhere, print a line at every tenth, with elapsed time, rate and time left."""
         interactive = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         return (_with_bar if interactive else _with_lines)(items, total, what)
 
@@ -135,7 +135,7 @@ class Terminal:
 
 
 class ErrorsOnly(Silent):
-    """The console of a command with --quiet: on stderr what is left out, and nothing else."""
+    """Console of a command with --quiet: only reports of what was left out go to stderr."""
 
     def report(self, message: str) -> None:
         to_stderr(message)
@@ -161,21 +161,21 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
         yield item
         now = time.monotonic()
         reached = 10 * done // total if total else 0
-        if done != total and ((reached > tenth and now - last >= OFTEN) or now - last >= SELDOM):
+        if done != total and ((reached > tenth and now - last >= SHORTEST_SILENCE) or now - last >= LONGEST_SILENCE):
             of = f" of {total}" if total else ""
             to_stderr(f"{what}: {done}{of}, {_span(now - start)} passed, {_pace(done, total, now - start)}")
             last, tenth = now, reached
 
 
 def _pace(done: int, total: int | None, seconds: float) -> str:
-    """Return the share that is done, rate and time left."""
+    """Return the percentage done, the rate and the time left."""
     each = max(seconds, 1e-9) / done
-    rate = f"{1 / each:.3g} a second" if each < 2 else f"{_span(each)} each"
+    rate = f"{1 / each:.3g} per second" if each < 2 else f"{_span(each)} each"
     return f"{100 * done // total} %, {rate}, {_span(max(total - done, 0) * each)} left" if total else rate
 
 
 def _span(seconds: float) -> str:
-    """Return a length of time in its two largest units."""
+    """Return a duration in its two largest units."""
     seconds = round(seconds)
     for unit, name, part, smaller in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
         if seconds >= unit:

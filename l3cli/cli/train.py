@@ -19,12 +19,12 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
     \b
     Example: l3 train training.h5 --classes classes.toml -o table.h5
 
-    Patches are spread evenly over all frames. With --shares 1,0.7,0.4 three training sets get patches in that proportion,
+    Patches are spread evenly over all frames. With --shares 1,0.7,0.4, three training sets get patches in these proportions,
     however many frames they have.
 
-    Over several machines, give every shard the same training sets, shares, recipe and seed. Training takes two passes, as
-    the errors of the first weigh the rows of the second, so there are four steps; the final table has the same bytes as
-    without shards:
+    To train on several machines, give every shard the same training sets, shares, recipe and seed. Training takes two
+    passes, because the errors of the first pass determine the weights in the second. That makes four steps, and the final
+    table has the same bytes as without shards:
 
     \b
       l3 train training.h5 --shard 1/4 -o a1.h5                    … 4/4
@@ -32,18 +32,18 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
       l3 train training.h5 --shard 1/4 --first first.h5 -o b1.h5   … 4/4
       l3 train --merge b1.h5 b2.h5 b3.h5 b4.h5 -o table.h5
 
-    With first_draws = 0 in the recipe, or outputs that are neither XYZ nor a spectrum, there is one pass: two steps, without
-    --first. Every [[layer]] of the recipe is a pass more, with --first and the table of the pass before. --merge says what
-    comes next.
+    If the recipe has first_draws = 0, or if the outputs are neither XYZ nor a spectrum, there is one pass: two steps,
+    without --first. Every [[layer]] of the recipe adds a pass, with --first and the table of the previous pass. --merge
+    prints the next step.
     """
     from l3cli.stages.training.train import filling, merge_shards, train_shard
     from l3cli.stages.training.train import train as train_whole
 
     chosen = options.chosen() != ShardOptions().chosen() or options.inputs() or options.shard or options.scheduler
     if options.merge and chosen:
-        raise click.UsageError("--merge takes shards alone: classes, shares and seed are stored in them")
+        raise click.UsageError("--merge takes only shards, which hold classes, shares and seed; leave these options out")
     if options.first and not options.shard:
-        raise click.UsageError("--first goes with --shard")
+        raise click.UsageError("--first is for shards; give --shard, too")
     if options.shard:
         train_shard(files, options.shard, output, options)
         return Result({"partial_sums": str(output), "shard": list(options.shard)})

@@ -1,1 +1,1 @@
-"""Options of the commands: a frozen dataclass each, of which the command line, Python and the keys of runs are made."""
+"""Options of each command, as frozen dataclasses: the source of the command line, the Python API and keys of runs."""

@@ -1,4 +1,4 @@
-"""Options of the commands but l3 render: those from measurements to figures, then those beside the pipeline."""
+"""Options of all commands except l3 render, in the order of the pipeline."""
 
 import math
 from collections.abc import Sequence
@@ -38,45 +38,70 @@ Paths = Given[Name | Sequence[Name], tuple[Path, ...]]
 class CalibrateOptions(ForceOptions, JobsOptions):
     """Options of a calibration."""
 
-    photos: Paths = option((), "Raw photo of a ColorChecker instead.", flag="photo", metavar="RAW", several=True)
-    light: str | None = option(None, 'Its light: "D65", "3200K"…; without, it is guessed.', metavar="LIGHT")
-    truth: OnePath = option(
-        None, "Camera that a virtual lab measured, to compare with.", Recipe("cameras"), metavar="CAMERA", bytes=False
+    photos: Paths = option(
+        (),
+        "Raw photo of a ColorChecker, instead of MEASUREMENTS.toml. May be repeated.",
+        flag="photo",
+        metavar="RAW",
+        several=True,
     )
-    export: OnePath = option(None, 'Also write there what "l3 export" writes.', Output(), metavar="DIR")
-    sheet: OnePath = option(
-        None, "Also write there the EMVA 1288 data sheet of dark and white frames (.html).", Output(), metavar="FILE",
+    light: str | None = option(
+        None, 'Photos only: illuminant of the ColorChecker, such as "D65" or "3200K" [default: estimated].', metavar="LIGHT"
+    )
+    truth: OnePath = option(
+        None,
+        "Virtual labs only: the camera that was measured, to compare the model with.",
+        Recipe("cameras"),
+        metavar="CAMERA",
         bytes=False,
+    )
+    export: OnePath = option(None, 'Also write the files of "l3 export" to this folder.', Output(), metavar="DIR")
+    sheet: OnePath = option(
+        None, "Also write an EMVA 1288 data sheet of the dark and white frames to this file (.html).", Output(),
+        metavar="FILE", bytes=False,
     )  # fmt: skip
-    accept: bool = option(False, "Write the model even if it fails its checks, such as predicting its charts badly.")
+    accept: bool = option(
+        False, "Write the model even if it fails its checks, for example because it predicts the charts badly."
+    )
 
 
 @options
 class DraftOptions(CalibrateOptions):
-    """Options of l3 calibrate, which may draft a measurement file instead."""
+    """Options of l3 calibrate, including those for drafting a measurement file."""
 
-    draft: OnePath = option(None, "Write a measurement file of the captures or tables in FOLDER instead.", metavar="FOLDER")
-    camera: OnePath = option(None, "Sensor, array and optics of the draft.", Recipe("cameras"), metavar="CAMERA")
+    draft: OnePath = option(
+        None, "Do not calibrate: write a measurement file for the captures or tables in FOLDER.", metavar="FOLDER"
+    )
+    camera: OnePath = option(
+        None,
+        "Drafts only: camera whose sensor, filter array and optics the measurement file takes over.",
+        Recipe("cameras"),
+        metavar="CAMERA",
+    )
 
 
 @options
 class SimulateOptions(ForceOptions, WorkerOptions, SeedOptions):
     """Options of l3 simulate."""
 
-    pictures: OnePath = option(None, "Also write each raw frame (TIFF) and ideal picture (PNG).", Output(), metavar="DIR")
-    dng: OnePath = option(None, "Also write each raw frame as DNG, for other raw developers.", Output(), metavar="DIR")
+    pictures: OnePath = option(
+        None, "Also write each raw frame (TIFF) and its ideal picture (PNG) to this folder.", Output(), metavar="DIR"
+    )
+    dng: OnePath = option(
+        None, "Also write each raw frame as DNG, for other raw converters, to this folder.", Output(), metavar="DIR"
+    )
     resume: bool = option(
-        False, "Continue with the frames in OUTPUT.parts, or make the pictures of an existing set.", bytes=False
+        False, "Continue with the frames in OUTPUT.parts, or write the pictures of a finished training set.", bytes=False
     )
     skip_bad: bool = option(
         False,
-        "Leave out scenes whose files have no readable header or do not fit the sensor; exit code 1 if there were any.",
+        "Skip scene files that have no readable header or do not fit the sensor. The exit code is 1 if any were skipped.",
         bytes=False,
     )
 
 
 class Shares(Reader):
-    """Numbers that are not all zero."""
+    """Proportions such as 1,0.7,0.4, not all of which are zero."""
 
     number = Number(0, 1e6)
 
@@ -86,7 +111,7 @@ class Shares(Reader):
         except ValueError as error:
             raise ValueError(f"{error}, in a list such as 1,0.7,0.4") from None
         if not any(shares):
-            raise ValueError(f"{shortened(str(given))}: one share must be above zero")
+            raise ValueError(f"{shortened(str(given))}: at least one proportion must be above zero")
         return shares
 
     def _share(self, given: Any) -> Fraction:
@@ -99,70 +124,79 @@ class Shares(Reader):
 
 @options
 class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
-    """Options of a training in one go."""
+    """Options of training in a single process."""
 
     classes: OnePath = option(
-        None, "Class recipe or its name, such as best; without it the built-in default.", Recipe("classes"), metavar="TOML"
+        None,
+        "Class recipe, or the name of one that comes with l3, such as best [default: default].",
+        Recipe("classes"),
+        metavar="TOML",
     )
     shares: Given[Sequence[float | Fraction] | str | None, tuple[Fraction, ...] | None] = option(
-        None, "Proportion of patches from each training set, not by frames.", Shares(), metavar="A,B…"
+        None,
+        "Several training sets only: proportion of patches from each set [default: in proportion to its frames].",
+        Shares(),
+        metavar="A,B…",
     )
     draft: bool = option(
-        False, "A draft in seconds, to try arrays: one layer, a ninth of the rows; 0.7 to 1.4 ΔE00 worse than default."
+        False,
+        "Train in seconds, to try out arrays: one layer and a ninth of the samples. 0.7 to 1.4 ΔE00 worse than default.",
     )
 
 
 @options
 class ShardOptions(TrainOptions):
-    """Options of l3 train, which may work in shards."""
+    """Options of l3 train, including those for training in shards."""
 
     shard: Given[PAIR | str | None, PAIR | None] = option(
-        None, "Only compute the partial sums of part I of N, from 1, for ‹merge›.", Shard(), metavar="I/N", bytes=False
+        None, "Compute only the partial sums of shard I of N (from 1), for ‹merge›.", Shard(), metavar="I/N", bytes=False
     )
-    first: OnePath = option(None, "Table of the pass before, for the shards of the next.", metavar="FIRST.h5")
-    merge: bool = option(False, "Make the table of a pass from its partial sums, all of which must be given.", bytes=False)
+    first: OnePath = option(None, "Shards only: table of the previous pass.", metavar="FIRST.h5")
+    merge: bool = option(False, "Make the table of a pass from the partial sums of all its shards.", bytes=False)
 
 
 @options
 class EvaluateOptions(ForceOptions, BackendOptions):
-    """Options of the evaluation of a table."""
+    """Options of evaluating a table."""
 
     viewing: float = option(
-        50.0, "Samples a degree of visual angle, for S-CIELAB.", Number(2, 1000, "samples/degree"), metavar="2…1000"
+        50.0, "Pixels per degree of visual angle, for S-CIELAB.", Number(2, 1000, "samples/degree"), metavar="2…1000"
     )
     border: int | None = option(
         None,
-        "Pixels left out at each edge of a frame; without it those whose patch is not inside the frame.",
+        "Pixels ignored at each edge of a frame [default: those whose neighbourhood extends beyond the frame].",
         Number(0, 1000, "pixels", whole=True),
         metavar="0…1000",
     )
     pictures: OnePath = option(
         None,
-        "Write the table's, ideal and basic picture and an error map (black: ΔE00 0, white: 10) of every frame as PNG.",
+        "Also write PNGs of every frame to this folder: the picture by the table, the ideal one, the basic "
+        "one, and an error map "
+        "(black: ΔE00 0, white: 10).",
         Output(),
         metavar="DIR",
     )
     rivals: Paths = option(
         (),
-        "sRGB pictures of the frames by another pipeline (folder, pattern, glob), in their order.",
+        "sRGB pictures of the same frames by another pipeline, in order: a folder, pattern or glob. May be repeated.",
         flag="rival",
         metavar="PICTURES",
         several=True,
     )
-    force: bool = option(False, "Write pictures into a folder that is not empty.", bytes=False, shared=True)
+    force: bool = option(False, "Write pictures even if their folder is not empty.", bytes=False, shared=True)
 
 
 @options
 class SequenceOptions(EvaluateOptions):
-    """Options of l3 evaluate, which may judge a sequence instead."""
+    """Options of l3 evaluate, including those for evaluating a sequence."""
 
     sequence: OnePath = option(
         None,
-        "Instead of a table: rendered pictures (folder, pattern, glob, video) to be judged over time.",
+        "Instead of a table: evaluate rendered pictures (folder, pattern, glob or video) over time.",
         metavar="PICTURES",
     )
     ideal: OnePath = option(
-        None, 'What the sequence should be, such as the folder of "l3 simulate --pictures".', metavar="PICTURES"
+        None, 'Sequences only: the ideal pictures, such as the folder of "l3 simulate --pictures".', metavar="PICTURES"
     )
 
 
@@ -170,7 +204,7 @@ ONNX = "ONNX graphs are no longer written; give ‹to› c (C99 source, with a t
 
 
 class Brightness(Reader):
-    """An illuminance or luminance with its unit, held as the luminance of a perfect white in cd/m².
+    """An illuminance or luminance with its unit, stored as the luminance of a perfect white in cd/m².
 
     A Python number is a luminance in cd/m².
     """
@@ -192,7 +226,7 @@ class ReportOptions(ForceOptions, BackendOptions):
 
     at: Given[str | float | None, float | None] = option(
         None,
-        'Show pictures of frames at this illuminance or luminance of a perfect white: "5 lux", "20 cd/m2".',
+        'Show only frames at this illuminance, or luminance of a perfect white, such as "5 lux" or "20 cd/m2".',
         Brightness(),
         metavar="LIGHT",
     )
@@ -204,7 +238,7 @@ class CompareOptions(ForceOptions):
 
     figures: Given[str | Sequence[str], tuple[str, ...]] = option(
         ("scielab",),
-        "Figure of the evaluations, such as mean_delta_e or psnr. May be repeated.",
+        "Metric to compare, such as mean_delta_e or psnr. May be repeated.",
         flag="figure",
         metavar="NAME",
         several=True,
@@ -215,33 +249,38 @@ class CompareOptions(ForceOptions):
 class InfoOptions(Options):
     """Options of l3 info."""
 
-    verify: bool = option(False, "Verify every byte of FILE, and that it was made from the INPUTs.")
-    version: bool = option(False, "Versions of l3, Python and libraries, OpenCL devices, decoder; no FILE.")
+    verify: bool = option(False, "Verify every byte of FILE, and that it was made from the given INPUTs.")
+    version: bool = option(
+        False, "Without FILE: show the versions of l3, Python and its libraries, the OpenCL devices and the decoder."
+    )
 
 
 @options
 class ExportOptions(ForceOptions):
-    """Options of l3 export; all but `force` are for tables."""
+    """Options of l3 export. All except `force` are for transform tables."""
 
     form: Literal["c", "folder"] | None = option(
-        None, "Of a table: C99 source (as without it), or arrays with a JSON.", Choice("c", "folder", gone={"onnx": ONNX}),
+        None, "Tables only: write C99 source (c), or arrays with a JSON description (folder) [default: c].",
+        Choice("c", "folder", gone={"onnx": ONNX}),
         flag="to",
     )  # fmt: skip
     words: Literal["float32", "int16"] | None = option(
-        None, "Of C source: outputs as floats, or in steps of 2^-12. [float32]"
+        None, "C source only: outputs as floats, or as integers in steps of 2^-12 [default: float32]."
     )
     white: str | None = option(
         None,
-        "Of a table: C source shows this white neutral; transforms of several lights are mixed for it. [the table's]",
+        "C source only: scene white that pictures show neutral, for which the transforms of several illuminants are blended "
+        "[default: the table's].",
         metavar="LIGHT|X,Y|R,G,B",
     )
     gain: float | None = option(
-        None, "Of a table: analog gain, over its camera's, that transforms are for. [1]", Number(1 / 1024, 1024, "times"),
+        None, "Tables only: analog gain of the transforms, as a multiple of the camera's [default: 1].",
+        Number(1 / 1024, 1024, "times"),
         metavar="TIMES",
     )  # fmt: skip
-    prefix: str | None = option(None, "Of C source: what its symbols and files begin with. [l3]", metavar="NAME")
+    prefix: str | None = option(None, "C source only: prefix of symbols and files [default: l3].", metavar="NAME")
     which: Literal["usual", "low-noise"] | None = option(
-        None, "Of a table of two sets of transforms: the one that C source holds. [usual]",
+        None, "C source of tables with two sets of transforms only: the set to write [default: usual].",
         Choice("usual", "low-noise", gone={"quiet": "the quiet set is called ‹set› low-noise now"}), flag="set",
     )  # fmt: skip
 
@@ -250,14 +289,16 @@ class ExportOptions(ForceOptions):
 class BenchOptions(DeviceOptions):
     """Options of l3 bench."""
 
-    list: bool = option(False, "Only list the OpenCL devices, or say why there are none.")
+    list: bool = option(False, "List the OpenCL devices, or say why there are none, and measure nothing.")
 
 
 @options
 class CheckOptions(ForceOptions):
     """Options of l3 check."""
 
-    plot: OnePath = option(None, "Also draw array, curves and noise of cameras (.html).", Output(), metavar="FILE")
+    plot: OnePath = option(
+        None, "Cameras only: also plot filter array, curves and noise to this file (.html).", Output(), metavar="FILE"
+    )
 
 
 @options
@@ -265,22 +306,24 @@ class LabOptions(ForceOptions, JobsOptions, SeedOptions):
     """Options of l3 lab."""
 
     recipe: OnePath = option(
-        None, "Lab recipe or its name; without it the built-in default.", Recipe("lab"), metavar="LAB.toml"
+        None, "Lab recipe, or the name of one that comes with l3 [default: default].", Recipe("lab"), metavar="LAB.toml"
     )
 
 
 @options
 class PartsOptions(ForceOptions, JobsOptions):
-    """Choice of what is done with the parts of an earlier run."""
+    """Option to continue an earlier run."""
 
-    resume: bool = option(False, "Continue with what is finished in OUTPUT.parts.", bytes=False, shared=True)
+    resume: bool = option(
+        False, "Continue an interrupted run with the finished parts in OUTPUT.parts.", bytes=False, shared=True
+    )
 
 
 @options
 class MomentsOptions(PartsOptions, SeedOptions):
     """Options of l3 design moments."""
 
-    patches: int = option(4000, "Patches of a scene.", Number(100, 1_000_000, "patches", whole=True), metavar="N")
+    patches: int = option(4000, "Patches per scene.", Number(100, 1_000_000, "patches", whole=True), metavar="N")
 
 
 @options
@@ -289,12 +332,14 @@ class DesignOptions(PartsOptions, SeedOptions):
 
     truth: int | None = option(
         None,
-        "Train and judge so many of the best arrays, and Bayer's, on the same unseen scenes; minutes each.",
+        "Train this many of the best arrays and a Bayer array, and evaluate them on the same unseen scenes. "
+        "Takes minutes per "
+        "array.",
         Number(1, 100, "arrays", whole=True),
         metavar="1…100",
     )
 
-    moments: OnePath = option(None, 'Moments of scenes, which "l3 design moments" writes.', metavar="SCENES.h5")
+    moments: OnePath = option(None, 'Moments of scenes, from "l3 design moments".', metavar="SCENES.h5")
 
 
 @options
@@ -303,30 +348,35 @@ class InitOptions(ForceOptions):
 
     photos: Paths = option(
         (),
-        "The camera that took a raw file (DNG, CR2, NEF…), or those of a folder; may be given several times. Or a design, "
-        "or a camera recipe (.toml).",
+        "Derive the camera from a raw file (DNG, CR2, NEF…), a folder of raw files, a design (.h5) or a "
+        "camera recipe (.toml). "
+        "May be repeated.",
         flag="from",
         metavar="RAW",
         several=True,
     )
-    named: bool = option(False, "List the cameras by name, of RECIPE as words to look for only those.", flag="list")
+    named: bool = option(False, "List the cameras known by name; RECIPE is then a word to search for.", flag="list")
     light: str | None = option(
-        None, 'Light of a ColorChecker in them: "D65", "3200K"…; without, it is guessed.', metavar="LIGHT"
+        None,
+        'Raw files only: illuminant of a ColorChecker in them, such as "D65" or "3200K" [default: estimated].',
+        metavar="LIGHT",
     )
     phase: Given[PAIR | str | None, PAIR | None] = option(
         None,
-        "Site of the array they state, from 0, that their first pixel has; 0,0: the array lies as they state.",
+        "Raw files only: row and column, from 0, of their first pixel in the array that they state. 0,0 confirms the stated "
+        "position.",
         SITE,
         metavar="ROW,COL",
     )
-    black_level: float | None = option(None, "Black level of the raw files, where they misstate it.", LEVEL, metavar="DN")
+    black_level: float | None = option(None, "Raw files only: black level, if they state a wrong one.", LEVEL, metavar="DN")
     pattern: str | None = option(
         None,
-        'Their array, if they state a wrong one: rows from the first pixel on, "gg rr/gg rr/bb gg/bb gg", or the name of a '
-        "recipe.",
+        'Raw files only: filter array, if they state a wrong one: rows from the first pixel, "gg rr/gg rr/bb '
+        'gg/bb gg", or the '
+        "name of a recipe.",
         metavar="ROWS|RECIPE",
     )
-    white_level: float | None = option(None, "White level of the raw files, where they misstate it.", LEVEL, metavar="DN")
+    white_level: float | None = option(None, "Raw files only: white level, if they state a wrong one.", LEVEL, metavar="DN")
     opcodes: Literal["leave"] | None = option(
-        None, "Of a DNG: leave out the opcodes, such as a lens warp, that it demands and l3 does not carry out."
+        None, "DNG files only: ignore required opcodes that l3 does not apply, such as a lens warp."
     )

@@ -1,8 +1,8 @@
-"""An option, declared once: a field of a frozen dataclass, with a reader, a default and a help text; those that several
-commands share.
+"""Declaration of options, and the options that several commands share.
 
-From it follow the option of the command line (cli/options.py), the keyword of the Python call (api/stages.py), and its part
-in the key of a run. Imported by every command before anything else: nothing here is slow to import.
+An option is declared once, as a field of a frozen dataclass with a reader, a default and a help text. The option of the
+command line (cli/options.py), the keyword of the Python call (api/stages.py) and its part in the key of a run are derived
+from the declaration. Every command imports this module first, so it must not import anything slow.
 """
 
 import hashlib
@@ -28,23 +28,23 @@ T = TypeVar("T")
 
 
 class Given(Generic[TypeGiven, TypeHeld]):
-    """Type of a field that takes values of one type and holds them as another: Given[Name | None, Path | None]."""
+    """Annotation of a field that accepts one type and stores another, such as Given[Name | None, Path | None]."""
 
-    if TYPE_CHECKING:  # a field is a plain attribute; type checkers infer the two types from these
+    if TYPE_CHECKING:  # only type checkers see these; at run time a field is a plain attribute
 
         def __get__(self, options: object, owner: object) -> TypeHeld: ...
         def __set__(self, options: object, value: TypeGiven) -> None: ...
 
 
 class Reader:
-    """Reader of an option's value, from the text of the command line or from a Python value."""
+    """Reads the value of an option, from the command line or from Python."""
 
     def read(self, given: Any) -> Any:
-        """Return the value as it is held; ValueError, with the cure, if it is none."""
+        """Return the value to store. Raise ValueError, with how to fix it, if it is invalid."""
         raise NotImplementedError
 
     def written(self, held: Any) -> Any:
-        """Return a value ready for JSON."""
+        """Return a stored value in a form that JSON can hold."""
         return str(held) if isinstance(held, Fraction | Path | range) else held
 
 
@@ -65,19 +65,19 @@ class Text(Reader):
 
 
 class File(Reader):
-    """Path of an input, whose reader checks it with a message and an exit code that fit."""
+    """Path of an input. It is checked when it is opened, where message and exit code can be specific."""
 
     def read(self, given: Any) -> Path:
         return Path(given)
 
 
 class Output(File):
-    """Path of a file or folder that is written."""
+    """Path of an output file or folder."""
 
 
 @dataclass(frozen=True)
 class Recipe(File):
-    """File of a recipe, or the name of one of the `kind` (a folder of configs/) that come with l3."""
+    """A recipe file, or the name of a recipe in the folder `kind` of configs/."""
 
     kind: str
 
@@ -88,7 +88,7 @@ class Recipe(File):
 
 
 class Choice(Reader):
-    """One of several values. `gone`: words that were choices once, and what serves instead."""
+    """One of several values. `gone` maps choices that were removed to the message that replaces them."""
 
     def __init__(self, *values: Any, gone: dict[str, str] | None = None) -> None:
         self.values, self.gone = values, gone or {}
@@ -103,7 +103,7 @@ class Choice(Reader):
 
 
 class Number(Reader):
-    """A number within a range, ends included, in a unit."""
+    """A number with a unit, within a range that includes its ends."""
 
     def __init__(self, least: float, most: float, unit: str = "", whole: bool = False) -> None:
         self._quantity = Quantity(least, most, unit, whole)
@@ -120,14 +120,14 @@ class Declaration:
     help: str
     reader: Reader
     metavar: str | None = None
-    flag: str | None = None  # name on the command line, if it is not that of the field
-    several: bool = False  # whether it may be repeated
-    bytes: bool = True  # whether the bytes of outputs depend on it
-    shared: bool = False  # with other commands, after whose own options it is shown
-    was: str | None = None  # its name in Python before
+    flag: str | None = None  # name on the command line, if it differs from the field's
+    several: bool = False  # whether the option may be repeated
+    bytes: bool = True  # whether the bytes of outputs depend on the option
+    shared: bool = False  # whether other commands have it, too: help lists it after the command's own options
+    was: str | None = None  # earlier name in Python
 
     def held(self, given: Any) -> Any:
-        """Return a given value as it is held; None stands for the default."""
+        """Return the value to store for a given one. None stands for the default."""
         given = self.default if given is None else given
         if given is None:
             return None
@@ -137,12 +137,15 @@ class Declaration:
 
 
 def option(default: Any, help: str, reader: Reader | None = None, **about: Any) -> Any:
-    """Return the field of an option. `about`: the other attributes of Declaration; the type's reader without another."""
+    """Return a dataclass field that declares an option.
+
+    Without a reader, the type of the field decides. `about` holds the other attributes of Declaration.
+    """
     return field(default=default, metadata={"option": (help, reader, about)})
 
 
 def declarations(cls: "type[Options]") -> dict[str, Declaration]:
-    """Return the options of a class by name, those of its own before those that commands share."""
+    """Return the declarations of a class by name: its own options first, then shared ones."""
     declared = {}
     for each in fields(cls):
         if "option" in each.metadata:
@@ -152,7 +155,7 @@ def declarations(cls: "type[Options]") -> dict[str, Declaration]:
 
 
 def _reader_of(type: Any) -> Reader:
-    """Return the reader of a plain type."""
+    """Return the reader for the type of a field."""
     if get_origin(type) is Given:
         return _reader_of(get_args(type)[1])
     if get_origin(type) is Literal:
@@ -164,8 +167,10 @@ def _reader_of(type: Any) -> Reader:
 
 @dataclass_transform(kw_only_default=True)
 def options(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass of a class of options. Type checkers do not hear of frozen: mypy would forget of inherited
-    fields as what they hold their values."""
+    """Class decorator: make options a frozen dataclass.
+
+    Type checkers are not told that it is frozen, because mypy then loses the stored type of inherited fields.
+    """
     return dataclass(frozen=True, kw_only=True)(cls)
 
 
@@ -175,7 +180,7 @@ _SILENT = Silent()
 
 @options
 class Options:
-    """Options of a command. RecipeError if one has a value that cannot be."""
+    """Base class of the options of a command. Creating it raises RecipeError if a value is invalid."""
 
     console: Given[Console | None, Console] = _NOT_GIVEN  # on the command line by --quiet, --log and --json
 
@@ -188,14 +193,16 @@ class Options:
                 raise RecipeError(f"‹{declared.flag or name}›: {error}") from None
 
     def chosen(self) -> dict[str, Any]:
-        """Return the options that outputs depend on by name, ready for JSON, but for those that are None or off. Inputs are
-        not among them: they count by their bytes."""
+        """Return the options, by name and ready for JSON, that outputs depend on, except those that are None or off.
+
+        Input files are not included, because a run is identified by their bytes instead.
+        """
         declared = declarations(type(self)).items()
         held = {name: (each, getattr(self, name)) for name, each in declared if each.bytes and not _is_file(each)}
         return {name: each.reader.written(value) for name, (each, value) in held.items() if _is_chosen(value)}
 
     def inputs(self, all: bool = True) -> dict[str, tuple[Path, ...]]:
-        """Return the paths of inputs among the options, by name; without `all` those that outputs depend on."""
+        """Return the input files among the options, by name. Without `all`, only those that outputs depend on."""
         read = {
             name: getattr(self, name)
             for name, each in declarations(type(self)).items()
@@ -231,7 +238,7 @@ OnePath = Given[Name | None, Path | None]
 
 
 class Pair(Reader):
-    """Two whole numbers with a separator between them, such as ROW,COL."""
+    """Two whole numbers with a separator, such as ROW,COL."""
 
     def __init__(self, shape: str, separator: str, number: Number) -> None:
         self._shape, self._separator, self._number = shape, separator, number
@@ -252,7 +259,7 @@ SITE = Pair("ROW,COL", ",", Number(0, 65535, "rows or columns", whole=True))
 
 
 class Shard(Pair):
-    """I/N, a part of a work divided into several."""
+    """I/N: one of N shards of a run."""
 
     def __init__(self) -> None:
         super().__init__("I/N, such as 1/4", "/", Number(0, 1_000_000, "shards", whole=True))
@@ -267,55 +274,61 @@ class Shard(Pair):
 
 @options
 class BackendOptions(Options):
-    """Choice of what renders."""
+    """Option for the renderer."""
 
     backend: Literal["opencl", "reference"] = option(
-        "opencl", "Render on an OpenCL device, or by numpy in float64.", shared=True
+        "opencl", "Render with OpenCL, or with numpy in float64 (slow).", shared=True
     )
 
 
 @options
 class DeviceOptions(Options):
-    """Choice of an OpenCL device and of kernels for it."""
+    """Options for the OpenCL device and its kernels."""
 
     device: str | None = option(
         None,
-        'OpenCL device, by part of its name or number of "l3 bench" [default: L3_DEVICE].',
+        'OpenCL device: part of its name, or its number in "l3 bench" [default: L3_DEVICE].',
         metavar="NAME|INDEX",
         shared=True,
     )
     variant: Literal["processor", "graphics"] | None = option(
-        None, "Kernels for a processor or a graphics card [default: by the device's type].", shared=True
+        None, "Kernels for processors or for graphics cards [default: by the type of the device].", shared=True
     )
 
 
 @options
 class SeedOptions(Options):
-    """Choice of random numbers."""
+    """Option for the random numbers."""
 
     seed: int = option(0, "Seed of the random numbers.", Number(0, LARGEST_WHOLE, whole=True), metavar="N", shared=True)
 
 
 @options
 class SchedulerOptions(Options):
-    """Choice of workers on other machines."""
+    """Options for workers on other machines."""
 
     scheduler: str | None = option(
-        None, "Run on the workers of this dask scheduler, tcp://HOST:PORT.", metavar="ADDRESS", bytes=False, shared=True
+        None, "Run on the workers of this dask scheduler (tcp://HOST:PORT).", metavar="ADDRESS", bytes=False, shared=True
     )
     tls_ca: OnePath = option(
-        None, "Authority that signed the scheduler's certificate (tls://…).", metavar="PEM", bytes=False, shared=True
+        None,
+        "tls:// only: certificate of the authority that signed the scheduler's.",
+        metavar="PEM",
+        bytes=False,
+        shared=True,
     )
-    tls_cert: OnePath = option(None, "Certificate to show to the scheduler.", metavar="PEM", bytes=False, shared=True)
-    tls_key: OnePath = option(None, "Key of ‹tls_cert›.", metavar="PEM", bytes=False, shared=True)
+    tls_cert: OnePath = option(
+        None, "tls:// only: certificate to present to the scheduler.", metavar="PEM", bytes=False, shared=True
+    )
+    tls_key: OnePath = option(None, "tls:// only: private key of ‹tls_cert›.", metavar="PEM", bytes=False, shared=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.scheduler is None and (self.tls_ca or self.tls_cert or self.tls_key):
-            raise RecipeError("‹tls_ca›, ‹tls_cert› and ‹tls_key› go with ‹scheduler›")
+            raise RecipeError("‹tls_ca›, ‹tls_cert› and ‹tls_key› need ‹scheduler›; give its address")
 
     def cluster(self) -> "Scheduler | None":
-        """Return the scheduler, None without one; errors as of Scheduler."""
+        """Return the scheduler, or None if no address is given. Errors are those of Scheduler."""
         if self.scheduler is None:
             return None
         from l3cli.parallel.cluster import Scheduler
@@ -325,25 +338,23 @@ class SchedulerOptions(Options):
 
 @options
 class JobsOptions(Options):
-    """Choice of how many processes work."""
+    """Option for the number of processes."""
 
-    jobs: int = option(
-        1, "Number of processes to use.", Number(1, MOST_JOBS, whole=True), metavar="N", bytes=False, shared=True
-    )
+    jobs: int = option(1, "Number of processes.", Number(1, MOST_JOBS, whole=True), metavar="N", bytes=False, shared=True)
 
 
 @options
 class WorkerOptions(JobsOptions, SchedulerOptions):
-    """Choice of processes, on this machine or on others."""
+    """Options for processes on this machine or on others."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.scheduler is not None and self.jobs > 1:
-            raise RecipeError("‹jobs› is the number of processes here; leave it out with ‹scheduler›")
+            raise RecipeError("‹jobs› is for processes on this machine; leave it out with ‹scheduler›")
 
 
 @options
 class ForceOptions(Options):
-    """Choice of what may be replaced."""
+    """Option to replace outputs."""
 
     force: bool = option(False, "Replace the output if it exists.", bytes=False, shared=True)

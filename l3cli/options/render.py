@@ -33,15 +33,15 @@ GAIN = Number(1 / 1024, 1024, "times")
 
 
 class Exposure(NamedTuple):
-    """Exposure of pictures."""
+    """How bright pictures are made."""
 
-    factor: float | None  # of Y; None: automatic
-    stops: float = 0.0  # EV by which pictures are brighter than automatic
-    stated: bool = False  # whether the factor is times that of each file (BaselineExposure)
+    factor: float | None  # multiplies Y; None: automatic
+    stops: float = 0.0  # EV by which pictures are brighter than the automatic exposure
+    stated: bool = False  # whether the factor multiplies the exposure that each file states (BaselineExposure)
 
 
 class ExposureReader(Reader):
-    """A factor of Y, "auto", stops from the automatic exposure ("+1EV"), or "camera", what each file states."""
+    """A factor of Y, "auto", EV relative to auto ("+1EV"), or "camera" for the exposure that each file states."""
 
     factor, stops = Number(1e-9, 1e9, "times Y"), Number(-20, 20, "EV")
 
@@ -58,16 +58,19 @@ class ExposureReader(Reader):
         try:
             factor = self.factor.read(text)
         except ValueError as error:
-            raise ValueError(f"{error}, auto, camera, or stops from it such as -1EV") from None
-        if text.startswith("+"):  # a factor has no sign: stops may be meant
-            raise ValueError(f"{text} may be a factor or stops; give {text[1:]} (times Y), or {text}EV (brighter than auto)")
+            raise ValueError(f"{error}, auto, camera, or EV relative to auto such as -1EV") from None
+        if text.startswith("+"):  # a factor has no sign, so EV may be meant
+            raise ValueError(f"{text} is ambiguous; give {text[1:]} (factor of Y) or {text}EV (brighter than auto)")
         return Exposure(factor)
 
 
 class FrameRange(Reader):
-    """FROM-TO[xSTEP], numbers of frames."""
+    """Frame numbers as FROM-TO[xSTEP]."""
 
-    number, step = Number(0, 10**18 - 1, whole=True), Number(1, 10**18 - 1, "frames", whole=True)  # may hold microseconds
+    number, step = (
+        Number(0, 10**18 - 1, whole=True),
+        Number(1, 10**18 - 1, "frames", whole=True),
+    )  # numbers may be timestamps in µs
 
     def read(self, given: Any) -> range:
         if isinstance(given, range):
@@ -78,12 +81,12 @@ class FrameRange(Reader):
         first, last = self.number.read(match[1]), self.number.read(match[2] or match[1])
         step = self.step.read(match[3] or "1")
         if last < first:
-            raise ValueError(f"{given} holds no frame; give the lower number first")
+            raise ValueError(f"{given} is an empty range; give the lower number first")
         return range(first, last + 1, step)
 
 
 class Rate(Reader):
-    """Frames a second, a number or a fraction, as videos hold it."""
+    """Frame rate in frames/s, a number or a fraction, rounded to one that videos can store."""
 
     number, part = Number(0.001, 1000, "frames/s"), Number(1, 10**12, whole=True)
 
@@ -116,131 +119,170 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     """Options of l3 render."""
 
     format: str = option(
-        "png", "Suffix of the files in a folder; of a video, each INPUT becomes one.", metavar="SUFFIX", was="suffix"
+        "png",
+        "Folders only: suffix of the pictures. With a video suffix, each INPUT becomes one video.",
+        metavar="SUFFIX",
+        was="suffix",
     )
     frames: Given[range | str | None, range | None] = option(
-        None, "Numbers of the frames to render.", FrameRange(), metavar="FROM-TO[xSTEP]"
+        None, "Sequences only: numbers of the frames to render [default: all].", FrameRange(), metavar="FROM-TO[xSTEP]"
     )
-    dataset: str | None = option(None, "Frames of an HDF5 input [default: its only stack].", metavar="NAME")
+    dataset: str | None = option(
+        None, "HDF5 files only: name of the data set with the frames [default: the only stack].", metavar="NAME"
+    )
     fps: Given[Fraction | float | str | None, Fraction | None] = option(
-        None, "Frames a second, 25 or 30000/1001 [default: the input's or 30].", Rate(), metavar="RATE", was="rate"
+        None,
+        "Sequences only: frame rate in frames/s, such as 25 or 30000/1001 [default: the input's, otherwise 30].",
+        Rate(),
+        metavar="RATE",
+        was="rate",
     )
     codec: Literal["h264", "h265", "ffv1", "prores"] | None = option(
-        None, "Codec of a video [default: .mp4 h264, .mov prores, .mkv ffv1]."
+        None, "Videos only: codec [default: h264 for .mp4, prores for .mov, ffv1 for .mkv]."
     )
     crf: float | None = option(
-        None, "Rate factor of h264, h265; lower is better [default: the encoder's].", Number(0, 51), metavar="0…51"
+        None,
+        "h264 and h265 only: constant rate factor; lower is better quality [default: the encoder's].",
+        Number(0, 51),
+        metavar="0…51",
     )
-    preset: Preset = option("veryfast", f"Effort of h264, h265: {', '.join(get_args(Preset))}.", metavar="NAME")
+    preset: Preset = option(
+        "veryfast", f"h264 and h265 only: speed of the encoder: {', '.join(get_args(Preset))}.", metavar="NAME"
+    )
     exposure: Given[Exposure | float | str | None, Exposure] = option(
         "auto",
-        "Factor of Y; what it brings to 1 is shown white. +1EV: twice as bright as auto. camera: as the file states.",
+        "VALUE multiplies Y, and 1 is display white. auto: show the 99th percentile of Y white. +1EV: twice "
+        "as bright as auto. "
+        "camera: the exposure that the file states.",
         ExposureReader(),
         metavar="auto|camera|VALUE|±NEV",
     )
     deflicker: bool = option(
         False,
-        "Sequences only: take off the flicker of light on mains of 50 or 60 Hz. The rate (‹fps›) must be the camera's.",
+        "Sequences only: remove the flicker of lamps on 50 or 60 Hz mains. The frame rate (‹fps›) must be the camera's.",
     )
     tone: Literal["aces"] | None = option(
         None,
-        "Tone curve: aces, Narkowicz's fit (2016) of the ACES film curve, to 2.9 EV above white [default: linear to white].",
+        "Tone curve. aces: Narkowicz's fit (2016) of the ACES film curve, which shows up to 2.9 EV above "
+        "white [default: linear, "
+        "clipped at white].",
     )
     white: str | None = option(
         None,
-        "Scene white shown neutral: light, chromaticity, multipliers of the channels, the table's, the file's, estimated, a "
-        "ColorChecker's, a grey's pixels [default: the file's where a camera's raw files state it, else the table's].",
+        "Scene white, shown neutral: an illuminant, a chromaticity, one multiplier per channel, the table's, the file's "
+        "(camera), estimated (auto), from a ColorChecker (chart), or a grey area of the picture [default: the file's if it "
+        "is a camera's raw file and states one, otherwise the table's].",
         metavar="NAME|x,y|R,G,B|table|camera|auto|chart|ROW,COL[,SIZE]",
     )
     space: Literal["srgb", "display-p3", "rec2020", "acescg", "xyz"] | None = option(
-        None, "Colour space [default: srgb; of .exr and 32 bits the table's outputs as they are]."
+        None, "Colour space [default: srgb; for .exr and 32 bits the table's outputs, unchanged]."
     )
-    remosaic: Literal["bayer"] | None = option(None, "Mosaic of a .dng [default: all three channels at every pixel].")
-    bits: Literal[8, 16, 32] = option(8, "Bits a value of a picture; 32: linear, floating point (.tif).")
+    remosaic: Literal["bayer"] | None = option(
+        None, "DNG output only: write a Bayer mosaic [default: three channels at every pixel]."
+    )
+    bits: Literal[8, 16, 32] = option(8, "Bits per value of a picture. 32: linear floating point (.tif).")
     black_level: float | None = option(
-        None, "Black level of the inputs [default: the file's or the table's].", LEVEL, metavar="DN"
+        None, "Black level of the inputs [default: the file's, otherwise the table's].", LEVEL, metavar="DN"
     )
     white_level: float | None = option(
-        None, "White level of the inputs [default: the file's or table's].", LEVEL, metavar="DN"
+        None, "White level of the inputs [default: the file's, otherwise the table's].", LEVEL, metavar="DN"
     )
     exposure_time: float | None = option(
         None,
-        "Exposure time of the inputs, for subtracting dark current [default: the file's or the training's].",
+        "Exposure time of the inputs, by which dark current is subtracted [default: the file's, otherwise "
+        "that of training].",
         Number(0, 1e5, "s"),
         metavar="SECONDS",
     )
     gain: float | None = option(
         None,
-        "Analog gain of the inputs over that of the table's camera [default: by the file's ISO speed, else estimated].",
+        "Analog gain of the inputs, as a multiple of the gain of the table's camera [default: from the file's ISO speed, "
+        "otherwise estimated].",
         GAIN,
         metavar="TIMES",
     )
     gains: OnePath = option(
         None,
-        "Text file of the gain of each frame of a sequence, a line each, in their order; instead of ‹gain›.",
+        "Sequences only, instead of ‹gain›: text file with the gain of each frame, one per line.",
         metavar="FILE",
     )
     dark: Given[Name | Sequence[Name], tuple[Path, ...]] = option(
         (),
-        "Dark frames of the same exposure time, files or a sequence; their mean is subtracted. May be repeated.",
+        "Dark frames (files or a sequence) of the same exposure time, whose mean is subtracted. May be repeated.",
         metavar="FRAME",
         several=True,
     )
     camera: OnePath = option(
-        None, "Camera model, or table of one, whose defects and flat field are corrected.", metavar="CAMERA.h5"
+        None,
+        "Camera model, or table that holds one, whose defective pixels and flat field are corrected.",
+        metavar="CAMERA.h5",
     )
-    hot: Literal["auto", "off"] = option("off", "Hot pixels that no camera model lists: correct them in each frame.")
+    hot: Literal["auto", "off"] = option(
+        "off", "Find and correct hot pixels in each frame, in addition to those that the camera model lists."
+    )
     phase: Given[PAIR | str | None, PAIR | None] = option(
-        None, "CFA site of the inputs' first pixel, from 0.", SITE, metavar="ROW,COL"
+        None,
+        "CFA row and column, from 0, of the first pixel of the inputs [default: as the file states, otherwise 0,0].",
+        SITE,
+        metavar="ROW,COL",
     )
     opcodes: Literal["leave"] | None = option(
-        None, "Of a DNG: leave out the opcodes, such as a lens warp, that it demands and l3 does not carry out."
+        None, "DNG files only: ignore required opcodes that l3 does not apply, such as a lens warp."
     )
     size: Given[PAIR | str | None, PAIR | None] = option(
-        None, "Pixels of headerless inputs [default: the table's].", Pair("ROWSxCOLS", "x", PIXELS), metavar="ROWSxCOLS"
+        None,
+        "Headerless files only: number of rows and columns [default: the table's].",
+        Pair("ROWSxCOLS", "x", PIXELS),
+        metavar="ROWSxCOLS",
     )
     packing: str | None = option(
         None,
-        "Packing of headerless inputs: u16, u8, MIPI's raw10 and raw12, or a PFNC name such as Mono10p, Mono12Packed, "
-        "BayerRG8, whose array is checked [default: .raw10 and .raw12 MIPI, else u16].",
+        "Headerless files only: packing: u16, u8, raw10 or raw12 (MIPI), or a PFNC name such as Mono10p, Mono12Packed or "
+        "BayerRG8, whose array is checked [default: MIPI for .raw10 and .raw12, otherwise u16].",
         PackingName(),
         metavar="NAME",
     )
     byte_order: Literal["little", "big"] | None = option(
-        None, "Byte order of 16-bit values of headerless inputs [default: little]."
+        None, "Headerless files only: byte order of 16-bit values [default: little]."
     )
     skip: int = option(
         0,
-        "Bytes before the first frame of headerless inputs, such as a header.",
+        "Headerless files only: bytes to skip before the first frame.",
         Number(0, 10**12, "bytes", whole=True),
         metavar="BYTES",
     )
     stride: int | None = option(
-        None, "Bytes from row to row [default: no padding].", Number(1, 100_000_000, "bytes", whole=True), metavar="BYTES"
+        None,
+        "Headerless files only: bytes from one row to the next [default: rows without padding].",
+        Number(1, 100_000_000, "bytes", whole=True),
+        metavar="BYTES",
     )
     uncertainty: OnePath = option(
         None,
-        "Of one frame, also write there the standard deviation that noise leaves in each output, and a mask (.exr).",
+        "Single frames only: also write the standard deviation of each output due to noise, and a mask, to "
+        "this file (.exr).",
         Output(),
         metavar="FILE",
         bytes=False,
     )
-    temporal: bool = option(False, "Frames follow one another in time: blend each with what is not noise of those before.")
+    temporal: bool = option(
+        False, "Sequences only: reduce noise by blending each frame with the previous ones where the scene has not changed."
+    )
     shard: Given[PAIR | str | None, PAIR | None] = option(
         None,
-        "Render only part I of N, from 1, of a sequence, to the same pictures as a run over all of it.",
+        "Sequences only: render shard I of N (from 1). All shards together give the same pictures as one run.",
         Shard(),
         metavar="I/N",
         bytes=False,
     )
-    skip_bad: bool = option(False, "Leave out missing and broken frames; exit code 1 if there were any.", bytes=False)
+    skip_bad: bool = option(False, "Skip missing and broken frames. The exit code is 1 if any were skipped.", bytes=False)
     resume: bool = option(
         False,
-        "Continue a sequence of pictures where a run was stopped; of many clips render what is new or changed.",
+        "Continue an interrupted run over a sequence of pictures. With several clips, render those that are new or changed.",
         bytes=False,
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.gain is not None and self.gains is not None:
-            raise RecipeError("‹gain› is that of all frames, ‹gains› that of each; leave one out")
+            raise RecipeError("‹gain› is for all frames and ‹gains› for each one; leave one out")

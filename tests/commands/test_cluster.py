@@ -296,7 +296,7 @@ def test_wrong_doors_are_one_line(
     pem.write_text("no certificate")
     run = ("simulate", made / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "no.h5")
     tls = ("--tls-ca", pem, "--tls-cert", pem, "--tls-key", pem)
-    assert "go with --scheduler" in refused(2, *run, *tls)
+    assert "need --scheduler" in refused(2, *run, *tls)
     assert "leave it out with --scheduler" in refused(2, *run, "--scheduler", "tcp://127.0.0.1:1", "--jobs", 2)
     for address in ("127.0.0.1:8786", "http://127.0.0.1:8786", "tcp://127.0.0.1", "tcp://127.0.0.1:99999"):
         assert "is not a scheduler's address" in refused(2, *run, "--scheduler", address)
@@ -309,7 +309,7 @@ def test_wrong_doors_are_one_line(
     assert "no scheduler answers at tcp://127.0.0.1:1" in refused(1, *run, "--scheduler", "tcp://127.0.0.1:1")
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert 'pip install "l3cli[cluster]"' in refused(1, *run, "--scheduler", "tcp://127.0.0.1:1")
-    assert "--merge takes shards alone" in refused(
+    assert "--merge takes only shards" in refused(
         2, "train", "--merge", made / "training.h5", "-o", tmp_path / "no.h5", "--scheduler", "tcp://127.0.0.1:1"
     )
     with pytest.raises(RecipeError):

@@ -197,7 +197,7 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     rows = re.findall(r"<t[dh][^>]*>(plain|edge|dark|bright|neutral|blue)</t[dh]>", text)
     assert rows[:4] == ["plain", "edge", "dark", "bright"]
     assert text.count("at 4×") == 2 * (1 + len(trained.trained))
-    assert "trained and judged on the same unseen scenes" in out
+    assert "trained, and evaluated on the same unseen scenes" in out
 
 
 def test_the_best_array_becomes_a_folder_of_recipes(folder: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
@@ -217,9 +217,7 @@ def test_the_best_array_becomes_a_folder_of_recipes(folder: Path, tmp_path: Path
     assert "CAMERA ?= camera.toml" in (mine / "Makefile").read_text()
     assert "not empty" in refused(1, "init", "--from", folder / "design.h5", mine)
     assert "one folder" in refused(2, "init", "--from", folder / "design.h5", "--from", folder / "design.h5", tmp_path / "a")
-    assert "--phase is that of photos" in refused(
-        2, "init", "--from", folder / "design.h5", "--phase", "0,1", tmp_path / "a"
-    )
+    assert "--phase is for raw files" in refused(2, "init", "--from", folder / "design.h5", "--phase", "0,1", tmp_path / "a")
     assert "holds scene moments;" in refused(3, "init", "--from", folder / "scenes.h5", tmp_path / "a")
 
 

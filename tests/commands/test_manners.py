@@ -186,13 +186,13 @@ def logged(
 def test_a_log_hears_of_progress_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     lines = logged(1000, 1000, 1.0, monkeypatch, capsys)
     assert len(lines) == 9  # what comes when all is done, the command itself says
-    assert lines[0] == "frames: 100 of 1000, 1 min 40 s passed, 10 %, 1 a second, 15 min 0 s left"
+    assert lines[0] == "frames: 100 of 1000, 1 min 40 s passed, 10 %, 1 per second, 15 min 0 s left"
     assert logged(10, 10, 0.5, monkeypatch, capsys) == []  # over before anybody wonders
     slow = logged(4, 4, 4000.0, monkeypatch, capsys)
     assert len(slow) == 3
     assert slow[0] == "frames: 1 of 4, 1 h 6 min passed, 25 %, 1 h 6 min each, 3 h 20 min left"
     endless = logged(None, 5000, 1.0, monkeypatch, capsys)
-    assert endless[0] == "frames: 600, 10 min 0 s passed, 1 a second"
+    assert endless[0] == "frames: 600, 10 min 0 s passed, 1 per second"
     assert len(endless) == 8
 
 
@@ -215,7 +215,7 @@ def test_a_terminal_gets_a_bar_that_fits(environment: dict[str, str], coloured: 
     shown = in_terminal([sys.executable, "-c", BAR], environment)
     lines = re.split(r"[\r\n]+", re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown))
     assert any(re.fullmatch(r"simulations +━* +0/3 0 % 0:00:00 *", line) for line in lines)  # before the first is done
-    assert any(re.fullmatch(r"simulations ━+ 3/3 100 %, .* a second, 0 s left 0:00:0\d *", line) for line in lines)
+    assert any(re.fullmatch(r"simulations ━+ 3/3 100 %, .* per second, 0 s left 0:00:0\d *", line) for line in lines)
     assert bool(re.search(r"\x1b\[(3|9)\dm", shown)) == coloured
     assert max(map(len, lines)) <= 80
 

@@ -405,7 +405,7 @@ def test_what_cannot_be_done_again_is_refused(again: Callable, refused: Refused,
     call = ("render", table, spot, *FAST)
     assert "lie in one another" in refused(2, *call, "-o", spot / "out")
     for gone in (("--watch", spot), ("--watch", spot, "--every", 3)):
-        assert "--watch is no more; call again for what has arrived: l3 render" in refused(2, "render", table, *gone)
+        assert "--watch was removed" in refused(2, "render", table, *gone)
     again()
     assert "another table or options" in refused(2, *call, "-o", tmp_path / "out", "--resume", "--frames", "0")
     job = ClipJob(table, tmp_path / "new", RenderOptions())

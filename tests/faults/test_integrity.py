@@ -213,6 +213,6 @@ def test_the_history_is_compared_with_its_inputs(bayer_recipe: Path, tmp_path: P
     sets[0].write_bytes(sets[0].read_bytes()[:-1])
     code, out, err = l3("info", "--verify", table, *sets, classes)
     assert (code, err.count("\n")) == (3, 1)
-    assert f"{sets[0]}, {classes}: not what {table} was made of" in err
+    assert f"{sets[0]}, {classes}: {table} was not made from it" in err
     assert "train training set: 1 verified" in out
     assert "--verify" in l3("info", table, sets[1])[2]

@@ -171,8 +171,8 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
         ("a/b", "is not I/N"),
     ):
         assert why in refused(2, "train", *run, "--shard", wrong, "-o", out)
-    assert "--merge takes shards alone" in refused(2, "train", "--merge", *a, "--shard", "1/3", "-o", out)
-    assert "--first goes with --shard" in refused(2, "train", *run, "--first", first, "-o", out)
+    assert "--merge takes only shards" in refused(2, "train", "--merge", *a, "--shard", "1/3", "-o", out)
+    assert "--first is for shards" in refused(2, "train", *run, "--first", first, "-o", out)
 
 
 @pytest.mark.usefixtures("same_workers")
@@ -283,7 +283,7 @@ def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: L3) 
         ("1", "--shares gives 1 shares for 2 training sets"),
         ("1,2,3", "--shares gives 3 shares for 2 training sets"),
         ("1,-2", "-2 is not within 0…1e+06; the nearest is 0"),
-        ("0,0", "one share must be above zero"),
+        ("0,0", "at least one proportion must be above zero"),
         ("1,x", "is not a number"),
         ("1,nan", "is not a number"),
         ("1,1e999", "the nearest is 1e+06"),
@@ -296,7 +296,7 @@ def test_wrong_shares_are_one_line(shares: str, why: str, bayer: CameraModel, tm
 
 
 def test_shares_do_not_go_with_merge(tmp_path: Path, refused: Refused) -> None:
-    assert "--merge takes shards alone" in refused(2, "train", "--merge", "a.h5", "--shares", "1", "-o", tmp_path / "no.h5")
+    assert "--merge takes only shards" in refused(2, "train", "--merge", "a.h5", "--shares", "1", "-o", tmp_path / "no.h5")
 
 
 @pytest.mark.slow
