@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import stat
 import subprocess
 import sys
 from dataclasses import replace
@@ -213,6 +214,16 @@ def test_a_cache_that_others_may_write_to_is_not_used(tmp_path: Path) -> None:
     assert "compiled kernels cannot be cached" in answer
     assert "other users may write to it" in answer
     assert not [*tmp_path.iterdir()]
+
+
+def test_no_other_user_can_exchange_the_folder_of_kernels(tmp_path: Path) -> None:
+    """Whatever the umask, neither it nor a folder that is made above it: compiled kernels run as their user."""
+    program = "import os; os.umask(0); from l3cli.rendering.opencl import devices; assert devices.prepare_cache() == ''"
+    env = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
+    env |= {"XDG_CACHE_HOME": str(tmp_path / "caches"), "PYTHONPATH": str(CONFIGS.parent)}
+    subprocess.run([sys.executable, "-c", program], env=env, check=True, timeout=60)
+    for folder in ("caches", "caches/l3cli", "caches/l3cli/pocl"):
+        assert stat.S_IMODE((tmp_path / folder).stat().st_mode) == 0o700
 
 
 @pytest.mark.parametrize("variables", [{"HOME": "/proc"}, {"HOME": ""}])

@@ -44,7 +44,9 @@ def prepare_cache() -> str:
         os.environ["POCL_CACHE_DIR"] = _temporary_folder()
         return "there is no home folder"
     try:
-        folder.mkdir(mode=stat.S_IRWXU, parents=True, exist_ok=True)
+        # One by one, since `parents` would leave those above to the umask, and who may write there can exchange the folder.
+        for each in (*reversed(folder.parents), folder):
+            each.mkdir(mode=stat.S_IRWXU, exist_ok=True)
         state = folder.stat()
         if state.st_uid != os.geteuid() or state.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
             raise PermissionError(errno.EPERM, "other users may write to it, which chmod go-w ends")
