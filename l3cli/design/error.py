@@ -1,8 +1,8 @@
-"""Moments of spectral patches, gathered once for one lens, pixel and light, and from them the error of any array in closed
-form, without training it (docs/method.md#designs).
+"""Moments of spectral patches, and the error of any array computed from them (docs/method.md#designs).
 
-Weights w are (Y + 0.02)^(-2/3), the slope of CIELAB about a grey, or 1. Sums of scenes add up. The error is about one ΔE00.
-A group that clips a filter on average gets no information from it.
+Moments are gathered once for one lens, pixel and light. From them, the error of an array follows in closed form, without
+training. Weights w are (Y + 0.02)^(-2/3), the slope of CIELAB around a grey, or 1. The sums of several scenes add up. An
+error of 1 is about one ΔE00. A filter that clips on average in a group of patches contributes no information there.
 """
 
 from dataclasses import dataclass, replace
@@ -14,19 +14,20 @@ from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.artifacts.design import GROUPS, KINDS, SHARP, SIDE, SOFT, WEIGHTINGS, LightMoments
 
 Array = NDArray[np.floating]
-Sums = dict[str, NDArray[np.float64]]  # patches, weight, mean and moment as LightMoments has them; they add up
+Sums = dict[str, NDArray[np.float64]]  # patches, weight, mean and moment as in LightMoments; sums of scenes add up
 
-EDGE, LEVELS = 0.25, (0.06, 0.25)  # from which contrast; mean luminance over white
-NEUTRAL = 5.0  # chroma over luminance
+EDGE, LEVELS = 0.25, (0.06, 0.25)  # group limits: contrast of an edge; mean luminance relative to white
+NEUTRAL = 5.0  # largest ratio of chroma to luminance of a neutral patch
 CHROMA = np.array([[250, -250, 0], [0, 150, -150]]) / 3.0  # d(a*, b*) / d(XYZ over white), halved
-DARKEST, POWER = 0.02, 2 / 3  # of white: below, errors do not weigh more; CIELAB's slope
-KEPT = 0.9999  # of the power of spectra
-SOFTNESS = 2.0  # pixels, standard deviation of the blur of chroma; S-CIELAB's about 50 pixels a degree
-WINDOW = 2  # pixels to each side that tell the group
+DARKEST = 0.02  # offset relative to white, which limits the weights of dark patches
+POWER = 2 / 3  # exponent of CIELAB's slope
+KEPT = 0.9999  # fraction of the spectra's power that the principal spectra keep
+SOFTNESS = 2.0  # pixels, standard deviation of the blur of chroma; that of S-CIELAB at about 50 pixels per degree
+WINDOW = 2  # pixels to each side that determine the group
 
 
 def empty_sums(terms: int) -> Sums:
-    """Return the sums over no patches, of so many terms a tap."""
+    """Return sums over no patches, with `terms` terms per tap."""
     kinds, taps = (len(WEIGHTINGS), len(GROUPS)), SIDE**2 * terms
     shapes = {"patches": kinds[1:], "weight": kinds, "mean": (*kinds, taps)}
     shapes["moment"] = (*kinds, taps + SOFT.stop + terms, taps + SOFT.stop + terms)
@@ -34,16 +35,30 @@ def empty_sums(terms: int) -> Sums:
 
 
 def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the second moment (wavelength, wavelength) of photons, of each pixel of a scene (row, col, band) over the
-    scene's mean; `rate` (wavelength, band) is that of unit reflectance."""
+    """Return the second moment (wavelength, wavelength) of the photons of a scene, relative to the scene's mean.
+
+    Parameters
+    ----------
+    reflectance : ndarray, (row, col, band)
+        The scene.
+    rate : ndarray, (wavelength, band)
+        Photons from unit reflectance in each band.
+    """
     pixels = reflectance.reshape(-1, reflectance.shape[-1]).astype(np.float64)
     bands = pixels.T @ pixels / max(float(np.square(pixels.mean())), 1e-12) / len(pixels)
     return np.asarray(rate @ bands @ rate.T)
 
 
 def principal_spectra(power: Array, white: Array) -> NDArray[np.float64]:
-    """Return the basis (wavelength, term) that keeps KEPT of a `power` (wavelength, wavelength), scaled to the mean of
-    `white` (wavelength)."""
+    """Return the basis (wavelength, term) that keeps the fraction KEPT of the power.
+
+    Parameters
+    ----------
+    power : ndarray, (wavelength, wavelength)
+        Second moment of the spectra.
+    white : ndarray, (wavelength)
+        Photons of a white. The basis is scaled to their mean.
+    """
     values, vectors = np.linalg.eigh(power)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     held = np.cumsum(values) / values.sum()
@@ -60,10 +75,22 @@ def gather(
     patches: int,
     rng: np.random.Generator,
 ) -> None:
-    """Add patches at random places of a scene to sums.
+    """Add patches at random positions of a scene to the sums.
 
-    `planes` (term, row, col) are coefficients behind the lens, `sharp` the same before it, `target` (XYZ, row, col) over
-    white.
+    Parameters
+    ----------
+    sums : dict
+        Sums, changed in place.
+    planes : ndarray, (term, row, col)
+        Coefficients of the principal spectra after the lens.
+    target : ndarray, (XYZ, row, col)
+        XYZ relative to white.
+    sharp : ndarray, (term, row, col)
+        Coefficients before the lens.
+    patches : int
+        Number of patches.
+    rng : numpy.random.Generator
+        Source of the positions.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -85,8 +112,10 @@ def gather(
 
 
 def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return the group of each patch by XYZ over white (XYZ, patch, row, col) of its middle: by hue as classes are, where
-    eyes see one."""
+    """Return the group of each patch from XYZ relative to white (XYZ, patch, row, col) around its centre.
+
+    Groups differ in contrast, luminance and hue, like classes. A patch has a hue if its colour is visible.
+    """
     mean = around.mean(axis=(2, 3))
     contrast = around[1].std(axis=(1, 2)) / (mean[1] + 1e-4)
     a, b = CHROMA @ mean / (mean[1] + DARKEST)
@@ -96,7 +125,7 @@ def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 def in_all_orientations(sums: Sums, terms: int) -> Sums:
-    """Return the mean of sums over the eight orientations of every patch: mirrored arrays then have the same error."""
+    """Average sums over the eight orientations of every patch, so that mirrored arrays have equal errors."""
     taps = np.arange(SIDE**2 * terms).reshape(SIDE, SIDE, terms)
     behind = np.arange(taps.size, taps.size + SOFT.stop + terms)
     moment, mean = np.zeros_like(sums["moment"]), np.zeros_like(sums["mean"])
@@ -110,23 +139,23 @@ def in_all_orientations(sums: Sums, terms: int) -> Sums:
 Cfa = NDArray[np.integer]  # (row, col) number of the filter of each site
 
 OPPONENT = np.vstack([[[0, 116 / 3, 0]], CHROMA])  # d(L*, a*, b*) / d(XYZ over white), chroma halved
-RIDGE = 1e-6  # of the mean power of a tap
-EMPTY = 1.0  # power of a tap of a group without patches
-NOTHING = 1e6  # of the power of a tap that clips: it is no information
+RIDGE = 1e-6  # regularisation, as a fraction of the mean power of a tap
+EMPTY = 1.0  # noise added in groups without patches, so that the equations can be solved
+NOTHING = 1e6  # noise of a clipped tap relative to its power, so that it contributes no information
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of a pixel, e-."""
+    """Noise of a pixel, in electrons."""
 
-    floor: float  # e-², of reading, offsets and rounding
-    dark: float  # e-/s
+    floor: float  # e-², variance of read noise, offsets and quantisation
+    dark: float  # e-/s, dark current
     full: float  # e-, full scale
     prnu: float  # relative
 
 
 def noise_of(camera: CameraModel) -> Noise:
-    """Return the noise of a camera's pixel; its channels are taken to be read alike."""
+    """Return the noise of a camera's pixel, assuming that all channels are read out alike."""
     noise = camera.noise
     floor = noise.read_noise**2 + noise.dsnu**2 + noise.column_noise**2 + QUANTISATION / camera.gain**2
     return Noise(floor, noise.dark_current, camera.full_scale, noise.prnu)
@@ -137,15 +166,17 @@ class Level:
     """A light and an exposure."""
 
     name: str
-    light: int  # of the moments
-    share: float | None  # of full scale, that white gives the brightest filter of an array; None: exposed alike
+    light: int  # index of the light in the moments
+    share: float | None  # fraction of full scale of white in the brightest filter; None for a fixed exposure
     luminance: float = 1.0  # cd/m² of a perfect white
-    seconds: float = 0.0  # of the exposure, without a share
+    seconds: float = 0.0  # s, fixed exposure time
 
 
 def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
-    """Return cd s/m² of white that an array is exposed with, whose brightest filter collects `white` e-/s at 1 cd/m², and
-    the seconds that takes."""
+    """Return the exposure of white in cd s/m² and its time in seconds.
+
+    `white` is the signal of the array's brightest filter, in e-/s, from a white of 1 cd/m².
+    """
     if level.share is None:
         return level.luminance * level.seconds, level.seconds
     dose = level.share * noise.full / white
@@ -154,16 +185,19 @@ def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Seen:
-    """Means over the patches of each group under a light, and of the outputs that are wanted, as a library of filters sees
-    them: an array only picks rows and columns of these. Of principal spectra, for any filters, `white` is empty."""
+    """Moments of the patches of each group under a light, as a library of filters sees them, and of the outputs.
+
+    An array only picks rows and columns from them. In terms of principal spectra, before filters are chosen, `white` is
+    empty.
+    """
 
     signal: Array  # (filter, filter, group, tap, tap)
     cross: Array  # (group, output, tap, filter)
     mean: Array  # (group, tap, filter)
-    target: Array  # (group) trace of the outputs' second moments: an error is the root of a sum over outputs
+    target: Array  # (group) trace of the outputs' second moments; errors are root sums of squares over outputs
     weight: Array  # (group)
     patches: Array  # (group)
-    white: Array  # (filter) e-/s of a perfect white of 1 cd/m²
+    white: Array  # (filter) e-/s from a perfect white of 1 cd/m²
 
     @property
     def share(self) -> Array:
@@ -171,8 +205,17 @@ class Seen:
 
 
 def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -> Seen:
-    """Return the means by principal spectra, for the outputs of a recipe's keys: of XYZ those that `counts` names; all
-    `curves` (filter, wavelength) in % of white; reflectance in % of white."""
+    """Return the moments in terms of principal spectra, for the outputs that a recipe asks for.
+
+    Parameters
+    ----------
+    moments : LightMoments
+        Moments under a light.
+    output, counts : str
+        Keys of the design recipe.
+    curves : ndarray, (filter, wavelength)
+        Quantum efficiencies. They are the outputs if `output` is "bands".
+    """
     rows, weighting = wanted_outputs(moments, output, counts, curves)
     terms, number, place = moments.terms, np.maximum(moments.patches, 1.0), WEIGHTINGS.index(weighting)
     moment, taps = moments.moment[place] / number[:, None, None], SIDE**2 * terms
@@ -189,7 +232,10 @@ def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -
 
 
 def wanted_outputs(moments: LightMoments, output: str, counts: str, curves: Array) -> tuple[Array, str]:
-    """Return the wanted outputs (output, target) of a patch's targets, and their weighting."""
+    """Return the matrix (output, target) from a patch's targets to the outputs, and the name of the weighting.
+
+    Outputs are colour differences for XYZ, otherwise percent of white.
+    """
     count = SOFT.stop
     white = moments.basis.T @ moments.white_photons / np.square(moments.basis).sum(axis=0)
     if output == "reflectance":
@@ -206,7 +252,9 @@ def wanted_outputs(moments: LightMoments, output: str, counts: str, curves: Arra
 
 
 def seen_by(curves: Array, moments: LightMoments, spectra: Seen) -> Seen:
-    """Return the means as filters of quantum efficiency `curves` (filter, wavelength) see them."""
+    """Convert moments of principal spectra to moments as filters with efficiencies `curves` (filter, wavelength) see
+    them.
+    """
     to = curves @ moments.basis
     signal = np.einsum("fi,gj,ijKpq->fgKpq", to, to, spectra.signal, optimize=True)
     white = curves @ moments.white_photons
@@ -214,14 +262,14 @@ def seen_by(curves: Array, moments: LightMoments, spectra: Seen) -> Seen:
 
 
 def site_filters(cfa: Cfa) -> NDArray[np.intp]:
-    """Return the filters (site, tap) of the patch about each site of an array."""
+    """Return the filters (site, tap) in the patch around each site of an array."""
     off = np.arange(SIDE) - SIDE // 2
     around = [np.ix_((row + off) % cfa.shape[0], (col + off) % cfa.shape[1]) for row, col in np.ndindex(*cfa.shape)]
     return np.array([cfa[each].ravel() for each in around])
 
 
 def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np.float64]:
-    """Return the predicted error (group) of an array, the mean over its sites."""
+    """Return the predicted error (group) of an array, averaged over its sites."""
     filters, tap, weight = site_filters(cfa), np.arange(SIDE**2), seen.weight[:, None]
     matrix = seen.signal[filters[:, :, None], filters[:, None, :], :, tap[:, None], tap].transpose(0, 3, 1, 2)
     cross = seen.cross[:, :, tap, filters].transpose(2, 0, 3, 1)  # (site, group, tap, output)
@@ -236,7 +284,7 @@ def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np
 
 
 def clips_everything(seen: Seen, level: Level, noise: Noise) -> bool:
-    """Return whether every filter clips, on average, in every group of patches, exposed by itself."""
+    """Whether every filter, exposed on its own, clips on average in every group of patches."""
     doses, filled = np.array([exposure(level, noise, white)[0] for white in seen.white]), seen.patches > 0
     signals = seen.mean[filled].mean(axis=1) / seen.weight[filled, None] * doses  # (group, filter)
     return bool((signals > noise.full).all())

@@ -1,4 +1,4 @@
-"""DESIGN.toml: pixel, filters, arrays to try, lights and exposures, and what counts; and the camera whose pixel it is."""
+"""The design recipe DESIGN.toml: pixel, filters, arrays to try, lights and exposures, and the error that counts."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -40,66 +40,68 @@ from l3cli.recipes.toml import (
 from l3cli.spectra.file import read_table
 from l3cli.system.text import printable
 
-MOST_FILTERS, MOST_SIDE = 16, 8
+MOST_FILTERS, MOST_SIDE = 16, 8  # filters of a recipe; rows or columns of an array
 Side = Annotated[int, msgspec.Meta(ge=1, le=MOST_SIDE)]
-LEAST_EFFICIENCY = 1e-3  # at a filter's peak: less passes nothing
+LEAST_EFFICIENCY = 1e-3  # quantum efficiency at the peak below which a filter counts as opaque
 Curves = NDArray[np.float64]  # (filter, wavelength)
 
 
 class PixelRecipe(Recipe):
-    """The pixel behind every filter."""
+    """The pixel, common to all filters."""
 
-    camera: str = "bayer"  # camera recipe, its name, or camera.h5: sensor, noise and lens; its array does not count
-    # of the bare pixel, lens included: quantum efficiency, or a CSV of it, which filters are laid on
+    camera: str = "bayer"  # camera recipe (name or file) or camera.h5, for sensor, noise and lens; its array is ignored
+    # quantum efficiency of the pixel without filter, lens included, or a CSV file of it; it multiplies the filters
     bare: float | str = 0.6
     pitch_um: Positive | None = None
-    well_e: Positive | None = None  # the converter's range goes with it
+    well_e: Positive | None = None  # full well; the range of the converter is scaled with it
     read_noise_e: NotNegative | None = None
     f_number: Positive | None = None
 
 
 class FilterRecipe(Recipe):
-    """A filter: a Gaussian, a measured curve, two stacked, or a channel of a camera; without any, clear."""
+    """A filter: a Gaussian, a measured curve, two filters stacked, or a channel of a camera. Without any of these, it is
+    clear.
+    """
 
     centre_nm: Positive | None = None
     sigma_nm: Positive | None = None
     peak: Share = 0.9  # transmittance at the centre
-    floor: Share = 0.04  # and far from it
-    file: str | None = None  # CSV: wavelength in nm, transmittance
-    column: str | int = 1  # of the file: its name or its number from 1
-    stack: tuple[str, str] | None = None  # names of other filters
-    channel: str | None = None  # of the pixel's camera: its quantum efficiency as it is, without `bare`
+    floor: Share = 0.04  # transmittance far from the centre
+    file: str | None = None  # CSV file with wavelength in nm and transmittance
+    column: str | int = 1  # column of the file, by name or by number from 1
+    stack: tuple[str, str] | None = None  # names of two other filters
+    channel: str | None = None  # channel of the pixel's camera, whose quantum efficiency is used without `bare`
 
 
 class PatternRecipe(Recipe):
-    """Arrays to try: all of a shape, of so many of each filter, or those of a list."""
+    """Arrays to try: all arrays of a shape, optionally with given counts of each filter, or a list of arrays."""
 
     shape: tuple[Side, Side] | None = None  # rows, cols
-    filters: list[str] = msgspec.field(default_factory=list)  # that may stand in it; default: all
-    counts: dict[str, Count] | None = None  # filter → how many of the sites
-    arrays: list[list[str]] = msgspec.field(default_factory=list)  # each as rows of names, separated by spaces
+    filters: list[str] = msgspec.field(default_factory=list)  # filters that the arrays may contain; default: all
+    counts: dict[str, Count] | None = None  # filter → number of its sites
+    arrays: list[list[str]] = msgspec.field(default_factory=list)  # each a list of rows, names separated by spaces
 
 
 class LevelRecipe(Recipe):
-    """A light and an exposure: automatic by `share`, or `exposure_s` at a luminance or an illuminance."""
+    """A light and an exposure: automatic by `share`, or fixed by `exposure_s` and a luminance or illuminance."""
 
     name: str | None = None
-    illuminant: str = "D65"  # one of the moments'
-    share: Positive | None = None  # of full scale, that white gives the brightest filter of each array
-    luminance_cd_m2: Positive | None = None  # of a perfect white
-    lux: Positive | None = None  # on it, instead
+    illuminant: str = "D65"  # one of the lights of the moments
+    share: Positive | None = None  # fraction of full scale that white reaches in the brightest filter of each array
+    luminance_cd_m2: Positive | None = None  # luminance of a perfect white
+    lux: Positive | None = None  # illuminance, instead of the luminance
     exposure_s: Positive | None = None
 
 
 class OptimiseRecipe(Recipe):
-    """An array whose Gaussians are tuned: centres, widths and, with `peaks`, heights."""
+    """An array whose Gaussian filters are tuned: centres, widths and, with `peaks`, heights."""
 
     pattern: list[str]  # rows of names
     peaks: bool = False
 
 
 class DesignRecipe(Recipe):
-    """Which array is best of a library of filters, on a pixel, at some lights."""
+    """The search for the best array of filters from a library, on a given pixel and under given lights."""
 
     title: ClassVar[str] = "a design recipe"
 
@@ -109,21 +111,21 @@ class DesignRecipe(Recipe):
     level: Annotated[list[LevelRecipe], msgspec.Meta(min_length=1)]
     pixel: PixelRecipe = msgspec.field(default_factory=PixelRecipe)
     output: Literal["XYZ", "bands", "reflectance"] = "XYZ"
-    # of XYZ: "lab" about ΔE00; "scielab" with chroma as coarse as eyes see it; "luminance" alone; "linear" in % of white
+    # error of XYZ: "lab", about ΔE00; "scielab", chroma blurred as by the eye; "luminance" only; "linear", % of white
     counts: Literal["lab", "scielab", "luminance", "linear"] = "lab"
     optimise: OptimiseRecipe | None = None
-    rivals: list[list[str]] = msgspec.field(default_factory=list)  # arrays that --truth trains too, rows of names
+    rivals: list[list[str]] = msgspec.field(default_factory=list)  # further arrays, as rows of names, that --truth trains
 
     @property
     def needed(self) -> int:
-        """Return the independent outputs that an array needs."""
+        """Number of independent outputs that an array needs."""
         if self.output != "XYZ":
             return min(2, len(self.filters))
         return 1 if self.counts == "luminance" else 3
 
     @property
     def tuned(self) -> list[str]:
-        """Return the names of the filters that are tuned."""
+        """Names of the filters that are tuned."""
         used = {name for row in (self.optimise.pattern if self.optimise else []) for name in row.split()}
         return [name for name, one in self.filters.items() if name in used and one.centre_nm is not None]
 
@@ -132,7 +134,7 @@ class DesignRecipe(Recipe):
 
 
 def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
-    """Yield all that cannot be of a design recipe, beside the content of files."""
+    """Yield all faults of a design recipe, except faults in the files that it names."""
     for name, one in recipe.filters.items():
         yield from inside(_filter_faults(name, one, recipe.filters), "filters", name)
     arrays: list[tuple[str, KeyPath, list[str]]] = []
@@ -205,7 +207,7 @@ def _level_faults(where: str, level: LevelRecipe) -> Iterator[Fault]:
 
 
 def level_name(level: LevelRecipe) -> str:
-    """Return what a level is called."""
+    """Return the name of a level, or a description if it has none."""
     light = "" if level.illuminant == "D65" else f" {level.illuminant}"
     if level.name is not None:
         return level.name
@@ -219,14 +221,30 @@ def level_name(level: LevelRecipe) -> str:
 
 
 def curve_files(recipe: DesignRecipe, folder: Path) -> list[Path]:
-    """Return the files of curves that a recipe names."""
+    """Return the files of curves that a recipe names, relative to `folder`."""
     names = (*(one.file for one in recipe.filters.values()), recipe.pixel.bare)
     return [folder / name for name in names if isinstance(name, str)]
 
 
 def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves, folder: Path) -> Curves:
-    """Return the quantum efficiency (filter, wavelength) of every filter on the pixel; files lie relative to `folder`.
-    RecipeError or InputFileError for one that passes nothing or more than all."""
+    """Return the quantum efficiency (filter, wavelength) of every filter on the pixel.
+
+    Parameters
+    ----------
+    recipe : DesignRecipe
+        Filters and pixel.
+    camera : CameraModel
+        The pixel's camera, for filters that are channels of it.
+    wavelength : ndarray, (wavelength)
+        In nm.
+    folder : Path
+        Folder to which file names are relative.
+
+    Raises
+    ------
+    RecipeError, InputFileError
+        If a filter is opaque or has a transmittance outside 0…1.
+    """
     bare, curves = bare_efficiency(recipe.pixel.bare, wavelength, folder), []
     for name, one in recipe.filters.items():
         if one.channel is not None:
@@ -245,7 +263,7 @@ def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves,
 
 
 def bare_efficiency(bare: float | str, wavelength: Curves, folder: Path) -> Curves:
-    """Return the quantum efficiency (wavelength) of a pixel without a filter; RecipeError if it cannot be."""
+    """Return the quantum efficiency (wavelength) of a pixel without a filter. Raises RecipeError if it is not within 0…1."""
     if isinstance(bare, str):
         table = read_table(folder / bare).counted(1)
         curve = spectra.average(table.efficiencies(False)[0], table.wavelength, wavelength)
@@ -271,13 +289,21 @@ def gaussian(wavelength: Curves, centre: float, sigma: float, peak: float, floor
 
 
 def is_design(path: Path) -> bool:
-    """Return whether a file is a design recipe."""
+    """Whether a file is a design recipe."""
     keys = KIND_KEYS[DesignRecipe.title]
     return path.suffix == ".toml" and any(key in parse_toml(read_text(path), str(path)) for key in keys)
 
 
 def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
-    """Return the camera of a file, or one with the pixel of a design recipe, and the files that it is read from."""
+    """Read the camera of a file, or the pixel of a design recipe as a camera.
+
+    Returns
+    -------
+    CameraModel
+        Only its lens and pixel matter.
+    list of Path
+        The files that were read.
+    """
     if not is_design(path):
         return dataclasses.replace(load_camera(path), readout=None), camera_files(path)
     pixel = load_recipe(path, DesignRecipe).pixel
@@ -285,13 +311,13 @@ def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
 
 
 def base_camera(pixel: PixelRecipe, folder: Path) -> Path:
-    """Return the file of the camera that a pixel is of: beside the recipe, or one that comes with l3."""
+    """Return the camera file that a pixel is based on: relative to the recipe, or one that is included in l3."""
     own = folder / pixel.camera
     return own if own.is_file() else find_recipe(pixel.camera, "cameras")
 
 
 def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
-    """Return the camera of a pixel; its array and filters do not count."""
+    """Return a camera with the pixel of a recipe. Its array and filters have no meaning."""
     base = load_camera(base_camera(pixel, folder))
     if not base.absolute:
         raise RecipeError(
@@ -309,7 +335,15 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
 
 
 def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
-    """Return the recipe of a camera without a readout, and the curves that it names, by file."""
+    """Return the text of a camera recipe and of its file of curves, by file name.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        A camera whose channels are read out alike.
+    origin : str
+        Comment on the first line.
+    """
     noise, optics = camera.noise, camera.optics
     pitch = round(camera.pixel_pitch * 1e6, 6)
     dark = (noise.read_noise, noise.dark_current, noise.dsnu, noise.prnu, noise.column_noise)

@@ -1,5 +1,7 @@
-"""Arrays to be tried: enumerated without those that are the same but for where they begin, turns and mirrors; annealed where
-there are too many."""
+"""Search for arrays: enumerate all distinct arrays, or anneal if there are too many.
+
+Arrays are distinct if they do not differ merely by a shift, rotation or reflection.
+"""
 
 import functools
 import itertools
@@ -13,18 +15,18 @@ from numpy.typing import NDArray
 from l3cli.artifacts.design import overall
 from l3cli.design.error import Cfa, Level, Noise, Seen, array_errors
 
-MOST_ENUMERATED, MOST_JUDGED = 4_000_000, 100_000  # arrangements that are counted, and distinct ones that are judged
-INDEPENDENT = 1e-3  # smallest singular value of filters' responses to the basis, over the largest
-HOT, COLD = 0.03, 0.0005  # of annealing; temperatures are relative to the error
+MOST_ENUMERATED, MOST_JUDGED = 4_000_000, 100_000  # largest numbers of enumerated and of distinct, evaluated arrays
+INDEPENDENT = 1e-3  # smallest singular value, relative to the largest, that counts as an independent output
+HOT, COLD = 0.03, 0.0005  # first and last temperature of annealing, relative to the error
 Arrays = NDArray[np.integer]  # (array, site) filters
-Allowed = Callable[[Sequence[int]], bool]  # whether filters may stand in an array together
+Allowed = Callable[[Sequence[int]], bool]  # whether an array may consist of these filters
 
 
 @dataclass(frozen=True)
 class Problem:
-    """The lights, exposures and noise by which arrays of a library are judged."""
+    """Lights, exposures and noise for which arrays of a library of filters are evaluated."""
 
-    seen: tuple[Seen, ...]  # by each light of the moments
+    seen: tuple[Seen, ...]  # one per light
     levels: tuple[Level, ...]
     noise: Noise
 
@@ -34,22 +36,24 @@ class Problem:
 
     @functools.cached_property
     def share(self) -> NDArray[np.float64]:
-        """Return the share (level, group) of the patches."""
+        """Fraction (level, group) of the patches."""
         return np.array([self.seen[level.light].share for level in self.levels])
 
     def means(self, cfa: Cfa) -> NDArray[np.float64]:
-        """Return the error (level) of an array over all groups."""
+        """Return the error (level) of an array, averaged over groups."""
         return np.asarray((self.errors(cfa) * self.share).sum(axis=1))
 
     def score(self, cfa: Cfa) -> float:
-        """Return the geometric mean, over levels, of the error of an array."""
+        """Return the geometric mean over levels of an array's error."""
         return float(overall(self.means(cfa)))
 
 
 @functools.cache
 def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
-    """Return the orders (symmetry, site) in which the sites of an array of that period may be read without changing it:
-    shifts, and the turns and mirrors that keep its shape."""
+    """Return the site orders (symmetry, site) that leave an array of a given period equivalent.
+
+    They are the shifts, rotations and reflections that keep its shape.
+    """
     sites = np.arange(math.prod(shape)).reshape(shape)
     turned = [np.rot90(each, turn) for each in (sites, sites.T) for turn in range(4)]
     orders = [np.roll(each, shift, (0, 1)).ravel() for each in turned if each.shape == shape for shift in np.ndindex(*shape)]
@@ -57,13 +61,15 @@ def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
 
 
 def canonical(cfa: Cfa) -> bytes:
-    """Return what all arrays share that are the same but for `symmetries`, and no others of that shape."""
+    """Return a key that is equal for arrays that differ only by `symmetries`, and different for all other arrays of the
+    shape.
+    """
     orders = symmetries((cfa.shape[0], cfa.shape[1]))
     return min(row.tobytes() for row in cfa.astype(np.uint8).ravel()[orders])
 
 
 def distinct(arrays: Arrays, shape: tuple[int, int], filters: int) -> Arrays:
-    """Return the first of all arrays (array, site) that are the same but for symmetries, in order."""
+    """Return one of each set of arrays (array, site) that differ only by symmetries, in order."""
     digits = np.int64(filters) ** np.arange(arrays.shape[1])[::-1]
     least = functools.reduce(np.minimum, (arrays[:, order] @ digits for order in symmetries(shape)))
     _, first = np.unique(least, return_index=True)
@@ -71,7 +77,7 @@ def distinct(arrays: Arrays, shape: tuple[int, int], filters: int) -> Arrays:
 
 
 def arrangements(counts: Sequence[int]) -> Iterator[list[int]]:
-    """Yield every arrangement of a multiset: so many of each filter."""
+    """Yield every arrangement of a multiset with `counts` of each element."""
     if len(counts) == 1:
         yield [0] * counts[0]
         return
@@ -85,8 +91,19 @@ def arrangements(counts: Sequence[int]) -> Iterator[list[int]]:
 def every_array(
     shape: tuple[int, int], filters: Sequence[int], counts: Sequence[int] | None, allowed: Allowed
 ) -> list[Cfa] | None:
-    """Return all distinct arrays of a shape, of any of the `filters` or of so many of each, whose filters are `allowed`;
-    None: they are too many."""
+    """Return all distinct arrays of a shape, or None if there are too many.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    filters : sequence of int
+        Filters that the arrays may contain.
+    counts : sequence of int, optional
+        Number of sites of each filter.
+    allowed : callable
+        Whether an array may consist of a set of filters.
+    """
     sites, base = math.prod(shape), len(filters)
     size = math.factorial(sites) // math.prod(map(math.factorial, counts)) if counts else base**sites
     if size > MOST_ENUMERATED or base**sites >= 2**62:
@@ -99,7 +116,7 @@ def every_array(
 
 
 def independent_outputs(responses: NDArray[np.floating]) -> int:
-    """Return how many independent outputs filters have, by their responses (filter, term) to principal spectra."""
+    """Return the number of independent outputs of filters, from their responses (filter, term) to principal spectra."""
     scaled = responses / np.maximum(np.linalg.norm(responses, axis=1, keepdims=True), 1e-30)
     strength = np.linalg.svd(scaled, compute_uv=False)
     return int((strength > INDEPENDENT * strength[0]).sum())
@@ -114,8 +131,11 @@ def anneal(
     rng: np.random.Generator,
     steps: int,
 ) -> Cfa:
-    """Return the best array of `steps` steps of simulated annealing from `start`: a site is changed or two are
-    swapped, with `swapped` this alone. Of filters that are not `allowed` together the error is infinite."""
+    """Return the best array that simulated annealing finds.
+
+    Each step changes a site or swaps two sites. If `swapped`, steps only swap, which keeps the count of each filter. Filters
+    that are not `allowed` together have an infinite error.
+    """
     known: dict[bytes, float] = {}
 
     def error(cfa: Cfa) -> float:

@@ -1,5 +1,7 @@
-"""A design recipe with all that it names: its lights and levels, filters, arrays, and the filters that are tuned; and what a
-report says of its arrays, ranked."""
+"""A design recipe with everything that it refers to, and the ranking of its arrays for the report.
+
+`Task` loads lights, levels, filters and arrays, evaluates arrays and tunes filters. `designed` collects the results.
+"""
 
 import dataclasses
 import functools
@@ -30,23 +32,34 @@ from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import load_recipe
 
-ANNEALING, MOST_REPEATED = 1000, 8  # steps; filters of which all arrays of 2×2 are tried first
-SAME = 1e-6  # relative; of numbers that agree
-BOUNDS = np.array([[400.0, 700.0], [10.0, 150.0], [0.1, 1.0]])  # nm, nm, 1: centre, sigma and peak of tuned filters
-STEPS = np.array([10.0, 10.0, 0.1])  # nm, nm, 1: by which these are scaled
-SPREAD = np.array([25.0, 15.0, 0.0])  # nm, nm, 1: of random starts about the given filters
-DESCENT = {"maxiter": 60, "eps": 1e-4}
+ANNEALING = 1000  # steps of simulated annealing
+MOST_REPEATED = 8  # with at most this many filters, annealing starts from the best 2×2 array, repeated
+SAME = 1e-6  # relative difference up to which numbers agree
+BOUNDS = np.array([[400.0, 700.0], [10.0, 150.0], [0.1, 1.0]])  # centre (nm), sigma (nm) and peak of tuned filters
+STEPS = np.array([10.0, 10.0, 0.1])  # nm, nm, 1; the optimiser's variables are in these units
+SPREAD = np.array([25.0, 15.0, 0.0])  # nm, nm, 1; standard deviation of random starts around the given filters
+DESCENT = {"maxiter": 60, "eps": 1e-4}  # options of the optimiser
 
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A design recipe with all that it names, as every process can make it again."""
+    """A design recipe with everything that it refers to.
+
+    A task is pickled as two paths, so that each worker process reads the files itself, once.
+
+    Parameters
+    ----------
+    recipe : Path
+        The design recipe.
+    moments : Path
+        Scene moments, from `l3 design moments`.
+    """
 
     recipe: Path
     moments: Path
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _task, (self.recipe, self.moments)  # each process reads them once
+        return _task, (self.recipe, self.moments)  # each process reads the files once
 
     @functools.cached_property
     def wanted(self) -> DesignRecipe:
@@ -56,7 +69,7 @@ class Task:
 
     @property
     def names(self) -> list[str]:
-        """Return the names of the filters, by number."""
+        """Names of the filters, by number."""
         return list(self.wanted.filters)
 
     @functools.cached_property
@@ -69,17 +82,17 @@ class Task:
 
     @functools.cached_property
     def curves(self) -> NDArray[np.float64]:
-        """Return the quantum efficiency (filter, wavelength)."""
+        """Quantum efficiency (filter, wavelength)."""
         return filter_curves(self.wanted, self.pixel, self.scenes.wavelength, self.recipe.parent)
 
     @functools.cached_property
     def lights(self) -> list[LightMoments]:
-        """Return the moments under the lights of the levels; RecipeError for a light that there are none under."""
+        """Moments under each light of the levels. Raises RecipeError if moments under a light are missing."""
         known = {light.illuminant: light for light in self.scenes.light}
         for level in self.wanted.level:
             if level.illuminant not in known:
-                held = f"{self.moments} holds moments under {', '.join(known)}"
-                raise RecipeError(f'level "{level_name(level)}": {held}; gather them under {level.illuminant}')
+                text = f"{self.moments} has moments under {', '.join(known)} only"
+                raise RecipeError(f'level "{level_name(level)}": {text}; gather moments under {level.illuminant}')
         return [known[name] for name in dict.fromkeys(level.illuminant for level in self.wanted.level)]
 
     @functools.cached_property
@@ -93,7 +106,7 @@ class Task:
 
     @functools.cached_property
     def spectra(self) -> list[Seen]:
-        """Return what counts under each light, by principal spectra."""
+        """Moments of the outputs that count under each light, in terms of principal spectra."""
         return [spectra_of(light, self.wanted.output, self.wanted.counts, self.curves) for light in self.lights]
 
     @functools.cached_property
@@ -108,22 +121,24 @@ class Task:
     # ------------------------------------------------------------------------------------------------- arrays
 
     def allowed(self, filters: Sequence[int]) -> bool:
-        """Return whether an array of these filters has as many independent outputs as are needed."""
+        """Whether an array of these filters has enough independent outputs."""
         responses = self.curves[list(filters)] @ self.lights[0].basis
         return len(filters) >= self.wanted.needed and independent_outputs(responses) >= self.wanted.needed
 
     def numbered(self, rows: list[str]) -> Cfa:
-        """Return an array of names as numbers of filters."""
+        """Convert an array of filter names to filter numbers."""
         return sites("/".join(rows), self.names)
 
     def choice(self, pattern: PatternRecipe) -> tuple[list[int], list[int] | None]:
-        """Return the filters that may stand in a pattern, and how many of each if that is given."""
+        """Return the filters that a pattern may contain, and the number of each if the recipe states it."""
         filters = [self.names.index(name) for name in (pattern.counts or pattern.filters or self.names)]
         return filters, list(pattern.counts.values()) if pattern.counts else None
 
     def arrays_of(self, pattern: PatternRecipe, number: int) -> list[Cfa] | None:
-        """Return the arrays of a pattern that are judged; None: there are too many, and they are annealed. RecipeError if
-        one that is listed, or all, have fewer independent outputs than are needed."""
+        """Return the arrays of a pattern to evaluate, or None if there are too many and annealing is needed.
+
+        Raises RecipeError if a listed array, or every possible array, has too few independent outputs.
+        """
         shortage = f"fewer than {self.wanted.needed} independent outputs; add a filter"
         where = f"{self.recipe}: pattern {number + 1}"
         if pattern.shape is None:
@@ -138,27 +153,37 @@ class Task:
         return every
 
     def bayer(self, filters: Sequence[int]) -> list[Cfa]:
-        """Return the arrays of Bayer's pattern of any three filters: the middle one by the wavelength of its centre is on a
-        diagonal, the two others beside it."""
+        """Return the Bayer arrays of any three of the filters.
+
+        The filter with the middle centre wavelength is on a diagonal, the other two are beside it.
+        """
         centres = self.curves @ self.scenes.wavelength / self.curves.sum(axis=1)
         threes = (sorted(three, key=lambda each: float(centres[each])) for three in itertools.combinations(filters, 3))
         return [np.array([[green, red], [blue, green]]) for blue, green, red in threes if self.allowed([blue, green, red])]
 
     def require_same_pixel(self) -> None:
-        """Raise InputFileError if the moments are of another lens or pixel."""
-        ours, theirs = (self.pixel.pixel_pitch, self.pixel.optics.f_number), (self.scenes.pixel_pitch, self.scenes.f_number)
-        if not np.allclose(ours, theirs, rtol=SAME, atol=0):
-            given, wanted = (f"pixels of {1e6 * pitch:g} µm at f/{f_number:g}" for pitch, f_number in (theirs, ours))
-            text = f"{self.moments} is of {given}, the design of {wanted}"
+        """Raise InputFileError if the moments are for another lens or pixel."""
+        wanted, given = (self.pixel.pixel_pitch, self.pixel.optics.f_number), (self.scenes.pixel_pitch, self.scenes.f_number)
+        if not np.allclose(wanted, given, rtol=SAME, atol=0):
+            theirs, ours = (f"pixels of {1e6 * pitch:g} µm at f/{f_number:g}" for pitch, f_number in (given, wanted))
+            text = f"{self.moments} is for {theirs}, the design for {ours}"
             raise InputFileError(f"{text}; gather moments with ‹camera› {self.recipe}")
 
     def judged(self, arrays: Sequence[Cfa]) -> dict[str, NDArray]:
-        """Return the errors (array, level, group)."""
+        """Return the errors (array, level, group) of arrays."""
         return {"errors": np.array([self.problem.errors(cfa) for cfa in arrays])}
 
     def annealed(self, seed: int, which: tuple[int, int]) -> dict[str, NDArray]:
-        """Return the array that a run of annealing of a pattern comes to, from a random array; the first run, if it can be,
-        from the best of a quarter of the sites, repeated."""
+        """Return the array that one annealing run finds.
+
+        Parameters
+        ----------
+        seed : int
+            Seed of the random numbers.
+        which : tuple of int
+            Number of the pattern, and number of the run. Runs start from a random array, except that run 0 starts from the
+            best quarter of the array, repeated, if possible.
+        """
         (number, run), rng = which, np.random.default_rng([seed, *which])
         pattern = self.wanted.pattern[number]
         assert pattern.shape is not None
@@ -182,8 +207,22 @@ class Task:
         return curves
 
     def descended(self, seed: int, number: int) -> dict[str, NDArray]:
-        """Return the least error that a start, the first of them the given filters, leads to within bounds, and its centres,
-        sigmas and peaks (tuned filter, 3): by differences, which cost what a gradient does."""
+        """Tune the filters by gradient descent from one start.
+
+        The gradient is taken by finite differences, which cost as much as an analytic gradient.
+
+        Parameters
+        ----------
+        seed : int
+            Seed of the random numbers.
+        number : int
+            Number of the start. Start 0 is the given filters, the others are random.
+
+        Returns
+        -------
+        dict
+            "score" is the log of the smallest error, "parameters" (tuned filter, 3) are centres, sigmas and peaks.
+        """
         from scipy import optimize
 
         asked, tuned = self.wanted.optimise, [self.wanted.filters[name] for name in self.wanted.tuned]
@@ -212,18 +251,33 @@ class Task:
 
 @functools.lru_cache(maxsize=1)
 def _task(recipe: Path, moments: Path) -> Task:
-    """Return the task of this process."""
+    """Return this process's copy of a task."""
     return Task(recipe, moments)
 
 
 UNITS = {"lab": "ΔE00", "scielab": "ΔE of soft chroma", "luminance": "L*", "linear": "% of white"}
-LISTED = 100  # arrays, the best ones; beside them Bayer's and the best of each level
-SHIFT = 5.0  # nm, of a filter that is not as it should be
-DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # cd s/m², of the map of errors over light
+LISTED = 100  # number of best arrays in the report, which also lists the best Bayer array and the best of each level
+SHIFT = 5.0  # nm, shift of a filter in the sensitivity analysis
+DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # cd s/m², exposures in the map of error against light
 
 
 def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> Design:
-    """Return the design, its best arrays and the best of Bayer's among them, from errors (array, level, group)."""
+    """Rank the arrays and assemble the design.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+    arrays : sequence of ndarray, (row, col)
+        Evaluated arrays.
+    errors : ndarray, (array, level, group)
+        Their errors.
+
+    Returns
+    -------
+    Design
+        The best arrays, with the best Bayer array and the best array of each level.
+    """
     problem, names = task.problem, task.names
     levels = (errors * problem.share).sum(axis=2)
     scores = overall(levels)
@@ -263,7 +317,9 @@ def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> 
 
 
 def sensitivity(task: Task, cfa: Cfa) -> NDArray[np.float64]:
-    """Return by how much (filter) the error of an array changes, relative, if one filter lies SHIFT nm off."""
+    """Return the relative change (filter) of an array's error if one filter is shifted by SHIFT nm, in the worse
+    direction.
+    """
     changes, given, grid = np.zeros(len(task.curves)), task.problem.score(cfa), task.scenes.wavelength
     for place in np.unique(cfa):
         for shift in (-SHIFT, SHIFT):

@@ -1,7 +1,7 @@
-"""The pipeline a laboratory builds without training: white balance, demosaic, colour matrix (docs/method.md#basic-pipeline).
+"""The pipeline of a laboratory without training: white balance, demosaicking, colour matrix (docs/method.md#basic-pipeline).
 
-Clipped channels are left as they are: cutting all of them where the first clips keeps highlights neutral, but costs 0.6 ΔE00
-over faces at three light levels, and what a table is compared with should be the stronger of the two.
+Clipped channels remain as they are. Clipping all channels where the first one clips would keep highlights neutral, but
+costs 0.6 ΔE00 on faces at three light levels, and a baseline should be as strong as possible.
 """
 
 from collections.abc import Callable
@@ -17,30 +17,41 @@ from l3cli.evaluation.demosaic import Demosaic, interpolate
 from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
-# Balanced planes (channel, row, col) of a frame and what each channel was balanced by (channel) → the same for each filter
+# Combines balanced planes (channel, row, col) of several exposures, given the balance (channel), into one per filter
 Merge = Callable[[Array, TrainingPair, CameraModel, Array], Array]
-CLIPPED = 0.985  # share of full scale from which a sample is clipped
-TOUCHED = 0.02  # share of clipped samples among those that a pixel was interpolated from, above which it is clipped, too
-# of the matrix, relative to the mean square of the channels' differences: noise against colour (ΔE 1.7 of a chart)
+CLIPPED = 0.985  # fraction of full scale from which a sample counts as clipped
+TOUCHED = 0.02  # fraction of clipped samples in an interpolation above which its result counts as clipped
+# Regularisation relative to the mean square of the channels' differences, which trades noise for colour (ΔE 1.7 on a chart)
 RIDGE = 0.05
-BLIND = 1e-6  # of the brightest channel's white: below it a channel sees nothing of a light
-ENDS = ((min, 360.0, 0), (max, 830.0, -1))  # nm, of the CIE's observers
-UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # lights taken for one of which only the white is known
+BLIND = 1e-6  # a channel with a smaller response to white, relative to the brightest channel, does not see a light
+ENDS = ((min, 360.0, 0), (max, 830.0, -1))  # nm, range of the CIE observers
+UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # candidates for a light of which only the white is known
 
 
 @dataclass(frozen=True)
 class Colour:
-    """A camera's colour correction for one light, both sides relative to a perfect white."""
+    """Colour correction of a camera for one light, relative to a perfect white."""
 
-    balance: Array  # (channel) share of a perfect white of 1 cd/m² a photo-electron a second; 0: sees nothing of the light
-    matrix: Array  # (output, channel), each row sums to 1
+    balance: Array  # (channel) fraction of a white of 1 cd/m² per photo-electron per second; 0 if blind to the light
+    matrix: Array  # (output, channel), rows sum to 1
 
 
 def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum | None = None) -> Colour:
-    """Return XYZ under the light that is `wanted` (None: `light` itself) from the channels under `light`, by ridge
-    regression over measured reflectances on the lights' whole grids; white stays exactly white.
+    """Fit a colour matrix by ridge regression over measured reflectances. White remains exactly white.
 
-    InputFileError if eye or camera see nothing of a light.
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    light : LightSpectrum
+        Light on the scene.
+    wanted : LightSpectrum, optional
+        Light of the target XYZ. [default: `light`]
+
+    Raises
+    ------
+    InputFileError
+        If the eye or the camera does not see a light.
     """
     library, falling = lit_library(light)
     electrons = electrons_of(camera, light, library * falling)
@@ -57,12 +68,12 @@ def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum 
 
 
 def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) -> Array:
-    """Return the photo-electrons a second (sample, channel) of `radiances` (sample, wavelength) on a light's grid."""
+    """Return the photo-electrons per second (sample, channel) from `radiances` (sample, wavelength) on a light's grid."""
     return radiances @ (camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)).T
 
 
 def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
-    """Return the white and measured reflectances (sample, wavelength), and the light (wavelength) of 1 cd/m² on white."""
+    """Return white and the measured reflectances (sample, wavelength), and the light (wavelength) at 1 cd/m² on white."""
     radiance = light.radiance.astype(np.float64)
     if not spectra.xyz_weights(light.wavelength)[1] @ radiance > 0:
         raise InputFileError("a frame's light cannot be seen; simulate it again")
@@ -71,23 +82,38 @@ def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
 
 
 def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
-    """Return M (output, channel), rows of sum 1, that takes white-balanced channels (sample, channel) to outputs (sample,
-    output).
+    """Fit a matrix (output, channel) whose rows sum to 1, from white-balanced channels to outputs.
 
-    Ridge regression of what the outputs differ from the channels' mean by, on what the channels differ from it by."""
+    Both arrays are (sample, channel) and (sample, output). The ridge regression is between the differences of outputs and
+    channels from the mean of the channels.
+    """
     mean = channels.mean(axis=1, keepdims=True)
     differences = channels - mean
     gram = differences.T @ differences
     ridge = RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-    matrix = np.linalg.lstsq(gram + ridge, differences.T @ (outputs - mean))[0].T  # a single channel leaves 0 = 0
+    # lstsq instead of solve, because a single channel gives the equation 0 = 0
+    matrix = np.linalg.lstsq(gram + ridge, differences.T @ (outputs - mean))[0].T
     return matrix - matrix.mean(axis=1, keepdims=True) + 1.0 / len(gram)
 
 
 def develop(
     frame: TrainingPair, camera: CameraModel, colour: Colour, demosaic: Demosaic, merge: Merge | None = None
 ) -> Array:
-    """Return XYZ (3, row, col) in the target's unit of a frame's raw: black and dark off, white balance, demosaic, matrix.
-    `merge` is what is made of the exposures of a camera that has several."""
+    """Convert a raw frame to XYZ (3, row, col) in the target's unit.
+
+    Parameters
+    ----------
+    frame : TrainingPair
+        The frame.
+    camera : CameraModel
+        Its camera.
+    colour : Colour
+        White balance and matrix.
+    demosaic : callable
+        Demosaicking method.
+    merge : callable, optional
+        Combines the exposures of a camera that has several.
+    """
     electrons = _electrons(frame, camera)
     balance = colour.balance / (frame.luminance * frame.exposure)
     balanced = electrons * balance[camera.channel_map(frame.raw.shape)]
@@ -99,26 +125,29 @@ def develop(
 
 
 def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosaic: Demosaic) -> Array:
-    """Return the camera's bands (channel, row, col) in the target's unit of a frame's raw: black and dark off, white
-    balance, demosaic, white balance of the target (docs/method.md#baselines-for-bands). `relit`: the target's light is
-    another than the frame's.
+    """Convert a raw frame to the camera's bands (channel, row, col) in the target's unit.
 
-    InputFileError if the camera sees nothing of the light."""
-    share = camera.saturation_exposure / camera.full_scale  # of a target of the camera's bands, per electron a second
+    The steps are black and dark subtraction, white balance, demosaicking, and the white balance of the target
+    (docs/method.md#baselines-for-bands). `relit` says that the target has another light than the frame. Raises
+    InputFileError if the camera does not see the light.
+    """
+    share = camera.saturation_exposure / camera.full_scale  # target value of a band per electron per second
     white = white_electrons(frame, camera) if relit else frame.white / (share * camera.channel_gains)
     return balanced_bands(frame, camera, white, demosaic) * frame.white[:, None, None]
 
 
 def white_electrons(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Return the photo-electrons a second (channel) of a perfect white under the light of a frame."""
+    """Return the photo-electrons per second (channel) from a perfect white under the light of a frame."""
     light = light_of(frame, camera)
     falling = spectra.at_luminance(light.radiance.astype(np.float64), light.wavelength, frame.luminance)
     return electrons_of(camera, light, falling[None])[0]
 
 
 def balance_of(white: Array, exposure: float, camera: CameraModel) -> Array:
-    """Return the share of a perfect white (channel) a photo-electron, of a white of `white` (channel) electrons a second; 0
-    of channels that see nothing of the light. InputFileError if none does."""
+    """Return the fraction of a perfect white per photo-electron (channel), 0 for channels that do not see the light.
+
+    `white` (channel) is the signal of white in electrons per second. Raises InputFileError if no channel sees the light.
+    """
     if not white.max() > 0:
         raise InputFileError(f"camera {camera.name} sees nothing of a frame's light; simulate it under another")
     seen = white > BLIND * white.max()
@@ -126,14 +155,16 @@ def balance_of(white: Array, exposure: float, camera: CameraModel) -> Array:
 
 
 def balanced_bands(frame: TrainingPair, camera: CameraModel, white: Array, demosaic: Demosaic) -> Array:
-    """Return the camera's bands (channel, row, col) of a frame's raw, in shares of a perfect white of `white` (channel)
-    electrons a second; InputFileError as of `balance_of`."""
+    """Return the camera's bands (channel, row, col) of a raw frame, relative to a perfect white.
+
+    `white` (channel) is the signal of white in electrons per second.
+    """
     balance = balance_of(white, frame.exposure, camera)
     return demosaic(_electrons(frame, camera) * balance[camera.channel_map(frame.raw.shape)], camera.cfa)
 
 
 def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Return the photo-electrons (row, col) of a frame's raw."""
+    """Return the photo-electrons (row, col) of a raw frame."""
     signal = (frame.raw - camera.black_level) / camera.gain
     dark = camera.noise.dark_current * frame.dark_time
     if camera.readout is None:
@@ -143,7 +174,11 @@ def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
-    """Return the light of a frame; where it does not hold it, that of its name, or the common light nearest to its white."""
+    """Return the light of a frame.
+
+    If the frame does not contain it, it is the light with the frame's name, or the common light nearest to the frame's
+    white.
+    """
 
     def distance(white: Array) -> float:
         return float(np.hypot(*(white / white.sum() - frame.white / frame.white.sum())[:2]))
@@ -159,7 +194,7 @@ def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
 
 
 def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
-    """Return a light of a name that spectra.illuminant knows, at every nm of what the observer and the cameras see."""
+    """Return a named light at 1 nm over the range of the observer and of the cameras."""
     first, last = (bound(end, *(camera.wavelength[at] for camera in cameras)) for bound, end, at in ENDS)
     grid = np.arange(np.floor(first), last + 1.0)
     light = spectra.at_luminance(spectra.illuminant(name, grid), grid, 1.0)
@@ -170,7 +205,9 @@ def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
 
 
 def merges(camera: CameraModel) -> dict[str, Merge | None]:
-    """Return the ways to merge the exposures of a camera, by name, "basic" the best of them; nothing where all are alike."""
+    """Return the methods to merge the exposures of a camera, by name. "basic" is the best. The method is None if all are
+    alike.
+    """
     if camera.readout is None or np.ptp(camera.sensitivity) == 0:
         return {"basic": None}
     names = ("long", "short") if np.ptp(camera.readout.channel_exposure) else ("high gain", "low gain")
@@ -178,8 +215,10 @@ def merges(camera: CameraModel) -> dict[str, Merge | None]:
 
 
 def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Return all channels of a filter weighed by the inverse of their noise, without those clipped about a pixel; where all
-    are, the least sensitive."""
+    """Average the channels of each filter, weighted by inverse noise variance and without channels that clip around a pixel.
+
+    Where all channels clip, the least sensitive one remains.
+    """
     span, channels = camera.white_level - camera.black_level, np.arange(len(camera.channels))
     clipped = interpolate((frame.raw >= camera.black_level + CLIPPED * span).astype(np.float64), camera.cfa) > TOUCHED
     in_dn = (camera.gain * camera.channel_gains / np.where(balance > 0, balance, np.inf))[:, None, None]
@@ -195,12 +234,12 @@ def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Arr
 
 
 def most_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Return the longest exposure or highest gain of each filter alone."""
+    """Use only the longest exposure or highest gain of each filter."""
     return _chosen(planes, camera, np.argmax)
 
 
 def least_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Return the shortest exposure or lowest gain of each filter alone."""
+    """Use only the shortest exposure or lowest gain of each filter."""
     return _chosen(planes, camera, np.argmin)
 
 

@@ -1,4 +1,4 @@
-"""Cameras beside each other over the light on the scene: from which luminance on one of them is the better."""
+"""Compare cameras as a function of the light on the scene: above which luminance is which camera better?"""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -15,54 +15,56 @@ from l3cli.frames.scene import shown_alike
 from l3cli.physics.figures import in_words, sign
 from l3cli.system.text import short_names
 
-LARGEST = 1e12  # of a figure, of a luminance in cd/m²
-CLIPPING = 0.05  # of all pixels at full scale, from which on a camera is said to clip: highlights are fewer
+LARGEST = 1e12  # largest plausible value of a metric, or of a luminance in cd/m²
+CLIPPING = 0.05  # a camera clips if at least this fraction of its pixels is at full scale; highlights are fewer
 OTHER_SCENES = (
-    "the evaluations are of other scenes or lights, and not compared in words; simulate all with one recipe and seed"
+    "the evaluations show different scenes or lights, so there is no verdict; simulate all with one recipe and seed"
 )
-UNKNOWN_SCENES = "not every frame says what it shows: that scenes and lights are the same is not known; simulate them again"
+UNKNOWN_SCENES = "frames without fingerprints: scenes and lights may differ between the evaluations; simulate them again"
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A figure of one camera over luminances."""
+    """A metric of one camera as a function of luminance."""
 
     name: str
-    luminance: tuple[float, ...]  # cd/m² of a perfect white, rising
+    luminance: tuple[float, ...]  # cd/m² of a perfect white, increasing
     value: tuple[float, ...]
-    clipped: tuple[float, ...] = ()  # share of the pixels at full scale; none: evaluated by an older version
-    exposure: tuple[float, ...] = ()  # s, the longest at each luminance
+    clipped: tuple[float, ...] = ()  # fraction of pixels at full scale; empty if evaluated by an older version
+    exposure: tuple[float, ...] = ()  # s, longest exposure at each luminance
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Each figure of every camera over the light, and of every two cameras where the better one changes."""
+    """All metrics of every camera as functions of luminance, and the luminances at which another camera becomes the
+    better one.
+    """
 
-    curves: dict[str, list[Curve]]  # by figure, in the order of the evaluations
-    alike: bool | None  # whether all cameras were shown the same; None: not known
+    curves: dict[str, list[Curve]]  # by metric, in the order of the evaluations
+    alike: bool | None  # whether all cameras saw the same scenes; None if unknown
 
     @property
     def cameras(self) -> list[Curve]:
-        """Return the curves of the first figure, one of each camera."""
+        """Curves of the first metric, one per camera."""
         return next(iter(self.curves.values()))
 
     def sentences(self, figure: str) -> list[str]:
-        """Return which camera is the better by a figure, where, and by how much; none if shown other scenes."""
+        """Say for each pair of cameras which is better, where, and by how much. Empty if the scenes differ."""
         pairs = [] if self.alike is False else itertools.combinations(self.curves[figure], 2)
         return [verdict(one, other, figure) for one, other in pairs]
 
     @property
     def doubt(self) -> str | None:
-        """Return why several cameras may not be comparable."""
+        """Why the cameras may not be comparable, or None."""
         return {False: OTHER_SCENES, None: UNKNOWN_SCENES}.get(self.alike) if len(self.cameras) > 1 else None
 
     @property
     def clipping(self) -> list[str]:
-        """Return from which luminance on each camera clips."""
+        """For each camera that clips, a sentence with the luminance at which clipping begins."""
         return list(filter(None, map(clipping, self.cameras)))
 
     def document(self) -> dict[str, Any]:
-        """Return all of it, ready for JSON."""
+        """Return the comparison, ready for JSON."""
         cameras = [
             {"camera": camera.name, "luminance": list(camera.luminance)}
             | {figure: list(curves[index].value) for figure, curves in self.curves.items()}
@@ -78,8 +80,24 @@ class Comparison:
 
 
 def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
-    """Return the mean of `figure` at each luminance, from the document of `l3 evaluate --json` in `file`; InputFileError if
-    it lacks them, RecipeError if its frames have no figure of that name."""
+    """Return the mean of a metric at each luminance.
+
+    Parameters
+    ----------
+    document : mapping
+        Contents of a file from `l3 evaluate --json`.
+    figure : str
+        Key of the metric.
+    file : Path
+        The file, for messages.
+
+    Raises
+    ------
+    InputFileError
+        If the document has no metrics by luminance.
+    RecipeError
+        If it has no metric of that name.
+    """
     try:
         known = {name for frame in document["frames"] for name in frame[OURS]}
         if known and figure not in known:
@@ -103,7 +121,7 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
 
 
 def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
-    """Return the curves, with the names of their files where cameras are of one name."""
+    """Add file names to the names of cameras that occur more than once."""
     names = [curve.name for curve in curves]
     return [
         curve if names.count(curve.name) == 1 else replace(curve, name=f"{curve.name} ({file.removesuffix('.json')})")
@@ -112,8 +130,10 @@ def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
 
 
 def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:
-    """Return whether the frames of all documents show the same scenes and lights; None: not every frame has fingerprints.
-    InputFileError if a document is none of `l3 evaluate`."""
+    """Whether the frames of all documents show the same scenes and lights. None if a frame has no fingerprint.
+
+    Raises InputFileError if a document is not from `l3 evaluate`.
+    """
     try:
         first, *others = map(_shown, documents)
         if not all(itertools.chain(first.values(), *(other.values() for other in others))):
@@ -144,8 +164,7 @@ def require_comparable(curves: list[Curve]) -> None:
 
 
 def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
-    """Return the luminances (cd/m²) at which the better of two curves changes, on a logarithmic scale between their
-    points."""
+    """Return the luminances (cd/m²) at which the better of two curves changes, interpolated on a logarithmic scale."""
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     luminances = []
     for at, to in pairwise(np.flatnonzero(lead)):
@@ -158,7 +177,7 @@ def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
 
 
 def verdict(one: Curve, other: Curve, figure: str) -> str:
-    """Return which of two curves is the better where, and by how much at most."""
+    """Say which of two cameras is better in which range of luminance, and by how much at most."""
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     if not lead.any():
         return f"{figure}: {one.name} and {other.name} are equal at every luminance."
@@ -180,8 +199,7 @@ def _range(low: float, high: float) -> str:
 
 
 def clipping(curve: Curve) -> str | None:
-    """Return from which luminance on a camera clips, at least CLIPPING of its pixels at each; None if it does not, or if
-    that is not known."""
+    """Say from which luminance a camera clips, or return None if it does not clip or if that is unknown."""
     some = [share >= CLIPPING for share in curve.clipped]
     if not some or not some[-1]:
         return None
@@ -193,6 +211,6 @@ def clipping(curve: Curve) -> str | None:
 
 
 def _time(seconds: float) -> str:
-    """Return an exposure as photographers write it: a fraction of a second where it is one."""
+    """Format an exposure time as photographers write it, such as 1/60 s."""
     parts = round(1.0 / seconds)
     return f"1/{parts} s" if parts > 1 and abs(parts * seconds - 1.0) < 0.01 else f"{seconds:.3g} s"

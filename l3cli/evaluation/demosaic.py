@@ -1,7 +1,8 @@
-"""Full-resolution channels from a mosaic by the methods that a table is compared with: nothing here learns anything.
+"""Demosaicking methods that a table is compared with. None of them is trained.
 
-Methods take a mosaic (row, col) of CFA phase (0, 0), in those of bands one in which a perfect white is 1 in every band
-(docs/method.md#baselines-for-bands), and give channels (channel, row, col). Borders are mirrored in phase.
+Methods take a mosaic (row, col) that begins at CFA phase (0, 0), and return channels (channel, row, col) at full
+resolution. For methods for bands, a perfect white is 1 in every band of the mosaic (docs/method.md#baselines-for-bands).
+Borders are mirrored in phase.
 """
 
 import functools
@@ -25,16 +26,18 @@ CFA = NDArray[np.uint8]
 Demosaic = Callable[[Array, CFA], Array]
 Direction = tuple[int, int]  # signs of a row and a column offset
 DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
-PERIODS = 4  # of margin, beyond the reach of every method of bands; a frame is wrapped round there
-CODES = 255.0  # of a perfect white: the unit of the 1 in PPID's weights
-SIGMA = 0.55  # of the Gaussian, in distances between neighbouring samples of a channel: best on dead leaves (five-band)
+PERIODS = 4  # width of the margin in periods, beyond the reach of all methods for bands, which wrap around
+CODES = 255.0  # value of a perfect white, which sets the scale of the constant 1 in PPID's weights
+SIGMA = 0.55  # sigma of the Gaussian in sample distances of a channel, the best value for dead leaves (five-band)
 MARGIN = 8  # pixels, even, beyond the reach of the Bayer methods
 
 
 def interpolate(mosaic: Array, cfa: CFA) -> Array:
-    """Return the channels (channel, row, col) of a mosaic (row, col), each by itself: Gaussian-weighted mean of the
-    channel's samples about a pixel (normalised convolution, Knutsson and Westin 1993), mirrored at the borders. Any CFA;
-    exact where flat."""
+    """Interpolate each channel on its own, for any CFA.
+
+    The result (channel, row, col) is a Gaussian-weighted mean of the channel's samples around a pixel (normalised
+    convolution, Knutsson and Westin 1993). It is exact for uniform areas. Borders are mirrored.
+    """
     from scipy.ndimage import gaussian_filter
 
     channel = tiled(cfa, mosaic.shape)
@@ -42,7 +45,7 @@ def interpolate(mosaic: Array, cfa: CFA) -> Array:
     for index in range(int(cfa.max()) + 1):
         sampled = (channel == index).astype(np.float64)
         sigma = SIGMA * np.sqrt(cfa.size / (cfa == index).sum())
-        reach = max(cfa.shape)  # no pixel is further from a sample of the channel
+        reach = max(cfa.shape)  # every pixel has a sample of the channel within this distance
         planes.append(
             gaussian_filter(mosaic * sampled, sigma, mode="mirror", radius=reach)
             / gaussian_filter(sampled, sigma, mode="mirror", radius=reach)
@@ -51,23 +54,26 @@ def interpolate(mosaic: Array, cfa: CFA) -> Array:
 
 
 def malvar(mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate, as `interpolate`, a Bayer CFA: Malvar, He and Cutler 2004, by colour-demosaicing."""
+    """Interpolate a Bayer CFA with the method of Malvar, He and Cutler 2004, from colour-demosaicing."""
     return _by_colour_demosaicing("demosaicing_CFA_Bayer_Malvar2004", mosaic, cfa)
 
 
 def menon(mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate, as `interpolate`, a Bayer CFA: Menon, Andriani and Calvagno 2007, by colour-demosaicing."""
+    """Interpolate a Bayer CFA with the method of Menon, Andriani and Calvagno 2007, from colour-demosaicing."""
     return _by_colour_demosaicing("demosaicing_CFA_Bayer_Menon2007", mosaic, cfa)
 
 
 def baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return every method for pictures that fits a CFA and is installed, by name; "basic" is always among them."""
+    """Return every installed method for pictures that fits a CFA, by name. "basic" is always included."""
     return _with_plugins({"basic": interpolate} | _bayer_baselines(cfa), cfa)
 
 
 def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return, as `baselines`, for the camera's own bands at every pixel: "bilinear" where it is a method of the field, with
-    "sd" and "ppid" where every band occurs once a period; else "basic"."""
+    """Return every installed method for a camera's own bands, by name.
+
+    CFAs in which every band occurs once per period have "bilinear", "sd" and "ppid". Bayer CFAs have "bilinear" and the
+    Bayer methods. Others have "basic".
+    """
     if occurs_once(cfa):
         return _with_plugins({"bilinear": bilinear, "sd": spectral_difference, "ppid": ppi_difference}, cfa)
     if bayer_roles(cfa) is not None:
@@ -76,15 +82,18 @@ def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def best_of_bands(cfa: CFA) -> Demosaic:
-    """Return the best method for bands of l3 itself that fits a CFA and is installed: PPID where every band occurs once a
-    period, Menon's for Bayer, else normalised convolution."""
+    """Return the best of l3's own methods for bands: PPID if every band occurs once per period, Menon for Bayer if
+    installed.
+
+    For other CFAs it is normalised convolution.
+    """
     if occurs_once(cfa):
         return ppi_difference
     return _bayer_baselines(cfa).get("menon", interpolate)
 
 
 def bayer_roles(cfa: CFA) -> tuple[int, int, int] | None:
-    """Return which channels of a Bayer CFA play red, green, blue: green is on a diagonal; None if it is no such CFA."""
+    """Return the channels that play red, green and blue in a Bayer CFA, or None for other CFAs. Green is on a diagonal."""
     if cfa.shape != (2, 2) or sorted(np.bincount(cfa.ravel()).tolist()) != [1, 1, 2]:
         return None
     for one, other in (((0, 0), (1, 1)), ((0, 1), (1, 0))):
@@ -101,12 +110,14 @@ def _bayer_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
-    """Return `known` methods and those of installed packages (docs/python.md#a-baseline). L3Error if one of these fails, or
-    has the name of a known one."""
+    """Add the methods of installed packages to `known` (docs/python.md#a-baseline).
+
+    Raises L3Error if a package fails, or if its method has the name of a known one.
+    """
     methods = dict(known)
     for name, entry in plugins(BASELINES).items():
         if name in known:
-            raise L3Error(f"{described(entry)} is called like a baseline of l3 itself; rename it")
+            raise L3Error(f"{described(entry)} has the name of one of l3's own baselines; rename it")
         with blamed(entry):
             method = entry.load()(cfa)
         if method is not None:
@@ -115,12 +126,12 @@ def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
 
 
 def _interpolated_by(entry: EntryPoint, method: Callable[[Array], Array], mosaic: Array, cfa: CFA) -> Array:
-    """Return the channels (channel, row, col) of a mosaic (row, col) by a method of a package; L3Error if they are none."""
+    """Interpolate a mosaic (row, col) with the method of a package. Raises L3Error if the result is invalid."""
     with blamed(entry):
         planes = np.asarray(method(mosaic), np.float64)
         shape = (int(cfa.max()) + 1, *mosaic.shape)
         if planes.shape != shape or not np.isfinite(planes).all():
-            raise ValueError(f"channels must be finite and of shape {shape}; these are of {planes.shape}")
+            raise ValueError(f"channels must be finite and of shape {shape}; their shape is {planes.shape}")
     return planes
 
 
@@ -133,7 +144,7 @@ def _by_colour_demosaicing(name: str, mosaic: Array, cfa: CFA) -> Array:
         assert roles is not None
         letter = dict(zip(roles, "RGB", strict=True))
         pattern = "".join(letter[int(channel)] for channel in cfa.ravel())
-        padded = pad_mosaic(mosaic, MARGIN, cfa.shape)  # the package itself breaks the mosaic's phase at the borders
+        padded = pad_mosaic(mosaic, MARGIN, cfa.shape)  # the package's own padding breaks the mosaic's phase
         planes = cropped(np.moveaxis(getattr(colour_demosaicing, name)(padded, pattern), -1, 0), MARGIN)
     return planes[[roles.index(channel) for channel in range(3)]]
 
@@ -142,20 +153,24 @@ def _by_colour_demosaicing(name: str, mosaic: Array, cfa: CFA) -> Array:
 
 
 def occurs_once(cfa: CFA) -> bool:
-    """Return whether every band of a CFA of at least 2×2 occurs once a period."""
+    """Whether every band of a CFA of at least 2×2 occurs once per period."""
     return min(cfa.shape) > 1 and int(cfa.max()) + 1 == cfa.size == np.unique(cfa).size
 
 
 def bilinear(mosaic: Array, cfa: CFA) -> Array:
-    """Return every band by itself: samples nearer than a period weighed by triangles, "weighted bilinear" (Brauers and Aach
-    2006). Of a Bayer CFA this is bilinear interpolation."""
+    """Interpolate every band on its own, with triangular weights for samples less than a period away.
+
+    The method is "weighted bilinear" (Brauers and Aach 2006). For a Bayer CFA it is bilinear interpolation.
+    """
     return _by_site(mosaic, cfa, lambda padded: lambda site: _interpolated(padded, cfa, site))
 
 
 def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
-    """Return the bands by Brauers and Aach, "A color filter array based multispectral camera", 2006. Differences of bands
-    are interpolated: at a pixel of band l the differences of all samples from the bilinear plane of l are, and l's sample is
-    added."""
+    """Interpolate differences of bands (Brauers and Aach, "A color filter array based multispectral camera", 2006).
+
+    At a pixel of band l, the differences of all samples from the bilinear plane of l are interpolated, and l's sample is
+    added.
+    """
 
     def method(padded: Array) -> Callable[[Direction], Array]:
         plain = _all_sites(padded, cfa, lambda site: _interpolated(padded, cfa, site))
@@ -169,9 +184,12 @@ def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
 
 
 def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
-    """Return PPID (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing using pseudo-panchromatic image", IEEE
-    Trans. Computational Imaging 3, 2017, equations 21 to 34) for a CFA that `occurs_once`: the differences of all samples
-    from the pseudo-panchromatic image, the mean of all bands, are interpolated along edges."""
+    """Demosaick with PPID for a CFA that `occurs_once`.
+
+    The differences of all samples from the pseudo-panchromatic image, the mean of all bands, are interpolated along edges
+    (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing using pseudo-panchromatic image", IEEE Trans.
+    Computational Imaging 3, 2017, equations 21 to 34).
+    """
 
     def method(padded: Array) -> Callable[[Direction], Array]:
         values = CODES * padded
@@ -188,8 +206,10 @@ def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
 
 
 def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
-    """Return the pseudo-panchromatic image (row, col) of a mosaic: its mean over a period, sharpened by what the mosaic's
-    samples of the same band a period away lie off theirs (equations 23 to 28)."""
+    """Return the pseudo-panchromatic image (row, col) of a mosaic (equations 23 to 28).
+
+    It is the mean over a period, sharpened by the differences between samples and mean at the same band a period away.
+    """
     from scipy.ndimage import correlate1d
 
     smooth = values
@@ -205,18 +225,20 @@ def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direc
 
 
 def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Array]:
-    """Return by direction the weight (row, col) of what lies there: small where samples of the same band, a period apart,
-    differ (equations 25 to 27); 1 of the pixel itself."""
+    """Return the weight (row, col) of the neighbours in each direction (equations 25 to 27).
+
+    Weights are small where samples of the same band, a period apart, differ. The weight of the pixel itself is 1.
+    """
     weights: dict[Direction, Array] = {(0, 0): np.ones(values.shape)}
     for down, right in DIRECTIONS:
         change = np.abs(values - _moved(values, _step((down, right), period)))
         total = np.ones(values.shape)
-        for prefetched, aside in itertools.product((0, 1), (-1, 0, 1)):
+        for ahead, aside in itertools.product((0, 1), (-1, 0, 1)):
             if down and right:
-                place = ((prefetched + (aside < 0)) * down, (prefetched + (aside > 0)) * right)
+                place = ((ahead + (aside < 0)) * down, (ahead + (aside > 0)) * right)
             else:
-                place = (prefetched * down + aside * right, prefetched * right + aside * down)
-            total += (2 - prefetched) * (2 - abs(aside)) * _moved(change, place)
+                place = (ahead * down + aside * right, ahead * right + aside * down)
+            total += (2 - ahead) * (2 - abs(aside)) * _moved(change, place)
         weights[down, right] = 1.0 / total
     return weights
 
@@ -225,8 +247,11 @@ def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Arr
 
 
 def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Direction, Array] | None = None) -> Array:
-    """Return bands (band, row, col) at the pixels of a CFA site, from the samples of `plane` less than a period away:
-    weighed by a triangle in either direction, and by `weights` of their direction. The site's own band is the sample."""
+    """Return all bands (band, row, col) at the pixels of a CFA site, from samples of `plane` less than a period away.
+
+    Samples have triangular weights in both directions, times the `weights` of their direction if given. The site's own band
+    is the sample itself.
+    """
     total = np.zeros((int(cfa.max()) + 1, *_samples(plane, cfa, site).shape))
     norm = np.zeros_like(total)
     for down, right in itertools.product(*(range(1 - length, length) for length in cfa.shape)):
@@ -242,7 +267,7 @@ def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Dire
 
 
 def _by_site(mosaic: Array, cfa: CFA, method: Callable[[Array], Callable[[Direction], Array]]) -> Array:
-    """Return the result of a method, prepared with the padded mosaic, at the pixels of every site; without the margin."""
+    """Apply a method, prepared with the padded mosaic, at the pixels of every site, and remove the margin."""
     margin = PERIODS * math.lcm(*cfa.shape)
     return cropped(_all_sites(padded := pad_mosaic(mosaic, margin, cfa.shape), cfa, method(padded)), margin)
 
@@ -255,7 +280,7 @@ def _all_sites(padded: Array, cfa: CFA, at: Callable[[Direction], Array]) -> Arr
 
 
 def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)) -> Array:
-    """Return the samples of a plane at `offset` from the pixels of a site; beyond the end those of the other end."""
+    """Return the samples of a plane at `offset` from the pixels of a site. Beyond its ends, the plane wraps around."""
     rows, cols = (
         (np.arange(first, length, step) + by) % length
         for first, length, step, by in zip(site, plane.shape, cfa.shape, offset, strict=True)
@@ -264,10 +289,10 @@ def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)
 
 
 def _moved(plane: Array, by: tuple[int, ...]) -> Array:
-    """Return at every pixel what lies at an offset from it."""
+    """Return for every pixel the value at an offset from it."""
     return np.roll(plane, tuple(-each for each in by), (0, 1))
 
 
 def _step(direction: Direction, period: tuple[int, ...]) -> tuple[int, ...]:
-    """Return a period in a direction."""
+    """Return the offset of one period in a direction."""
     return tuple(sign * length for sign, length in zip(direction, period, strict=True))

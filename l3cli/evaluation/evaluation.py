@@ -1,5 +1,7 @@
-"""A table judged frame by frame beside pipelines that learn nothing, and what comes out of it all as one document;
-mean errors by class, to see which are worst."""
+"""Evaluate a table frame by frame against untrained pipelines, and collect all results in one document.
+
+The document includes mean errors by class, which show the worst classes.
+"""
 
 import dataclasses
 import itertools
@@ -27,12 +29,15 @@ from l3cli.physics.figures import known_mean, sign
 from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 
 Array = NDArray[np.floating]
-LEAST_SHARE = 1e-3  # of all pixels that a class needs to be listed among the worst
-LISTED = 10
+LEAST_SHARE = 1e-3  # fraction of all pixels that a class needs to be listed among the worst
+LISTED = 10  # number of worst classes
 
 
 class ClassErrors:
-    """Sums of pixel errors by level, contrast, further features and kind (chroma or saturation case), over all CFA sites."""
+    """Sums of pixel errors by class feature: level, contrast, further features and kind (chroma or saturation case).
+
+    All CFA sites are summed together.
+    """
 
     def __init__(self, table: TransformTable, pipelines: tuple[str, ...]) -> None:
         self._rule, self._table = table.first.rule, table
@@ -40,7 +45,15 @@ class ClassErrors:
         self._sums = {name: np.zeros(table.first.rule.shape) for name in pipelines}
 
     def add(self, labels: NDArray[np.integer], errors: dict[str, Array]) -> None:
-        """Count pixels of a frame: the class (…) of each and the error (…) of every pipeline there."""
+        """Add the pixels of a frame.
+
+        Parameters
+        ----------
+        labels : ndarray, (…)
+            Class of each pixel.
+        errors : dict of str to ndarray, (…)
+            Pipeline → error of each pixel.
+        """
         rule = self._rule
         within, classes = rule.within_site(labels.ravel()), rule.classes_per_site
         self._pixels += rule.by_axis(np.bincount(within, minlength=classes))[0]
@@ -48,8 +61,7 @@ class ClassErrors:
             self._sums[name] += rule.by_axis(np.bincount(within, weights=error.ravel(), minlength=classes))[0]
 
     def by_axis(self, figure: str) -> dict[str, list[dict[str, Any]]]:
-        """Return the mean error, called `figure`, of the classes met along each axis: level, contrast, chroma, saturation
-        and further features."""
+        """Return the mean error, named `figure`, of the classes that occur along each feature axis."""
         table, rule = self._table, self._rule
         axes: dict[str, list[tuple[dict[str, Any], Any]]] = {
             "level": [(level.entry(table, index), np.s_[index]) for index in range(rule.levels)],
@@ -66,7 +78,7 @@ class ClassErrors:
         return {axis: [entry for entry in entries if entry["pixels"]] for axis, entries in every.items()}
 
     def worst(self, figure: str, pipeline: str) -> list[dict[str, Any]]:
-        """Return the classes of the largest mean error of `pipeline` among those of at least a thousandth of the pixels."""
+        """Return the classes with the largest mean error of a pipeline, among classes with enough pixels."""
         pixels = np.maximum(self._pixels, 1)
         seen = self._pixels >= max(LEAST_SHARE * self._pixels.sum(), 1)
         mean = np.where(seen, self._sums[pipeline] / pixels, -1.0)
@@ -88,16 +100,39 @@ class ClassErrors:
         return {**about, "pixels": pixels, **means}
 
 
-FORMAT = 3  # of the document; a change of its keys raises it
-OURS = "ours"
+FORMAT = 3  # version of the document, increased when its keys change
+OURS = "ours"  # key of the table's results in documents
 TAKEN = {
     "scene", "illuminant", "luminance", "frames", "pixels", "from", "to", "band", "case", "varies", *AXES, "ideal", "error",
-}  # fmt: skip # names that documents and pictures have for something else than a pipeline
-LARGEST = 1e24  # cd/m² that a table may answer with: its square, summed up, is a number
+}  # fmt: skip # names with another meaning in documents and pictures, which no pipeline may have
+LARGEST = 1e24  # cd/m², largest output of a table; sums of its square stay finite
 
 
 class Evaluation:
-    """Figures of a table on the frames of a training set, gathered frame by frame; memory holds no pictures."""
+    """Metrics of a table on the frames of a training set, collected frame by frame without keeping pictures in memory.
+
+    Parameters
+    ----------
+    table : TransformTable
+        The table.
+    head : TrainingSet
+        Describes the frames.
+    viewing : float
+        Samples per degree for S-CIELAB.
+    border : int, optional
+        Pixels left out at each edge of a frame. [default: pixels whose patch is not inside the frame]
+    rivals : sequence of str
+        Names of other pipelines, whose pictures are passed to `planes`.
+    drawn : callable, optional
+        Provides training frames for the estimates of reflectances and radiances. Without it there are no estimates.
+
+    Raises
+    ------
+    InputFileError
+        If table and frames have different CFAs or outputs.
+    RecipeError
+        If rivals cannot be compared because outputs are not XYZ, or if a name is already in use.
+    """
 
     def __init__(
         self,
@@ -108,12 +143,6 @@ class Evaluation:
         rivals: Sequence[str] = (),
         drawn: Drawn | None = None,
     ) -> None:
-        """Begin with no frame. `border`: pixels left out at each edge of a frame; None: those whose patch is not inside it.
-        `rivals`: names of further pipelines, of whose pictures `add` is given the XYZ. `drawn`: what estimates of
-        reflectances and radiances learn from; None: there are none.
-
-        InputFileError if table and frames are of different CFAs or outputs, RecipeError if a rival cannot be compared or has
-        the name of something else."""
         camera = head.camera
         if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
             raise InputFileError("the frames are of a camera with another CFA than the table; evaluate a matching pair")
@@ -133,49 +162,61 @@ class Evaluation:
             self._estimates = Estimates(camera, drawn)
         if rivals and not self._pictures:
             raise RecipeError(
-                f"rivals are pictures, and the table's outputs are {', '.join(table.outputs)}; leave ‹rival› out"
+                f"rivals are pictures, but the table's outputs are {', '.join(table.outputs)}; leave ‹rival› out"
             )
         self._rivals = tuple(rivals)
         for name in self.pipelines:
             if self.pipelines.count(name) > 1 or name in TAKEN:
-                raise RecipeError(f'no two pipelines and no figure may have one name; rename "{name}"')
+                raise RecipeError(f'the name "{name}" is already in use; rename the pipeline')
         self._figure = "mean_delta_e" if self._pictures else "mean_angle"
-        self._colours: dict[bytes, Colour] = {}  # by light
+        self._colours: dict[bytes, Colour] = {}  # colour correction of each light
         self._frames: list[dict[str, Any]] = []
         self._patches: list[tuple[tuple[float, float], list[str], dict[str, Array]]] = []  # level, kinds, variances
-        self._bands: list[dict[str, list[dict[str, float]]]] = []  # by frame, pipeline, output
+        self._bands: list[dict[str, list[dict[str, float]]]] = []  # metrics by frame, pipeline and output
         self._classes = ClassErrors(table, self.pipelines)
 
     @property
     def pipelines(self) -> tuple[str, ...]:
-        """Return "ours", the baselines (none where the outputs are neither XYZ nor a spectrum), and the rivals."""
+        """Names of the pipelines: "ours" (the table), baselines, estimates and rivals.
+
+        There are no baselines if the outputs are neither XYZ nor the camera's bands.
+        """
         return (OURS, *self._baselines, *(ESTIMATES if self._estimates else ()), *self._rivals)
 
     def planes(self, frame: TrainingPair, outputs: Array, rivals: Mapping[str, Array] | None = None) -> dict[str, Array]:
-        """Return the planes (output, row, col) of every pipeline in the target's unit, for a frame whose raw the table
-        rendered to `outputs` (output, row, col), and every rival to XYZ planes (3, row, col) in that unit.
+        """Return the planes (output, row, col) of every pipeline in the target's unit.
 
-        InputFileError if the frame is too small to have pixels whose neighbourhood lies inside it, if its light is dark, or
-        if `outputs` are no colours.
+        Parameters
+        ----------
+        frame : TrainingPair
+            Raw frame with its target.
+        outputs : ndarray, (output, row, col)
+            The frame rendered by the table.
+        rivals : mapping, optional
+            Rival → XYZ planes (3, row, col) in the target's unit.
+
+        Raises
+        ------
+        InputFileError
+            If no pixel has its whole neighbourhood inside the frame, if the light is dark, or if `outputs` are not finite.
         """
         border = self._border
         if min(frame.raw.shape) <= 2 * border:
             size = "×".join(map(str, frame.raw.shape))
             raise InputFileError(
-                f"frame {frame.scene} has {size} pixels, none inside a border of {border}; give larger frames"
+                f"frame {frame.scene} of {size} pixels has none inside a border of {border}; give larger frames"
             )
         estimated = self._estimates.planes(frame) if self._estimates else {}
         return self.developed(frame, outputs) | estimated | dict(rivals or {})
 
     def developed(self, frame: TrainingPair, outputs: Array) -> dict[str, Array]:
-        """Return `planes` of every pipeline but rivals and estimates of spectra, of a frame of any size; InputFileError as
-        there."""
+        """Return `planes` of the table and the baselines, without rivals and estimates, for a frame of any size."""
         if self._pictures and not frame.white[1] > 0:
             raise InputFileError(f"frame {frame.scene} has a white without luminance; simulate it again")
         with np.errstate(over="ignore"):
             ours = outputs * (self._table.output_unit / frame.exposure)
         if not np.abs(ours).max() <= LARGEST:
-            raise InputFileError(f"the table renders frame {frame.scene} to numbers beyond all light; train it again")
+            raise InputFileError(f"the table renders frame {frame.scene} to impossibly large values; train it again")
         planes: dict[str, Array] = {OURS: ours}
         for name, demosaic in self._baselines.items():
             if self._pictures:
@@ -185,7 +226,7 @@ class Evaluation:
         return planes
 
     def add(self, frame: TrainingPair, planes: dict[str, Array], labels: NDArray[np.integer]) -> None:
-        """Count a frame by the `planes` of every pipeline, and the classes `labels` (row, col) of the table's."""
+        """Add a frame, with the `planes` of every pipeline and the table's classes `labels` (row, col)."""
         border = self._border
         black_level = self._camera.black_level + self._camera.dark_signal(frame.dark_time)
         level = float(frame.raw.mean() - black_level) / (self._camera.white_level - self._camera.black_level)
@@ -209,34 +250,41 @@ class Evaluation:
         self._frames.append({**about, **{name: dataclasses.asdict(figures) for name, (figures, _) in judged.items()}})
         if not self._pictures:
             self._bands.append({name: band_figures(of, **wanted) for name, of in planes.items()})
-        known = np.isfinite(judged[OURS][1])  # the target alone decides
+        known = np.isfinite(judged[OURS][1])  # the same for all pipelines, since only the target matters
         self._classes.add(cropped(labels, border)[known], {name: errors[known] for name, (_, errors) in judged.items()})
 
     def document(self, by_gain: Sequence[dict[str, Any]] = ()) -> dict[str, Any]:
-        """Return all figures, ready for JSON. The keys are those of `l3 evaluate --json`:
+        """Return all metrics, ready for JSON, with the keys of `l3 evaluate --json`.
 
-        format         3, raised when keys change
-        camera, outputs, viewing (samples a degree of S-CIELAB), border (pixels left out at each edge), pipelines ("ours"
-                       first, rivals last)
-        frames         scene, illuminant, luminance (cd/m²), level (mean signal above the dark / full scale), exposure (s),
-                       clipped (share of the pixels at full scale), shown (scene, light: what they are known by; null where
-                       nothing is), then per pipeline the fields of Quality (XYZ), ReflectanceQuality (reflectances) or
-                       BandQuality (other outputs)
-        mean           per pipeline the mean of every figure over the frames
-        better         per other pipeline: in how many frames ours is better, by figure
-        by_level       from, to (of the frames' level, a factor of two), frames, then per pipeline the mean figures
-        by_illuminant  illuminant, frames, then as by_level
-        by_gain        of a table for several analog gains: gain over its camera's, then as by_illuminant, of a few frames
-                       exposed again at each
-        by_patch       plain patches of one kind at frames of one level: from, to, kind, patches, per pipeline mottle
-        by_band        outputs that are not XYZ: band, then per pipeline psnr, output_psnr and ssim, means over the frames
-        by_class       level, contrast, chroma, saturation: lists of what names a class, pixels, per pipeline the mean error;
-                       pixels without an angle are left out
-        standards      edge (by direction: frequency in cycles/pixel, mtf and mtf50 of lens and pixel and of each pipeline),
-                       grey (null without absolute curves: SNR of a grey at each lux in closed form, of raw and of
-                       pipelines, and where it is 10), chart (null without a band of the curves: per pipeline the mean
-                       ΔE00 by drawn cameras), figures (per pipeline mtf50_rows, mtf50_columns, snr10, camera_delta_e)
-        worst_classes  level, from, to, contrast, chroma (null if saturated), case, pixels, per pipeline the mean error
+        Returns
+        -------
+        dict
+            With these entries:
+
+            * format: 3, increased when keys change
+            * camera, outputs, viewing (samples per degree of S-CIELAB), border (pixels left out at each edge)
+            * pipelines: "ours" first, rivals last
+            * frames: scene, illuminant, luminance (cd/m²), level (mean signal above the dark relative to full scale),
+              exposure (s), clipped (fraction of pixels at full scale), shown (fingerprints of scene and light; null if
+              unknown), then per pipeline the fields of Quality (XYZ), ReflectanceQuality (reflectances) or BandQuality
+              (other outputs)
+            * mean: per pipeline, the mean of every metric over the frames
+            * better: per other pipeline and metric, the number of frames in which the table is better
+            * by_level: from, to (a range of a factor of two of the frames' level), frames, then per pipeline the mean
+              metrics
+            * by_illuminant: illuminant, frames, then as in by_level
+            * by_gain: for tables with several analog gains, gain relative to the camera's, then as in by_illuminant, for a
+              few frames exposed again at each gain
+            * by_patch: uniform patches of one kind in frames of one level: from, to, kind, patches, per pipeline the mottle
+            * by_band: for outputs other than XYZ, band, then per pipeline the mean psnr, output_psnr and ssim over the
+              frames
+            * by_class: lists for level, contrast, chroma and saturation, with the class's feature values, pixels, and per
+              pipeline the mean error; pixels without a spectral angle are left out
+            * standards: edge (by direction, frequency in cycles/pixel, mtf and mtf50 of lens and pixel and of each
+              pipeline), grey (SNR of a grey at each lux in closed form, from raw frames and from pipelines, and where it is
+              10; null without absolute curves), chart (per pipeline, the mean ΔE00 over drawn cameras; null if the curves
+              have no band), figures (per pipeline, mtf50_rows, mtf50_columns, snr10, camera_delta_e)
+            * worst_classes: level, from, to, contrast, chroma (null if saturated), case, pixels, per pipeline the mean error
         """
         first = self._frames[0]
         return {
@@ -273,7 +321,7 @@ class Evaluation:
         }
 
     def _by_patch(self) -> list[dict[str, Any]]:
-        """Return the mottle of the plain patches of each kind, by the level of their frames."""
+        """Return the mottle of uniform patches of each kind, by the level of their frames."""
         entries = []
         for bounds, kind in itertools.product(sorted({each for each, _, _ in self._patches}), KINDS):
             members = [
@@ -289,7 +337,7 @@ class Evaluation:
         return entries
 
     def _by_band(self) -> list[dict[str, Any]]:
-        """Return the mean figures of each output."""
+        """Return the mean metrics of each output."""
         bands = []
         for index, band in enumerate(self._table.outputs if self._bands else ()):
             of_band = [{name: bands[index] for name, bands in frame.items()} for frame in self._bands]
@@ -297,7 +345,7 @@ class Evaluation:
         return bands
 
     def _better(self, baseline: str, figures: tuple[str, ...]) -> dict[str, int]:
-        """Return the number of frames in which ours is better than `baseline`, by every figure that all frames have."""
+        """Count the frames in which the table is better than `baseline`, for every metric that all frames have."""
         values = {of: [(frame[OURS][of], frame[baseline][of]) for frame in self._frames] for of in figures}
         whole = {figure: pairs for figure, pairs in values.items() if (None, None) not in pairs}
         return {figure: sum(sign(figure) * (a - b) > 0 for a, b in pairs) for figure, pairs in whole.items()}
@@ -311,8 +359,10 @@ class Evaluation:
 
 
 def _counted(frame: TrainingPair, border: int) -> NDArray[np.bool_] | None:
-    """Return the pixels (row, col) of a frame that its scene's file holds data for; None: all. InputFileError if there are
-    none within the border."""
+    """Return the pixels (row, col) of a frame for which its scene has data, or None for all.
+
+    Raises InputFileError if there are none within the border.
+    """
     if not isinstance(frame, TrainingFrame) or frame.ignored is None:
         return None
     counted = frame.ignored.mask == 0
@@ -322,14 +372,16 @@ def _counted(frame: TrainingPair, border: int) -> NDArray[np.bool_] | None:
 
 
 def _octave(level: float) -> tuple[float, float]:
-    """Return the bounds, a factor of two apart about a power of two, between which a level lies; below 2^-12 all are one."""
+    """Return the range, a factor of two around a power of two, that contains a level. Levels below 2^-12 share a range."""
     power = np.rint(np.log2(max(level, 2.0**-12)))
     return float(2.0 ** (power - 0.5)), float(2.0 ** (power + 0.5))
 
 
 def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
-    """Return frame number `index` of a training set as its camera gave it; InputFileError if it is none that a camera
-    gives."""
+    """Return frame number `index` of a training set as the camera's raw frame.
+
+    Raises InputFileError if a camera cannot have produced it.
+    """
     try:
         return RawFrame(
             frame.scene, frame.raw, camera.black_level, camera.white_level, dark=camera.dark_signal(frame.dark_time)
@@ -339,7 +391,7 @@ def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
 
 
 def white_of(frame: TrainingPair) -> NDArray[np.floating]:
-    """Return XYZ (3) of the light of a frame; of its target where the light is not known."""
+    """Return XYZ (3) of the light of a frame, or of its target if the light is unknown."""
     if frame.light is None:
         return frame.white[:3]
     return spectra.xyz_weights(frame.light.wavelength) @ frame.light.radiance

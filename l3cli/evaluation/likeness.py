@@ -1,10 +1,10 @@
-"""Comparison of the camera that took frames with that of a table: by their signals, not by names or digests.
+"""Compare the camera that took frames with the camera of a table, by their signals and not by names or digests.
 
-A table turns shares of full scale into colours, so what counts is what a camera makes of surfaces: the ratios of its
-channels (colour), the exposure that fills them (sensitivity), and the noise on them. The limits leave room for two
-calibrations of one camera. Of 28 published cameras those with a sensor in common (Nikon D3 and D700, D40 and D50, Canon 600D
-and 60D, 500D and 50D) lie 0.9 to 1.5 ΔE00 apart, nearly all others 2.2 to 40; an error of 1 nm makes 0.5, one of 3 % in the
-gain of a channel 1.2.
+A table maps fractions of full scale to colours. Cameras are therefore compared by their responses to surfaces: the ratios
+of channels (colour), the exposure that saturates (sensitivity), and the noise. The limits allow for two calibrations of one
+camera. Of 28 published cameras, those with the same sensor (Nikon D3 and D700, D40 and D50, Canon 600D and 60D, 500D and
+50D) differ by 0.9 to 1.5 ΔE00, nearly all others by 2.2 to 40. An error of 1 nm causes 0.5 ΔE00, an error of 3 % in the
+gain of a channel 1.2 ΔE00.
 """
 
 from dataclasses import replace
@@ -22,20 +22,30 @@ from l3cli.physics.display import delta_e_2000, lab
 
 Array = NDArray[np.floating]
 LIGHTS = ("D65", "A")
-MOST_COLOUR = 2.0  # mean ΔE00 of measured surfaces
-MOST_SENSITIVITY = 1.1  # factor: lamps and photodiodes of two laboratories agree within 5 %
-MOST_NOISE = 1.25  # factor of a standard deviation
-NOISE_SHARES = (0.0, 0.01, 0.1, 0.5)  # of full scale, at which noise is compared
+MOST_COLOUR = 2.0  # largest mean ΔE00 over measured surfaces
+MOST_SENSITIVITY = 1.1  # largest factor; lamps and photodiodes of two laboratories agree within 5 %
+MOST_NOISE = 1.25  # largest factor between standard deviations
+NOISE_SHARES = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise is compared
 
 
 def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
-    """Return how `camera` differs from another of the same channels, or from that which a table was learned for, in words;
-    "" if it does not.
+    """Describe how a camera differs from the camera of a table, or from another camera with the same channels.
 
-    Of a table that does not hold its camera, as older ones do not, sensitivity alone is known.
+    Parameters
+    ----------
+    known : TransformTable or CameraModel
+        The reference. A table without its camera, as from older versions, only gives the sensitivity.
+    camera : CameraModel
+        The camera that took the frames.
+
+    Returns
+    -------
+    str
+        The differences beyond the limits. Empty if there are none.
     """
     learned = known.camera if isinstance(known, TransformTable) else known
-    exposure = known.output_unit if learned is None else learned.saturation_exposure  # older tables are of alike channels
+    # In older tables, all channels are read out alike.
+    exposure = known.output_unit if learned is None else learned.saturation_exposure
     if learned is not None and equal(replace(learned, fit=None), replace(camera, fit=None)):
         return ""
     differences = []
@@ -50,9 +60,11 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
 
 
 def colour_difference(one: CameraModel, other: CameraModel) -> float:
-    """Return the mean CIEDE2000 between measured reflectances seen by two cameras of the same channels, through the white
-    balance and colour matrix of `one`; whatever factor their sensitivities have in common is left out. Of D65 and A the
-    larger."""
+    """Return the mean CIEDE2000 between measured reflectances seen by two cameras with the same channels.
+
+    Both use the white balance and colour matrix of `one`. A common factor in sensitivity does not count. The result is the
+    larger of the values under D65 and A.
+    """
     return max(_colour_difference(one, other, named_light(name, one, other)) for name in LIGHTS)
 
 
@@ -71,7 +83,9 @@ def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectru
 
 
 def noise_ratio(one: CameraModel, other: CameraModel) -> float:
-    """Return the noise of `other` over that of `one`, both as shares of full scale, where they differ most."""
+    """Return the noise of `other` relative to the noise of `one`, both as fractions of full scale, where they differ
+    most.
+    """
     spreads = []
     for camera in (one, other):
         full = camera.white_level - camera.black_level

@@ -1,4 +1,4 @@
-"""Pictures of an evaluated frame, every pipeline beside the ideal, where ours errs, and the patches of a chart in it."""
+"""Pictures of an evaluated frame: every pipeline, the ideal, an error map, and the patches of a chart in it."""
 
 from dataclasses import dataclass
 
@@ -12,16 +12,28 @@ from l3cli.physics.display import displayed, displayed_delta_e, scene_xyz, srgb_
 Array = NDArray[np.floating]
 Picture = NDArray[np.uint8]
 Region = tuple[slice, slice]  # rows and columns of a patch
-INNER = 0.5  # of a patch's side, about its middle: what lies nearer to its edges is mixed with what is beside it
-EVEN = 0.01  # of white: largest standard deviation of the target within a patch
-ALIKE = 0.02  # of white: largest difference of a patch's mean from that of the chart
-ERROR_WHITE = 10.0  # ΔE00 shown white in an error map; 0 is black
-RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])  # sRGB, each 2.5 ΔE00 further
+INNER = 0.5  # central fraction of a patch's side that is evaluated; pixels near its edges mix with the surroundings
+EVEN = 0.01  # largest standard deviation of the target within a patch, relative to white
+ALIKE = 0.02  # largest difference between the mean of a patch and the chart, relative to white
+ERROR_WHITE = 10.0  # ΔE00 that is white in an error map; 0 is black
+RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])  # sRGB, at steps of 2.5 ΔE00
 
 
 def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, Picture]:
-    """Return sRGB pictures (row, col, 3) by name: "ideal", each pipeline of `planes` (XYZ (3, row, col) in the target's
-    unit), and "error", the ΔE00 of the first of them, ours, by `error_map`. All are shown on the target's scale."""
+    """Return pictures of a frame, all at the target's exposure.
+
+    Parameters
+    ----------
+    frame : TrainingPair
+        Frame with its target.
+    planes : dict of str to ndarray, (3, row, col)
+        Pipeline → XYZ in the target's unit. The first pipeline is the table.
+
+    Returns
+    -------
+    dict of str to ndarray, (row, col, 3)
+        8-bit sRGB of each pipeline, of "ideal", and of "error", the `error_map` of the table's ΔE00.
+    """
     scale = white_luminance(frame.target[1])
     ideal = displayed(frame.target, frame.white, scale)
     shown = {name: displayed(of, frame.white, scale) for name, of in planes.items()}
@@ -31,10 +43,11 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
 
 
 def planes_of(picture: Array, frame: TrainingPair) -> Array:
-    """Return XYZ planes (3, row, col) in the target's unit of a picture (row, col, 3) of a frame by another pipeline.
+    """Convert another pipeline's picture of a frame to XYZ planes (3, row, col) in the target's unit.
 
-    The picture is linear sRGB of any brightness: one factor brings it to that of the target, by least squares of luminance
-    where it does not clip."""
+    The picture (row, col, 3) is linear sRGB of any brightness. It is scaled to the target by least squares of the luminance
+    where it does not clip.
+    """
     planes = scene_xyz(picture, frame.white, 1.0)
     shown, wanted = (of[1][picture.max(axis=2) < 1.0] for of in (planes, frame.target))
     square = float((shown**2).sum())
@@ -42,7 +55,7 @@ def planes_of(picture: Array, frame: TrainingPair) -> Array:
 
 
 def error_map(difference: Array) -> Picture:
-    """Return ΔE00 (row, col) as colours (row, col, 3): black 0, purple 2.5, red 5, orange 7.5, white 10 and more."""
+    """Convert ΔE00 (row, col) to colours (row, col, 3): 0 black, 2.5 purple, 5 red, 7.5 orange, 10 and more white."""
     place = np.clip(difference / ERROR_WHITE, 0.0, 1.0) * (len(RAMP) - 1)
     stops = np.arange(len(RAMP))
     return np.stack([np.interp(place, stops, RAMP[:, part]) for part in range(3)], axis=-1).round().astype(np.uint8)
@@ -53,7 +66,7 @@ def error_map(difference: Array) -> Picture:
 
 @dataclass(frozen=True)
 class PatchColours:
-    """Patches as displayed: linear sRGB (patch, 3) of the ideal and of every pipeline, and ΔE00 (patch) of these."""
+    """Displayed colours of patches: linear sRGB (patch, 3) of the ideal and of each pipeline, and their ΔE00 (patch)."""
 
     ideal: Array
     shown: dict[str, Array]
@@ -61,8 +74,17 @@ class PatchColours:
 
 
 def holds_chart(frame: TrainingPair, light: LightSpectrum | None, regions: list[Region]) -> bool:
-    """Return whether the target (XYZ) shows a ColorChecker's patches in `regions` under `light`, under which it is
-    wanted."""
+    """Whether the target (XYZ) shows the patches of a ColorChecker.
+
+    Parameters
+    ----------
+    frame : TrainingPair
+        Frame with its target.
+    light : LightSpectrum or None
+        Light of the target.
+    regions : list of (slice, slice)
+        Rows and columns of the patches.
+    """
     if light is None or any(min(rows.stop - rows.start, cols.stop - cols.start) < 4 for rows, cols in regions):
         return False
     wavelength = light.wavelength
@@ -76,8 +98,17 @@ def holds_chart(frame: TrainingPair, light: LightSpectrum | None, regions: list[
 
 
 def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[Region]) -> PatchColours:
-    """Return the mean of each patch in the target and in `planes` (XYZ (3, row, col) in the target's unit), shown on the
-    target's scale."""
+    """Return the mean displayed colour of each patch in the target and in every pipeline, at the target's exposure.
+
+    Parameters
+    ----------
+    frame : TrainingPair
+        Frame with its target.
+    planes : dict of str to ndarray, (3, row, col)
+        Pipeline → XYZ in the target's unit.
+    regions : list of (slice, slice)
+        Rows and columns of the patches.
+    """
     scale = white_luminance(frame.target[1])
     ideal = displayed(_means(frame.target, regions), frame.white, scale)
     shown = {name: displayed(_means(of, regions), frame.white, scale) for name, of in planes.items()}
@@ -86,7 +117,7 @@ def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[R
 
 
 def inner(region: Region) -> Region:
-    """Return the middle of a patch."""
+    """Return the central region of a patch."""
     rows, cols = (
         slice(each.start + round(cut), each.stop - round(cut))
         for each in region
@@ -96,6 +127,6 @@ def inner(region: Region) -> Region:
 
 
 def _means(planes: Array, regions: list[Region]) -> Array:
-    """Return (3, 1, patch)"""
+    """Return the means (3, 1, patch) of the patches."""
     means = [planes[:, rows, cols].mean(axis=(1, 2), dtype=np.float64) for rows, cols in map(inner, regions)]
     return np.array(means).T[:, None]

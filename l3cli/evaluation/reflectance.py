@@ -1,5 +1,8 @@
-"""Reflectances from bands: how good they are, as spectra and as colours under lights, and two estimates that tables of
-reflectances stand beside (docs/measurement.md#reflectances)."""
+"""Quality of reflectances estimated from bands, as spectra and as colours under several lights
+(docs/measurement.md#reflectances).
+
+Two linear estimates, "wiener" and "pinv", are the baselines of tables of reflectances.
+"""
 
 import functools
 from collections.abc import Callable, Iterable
@@ -17,18 +20,17 @@ from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 
 Array = NDArray[np.floating]
-Drawn = Callable[
-    [TrainingPair, LightSpectrum], Iterable[TrainingFrame]
-]  # a frame and its light → frames, so lit and exposed
-LIGHTS = {"delta_e_a": "A", "delta_e_d65": "D65", "delta_e_f11": "F11"}  # by figure
-ESTIMATES = ("wiener", "pinv")
+# Simulates training frames with the light and exposure of a given frame
+Drawn = Callable[[TrainingPair, LightSpectrum], Iterable[TrainingFrame]]
+LIGHTS = {"delta_e_a": "A", "delta_e_d65": "D65", "delta_e_f11": "F11"}  # metric → light
+ESTIMATES = ("wiener", "pinv")  # names of the estimates
 
 
 @dataclass(frozen=True)
 class ReflectanceQuality(BandQuality):
-    """Figures of one frame of reflectances."""
+    """Metrics of one frame of reflectances."""
 
-    delta_e_a: float  # mean CIEDE2000 of their colours under A, relative to its white
+    delta_e_a: float  # mean CIEDE2000 of the colours under A, relative to the white of A
     delta_e_d65: float
     delta_e_f11: float
 
@@ -36,7 +38,9 @@ class ReflectanceQuality(BandQuality):
 def judge_reflectances(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> tuple[ReflectanceQuality, Array]:
-    """Return the figures of planes of spectra.REFLECTANCES and their spectral angle, as `judge_bands`."""
+    """Return the metrics of planes of spectra.REFLECTANCES, and their spectral angle. Parameters are those of
+    `judge_bands`.
+    """
     figures, angles = judge_bands(rendered, target, white, border, counted)
     inside = None if counted is None else cropped(counted, border)
     shares = [cropped(planes, border) / white[:, None, None] for planes in (rendered, target)]
@@ -55,18 +59,18 @@ def _lab(reflectance: Array, light: str) -> Array:
 
 @functools.cache
 def _xyz_weights(light: str) -> Array:
-    """Return W (3, output): XYZ, Y = 1 of white, of reflectances at spectra.SAMPLED under a light."""
+    """Return weights (3, output) for XYZ, with Y = 1 for white, of reflectances at spectra.SAMPLED under a light."""
     grid = np.arange(380.0, 781.0)
     weights = spectra.xyz_weights(grid) * spectra.illuminant(light, grid)
     return np.asarray(weights @ spectra.held_interpolation(spectra.SAMPLED, grid) / weights[1].sum())
 
 
 class Estimates:
-    """Linear estimates of spectra from the bands of each pixel as they are demosaicked, by `best_of_bands`; their statistics
-    are those of frames `drawn` as for training, once for each light and exposure.
+    """Linear estimates of spectra from the demosaicked bands of each pixel.
 
-    With outputs Y and bands P of all pixels, without noise or mosaic, "pinv" is the pseudo-inverse Y P⁺, and "wiener" is
-    Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹, E being what noise adds to the bands as they are demosaicked.
+    Bands are demosaicked with `best_of_bands`. The statistics come from simulated training frames (`drawn`), once for each
+    light and exposure. Let Y be the outputs and P the bands of all pixels, without noise and mosaic. "pinv" is Y P⁺, with
+    the pseudo-inverse. "wiener" is Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹, where E is the error that noise causes in the demosaicked bands.
     """
 
     def __init__(self, camera: CameraModel, drawn: Drawn) -> None:
@@ -74,8 +78,10 @@ class Estimates:
         self._fitted: dict[tuple[bytes, float], dict[str, Array]] = {}
 
     def planes(self, frame: TrainingPair) -> dict[str, Array]:
-        """Return planes (output, row, col) in the target's unit of a frame's raw, by the estimate's name; InputFileError
-        if the camera sees nothing of its light."""
+        """Return planes (output, row, col) in the target's unit for each estimate.
+
+        Raises InputFileError if the camera does not see the light of the frame.
+        """
         white = white_electrons(frame, self._camera)
         key = white.tobytes(), frame.exposure
         if key not in self._fitted:
@@ -85,7 +91,7 @@ class Estimates:
         return {name: np.einsum("oc,crk->ork", matrix, bands) * unit for name, matrix in self._fitted[key].items()}
 
     def _fit(self, like: TrainingPair) -> dict[str, Array]:
-        """Return M (output, channel) of each estimate: shares of white of the outputs from those of the bands."""
+        """Fit the matrix (output, channel) of each estimate; outputs and bands are relative to white."""
         white = white_electrons(like, self._camera)
         balance = balance_of(white, like.exposure, self._camera)[:, None, None]
         squares, noises = np.zeros((2, white.size, white.size))

@@ -1,7 +1,7 @@
-"""Flicker of a rendered sequence, and its difference from the ideal one (docs/method.md#quality-of-sequences); motion
-between two clean frames where it is not known, by matching windows from coarse to fine.
+"""Metrics of rendered sequences: flicker, and differences from the ideal sequence (docs/method.md#quality-of-sequences).
 
-Pictures are linear sRGB (row, col, 3), 1 being display white; lightness is CIE L*, from 0 to 100.
+If the motion between two clean frames is not known, it is estimated by matching windows from coarse to fine. Pictures are
+linear sRGB (row, col, 3), where 1 is display white. Lightness is CIE L*, 0 to 100.
 """
 
 import itertools
@@ -18,21 +18,27 @@ from l3cli.physics.display import displayed_delta_e, lightness, srgb_curve
 from l3cli.system.limits import read_bounded
 
 Array = NDArray[np.floating]
-LEVELS = 3  # the coarsest at a quarter of the size
-REACH = 5  # pixels, of the search at the coarsest level
-WINDOW = 15  # pixels, side of what is matched
-BLOCK = 4  # pixels, between medians of the motion
-PENALTY = 0.1  # L*², of a pixel of displacement, so that plain areas move with what is about them
-MISMATCH = 3.0  # L*, mean over a few pixels, from which on another thing is seen
-MISMATCH_WINDOW = 5  # pixels, side of the square that this is a mean of
-STEPS = 4  # towards parts of a pixel
-TINY = 1e-6  # pixels
-FLAT = 0.1  # L*² a pixel², mean square slope below which a window tells little of parts of a pixel
+LEVELS = 3  # levels of the pyramid; the coarsest has a quarter of the size
+REACH = 5  # pixels, search range at the coarsest level
+WINDOW = 15  # pixels, side of the windows that are matched
+BLOCK = 4  # pixels, distance between medians of the motion
+PENALTY = 0.1  # L*² per pixel of displacement, so that uniform areas move with their surroundings
+MISMATCH = 3.0  # L*, mean difference from which two windows show different things
+MISMATCH_WINDOW = 5  # pixels, side of these windows
+STEPS = 4  # iterations of the subpixel refinement
+TINY = 1e-6  # pixels, tolerance for rounding
+FLAT = 0.1  # L*² per pixel², mean square slope below which a window says little about subpixel motion
 
 
 def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
-    """Return the motion of a frame of L* (row, col) since the last one (3, row, col): pixels down and right, to fractions
-    of a pixel, and 1 where the same is seen; as far as REACH · 2^(LEVELS − 1) pixels."""
+    """Estimate the motion between two frames of L* (row, col), down to fractions of a pixel.
+
+    Returns
+    -------
+    ndarray, (3, row, col)
+        Pixels down and right since the last frame, and 1 where both frames show the same. Motion up to
+        REACH · 2^(LEVELS − 1) pixels is found.
+    """
     pairs: list[tuple[Array, Array]] = [(np.asarray(light, np.float64), np.asarray(last, np.float64))]
     while len(pairs) < LEVELS and min(pairs[-1][0].shape) >= 2 * WINDOW:
         pairs.append((_halved(pairs[-1][0]), _halved(pairs[-1][1])))
@@ -46,7 +52,7 @@ def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
 
 
 def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
-    """Return the best of the displacements within `reach` of a field of them (2, row, col)."""
+    """Search the best displacement within `reach` of a displacement field (2, row, col)."""
     from scipy.ndimage import median_filter
 
     offsets = np.array(list(itertools.product(range(-reach, reach + 1), repeat=2)))
@@ -61,7 +67,9 @@ def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) 
 
 
 def _mismatch(frame: Array, before: Array, vector: NDArray[np.intp]) -> Array:
-    """Return the mean square difference (row, col) of windows from those that lie a displacement (2, row, col) back."""
+    """Return the mean square difference (row, col) between windows and the windows displaced back by `vector` (2, row,
+    col).
+    """
     from scipy.ndimage import uniform_filter
 
     place = [
@@ -71,8 +79,10 @@ def _mismatch(frame: Array, before: Array, vector: NDArray[np.intp]) -> Array:
 
 
 def _exact(frame: Array, before: Array, motion: Array) -> Array:
-    """Return the displacements (2, row, col) to parts of a pixel: least squares over windows of what slopes of the frame,
-    brought along, say of the difference (Lucas and Kanade, "An iterative image registration technique", 1981)."""
+    """Refine displacements (2, row, col) to fractions of a pixel.
+
+    The method is least squares over windows (Lucas and Kanade, "An iterative image registration technique", 1981).
+    """
     from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
     place, spline = np.indices(frame.shape), spline_filter(before)
@@ -90,7 +100,7 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
 
 
 def _without_outliers(plane: Array) -> Array:
-    """Return medians (row, col) of every BLOCK-th value over a window, smoothed between blocks."""
+    """Return medians (row, col) over a window, at every BLOCK-th pixel, smoothed between blocks."""
     from scipy.ndimage import median_filter, uniform_filter
 
     side = -(-WINDOW // BLOCK) | 1
@@ -99,7 +109,7 @@ def _without_outliers(plane: Array) -> Array:
 
 
 def _seen(light: Array, last: Array, motion: Array) -> NDArray[np.bool_]:
-    """Return the mask (row, col) of pixels where the last frame, moved along, looks the same."""
+    """Return the mask (row, col) of pixels that look the same in the last frame, after motion."""
     from scipy.ndimage import map_coordinates, uniform_filter
 
     source = np.indices(light.shape) - motion
@@ -116,8 +126,7 @@ def _halved(plane: Array) -> Array:
 
 
 def _doubled(vector: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Return a field of displacements (2, row, col) at twice the size, its last row and column once more where that is
-    odd."""
+    """Scale a displacement field (2, row, col) to twice the size, repeating the last row and column for odd sizes."""
     whole = 2 * vector.repeat(2, axis=1).repeat(2, axis=2)
     return np.pad(
         whole, [(0, 0), *((0, length - have) for length, have in zip(shape, whole.shape[1:], strict=True))], mode="edge"
@@ -126,35 +135,35 @@ def _doubled(vector: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.int
 
 GIVE = 'give what "l3 evaluate --sequence … --json" prints'
 CELL = 8  # pixels, side of a patch
-STILL = 0.5  # L*, of an ideal pixel over the whole sequence: a code of 8 bits more or less
-DRIFT = 1.0  # L*, between the means of a patch over both halves of a sequence, where there is no ideal
-UNCERTAIN = 3.0  # standard deviations that noise may be taken for a drift by
-QUIETEST, RESTLESS = 0.1, 3.0  # share of the patches whose changes are noise; so many times as much is something else
-ROUNDING = 0.1  # L*, that the pixels of a patch may change by
+STILL = 0.5  # L*, largest range of a still pixel in the ideal sequence, about one 8-bit code
+DRIFT = 1.0  # L*, largest change of a still patch between the halves of a sequence without ideal
+UNCERTAIN = 3.0  # standard deviations of noise that do not count as drift
+QUIETEST, RESTLESS = 0.1, 3.0  # fraction of patches that show noise only; multiple of their change that is more than noise
+ROUNDING = 0.1  # L*, change of pixels that rounding may cause
 
 
 class FrameFigures(msgspec.Struct, forbid_unknown_fields=True):
-    """Figures of one frame; None: there is nothing that it could be computed from."""
+    """Metrics of one frame. A metric is None if the data for it are missing."""
 
     frame: int
     mean_lightness: float  # L*
-    jump: float | None  # L*, of the mean since the frame before, that of the ideal taken off
-    step_sigma: float | None  # L*, of the change since the frame before on still patches, divided by √2
-    warped_error: float | None  # L*, root mean square of what the error has changed by along the motion
-    psnr: float | None  # dB, of non-linear sRGB
+    jump: float | None  # L*, change of the mean since the previous frame, minus the change of the ideal
+    step_sigma: float | None  # L*, standard deviation of the change on still patches, divided by √2
+    warped_error: float | None  # L*, root mean square change of the error along the motion
+    psnr: float | None  # dB, for non-linear sRGB
     mean_delta_e: float | None  # CIEDE2000
 
 
 class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kind", tag="sequence"):
-    """Figures of a rendered sequence, as `l3 evaluate` prints them in JSON."""
+    """Metrics of a rendered sequence, as `l3 evaluate` prints them in JSON."""
 
     rendered: str
     ideal: str | None
-    motion: Literal["known", "estimated"] | None  # that errors are followed along
+    motion: Literal["known", "estimated"] | None  # source of the motion along which errors are followed
     frames: list[FrameFigures]
-    still_share: float  # of the patches that show the same all the time
-    temporal_sigma: float | None  # L*, of a pixel over time, root mean square over still patches
-    patch_sigma: float | None  # L*, of the mean of a still patch over time, root mean square
+    still_share: float  # fraction of patches that do not change
+    temporal_sigma: float | None  # L*, standard deviation of a pixel over time, RMS over still patches
+    patch_sigma: float | None  # L*, standard deviation of the mean of a still patch over time, RMS
     largest_jump: float | None  # L*
     largest_jump_frame: int | None
     warped_error: float | None  # L*, root mean square over the frames
@@ -162,29 +171,47 @@ class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kin
     mean_delta_e: float | None  # mean over the frames
 
     def document(self) -> dict[str, Any]:
-        """Return the figures, ready for JSON."""
+        """Return the metrics, ready for JSON."""
         return dict(msgspec.to_builtins(self))
 
 
 class SequenceEvaluation:
-    """Frames counted one by one, in their order; memory grows by a few values for each patch and frame."""
+    """Evaluates a sequence frame by frame. Memory grows by only a few values per patch and frame.
+
+    Parameters
+    ----------
+    rendered, ideal : str
+        Names of the sequences. `ideal` may be None.
+    border : int
+        Margin in pixels that is left out.
+    """
 
     def __init__(self, rendered: str, ideal: str | None, border: int = 0) -> None:
         self._names, self._border = (rendered, ideal), border
         self._frames: list[FrameFigures] = []
-        self._cells: list[Array] = []  # of each frame the mean L* of every patch
-        self._steps: list[Array] = []  # of each frame but the first the mean square of its change
+        self._cells: list[Array] = []  # per frame, the mean L* of every patch
+        self._steps: list[Array] = []  # per frame except the first, the mean square change of every patch
         self._motion: Literal["known", "estimated"] | None = None
         self._last: Array | None = None  # L* of the last frame
-        self._ideal: tuple[Array, Array] | None = None  # of the last frame: L* of its ideal, and its difference from that
-        self._offset = 0.0  # of the last frame's mean L* from the ideal's, or from 0
+        self._ideal: tuple[Array, Array] | None = None  # L* of the last ideal frame, and the error of the last frame
+        self._offset = 0.0  # mean L* of the last frame minus that of the ideal, or minus 0
         self._sum: Array | float = 0.0
         self._squares: Array | float = 0.0
         self._range: tuple[Array, Array] | None = None  # lowest and highest L* of the ideal
 
     def add(self, rendered: Array, ideal: Array | None = None, motion: Array | None = None) -> None:
-        """Count the next frame; `motion` (3, row, col): what it has moved by since the last one, pixels down and right, and
-        where that is known. Without it the motion is estimated of the ideal pictures."""
+        """Add the next frame.
+
+        Parameters
+        ----------
+        rendered : ndarray, (row, col, 3)
+            Linear sRGB.
+        ideal : ndarray, (row, col, 3), optional
+            The ideal picture.
+        motion : ndarray, (3, row, col), optional
+            Pixels down and right since the last frame, and where the motion is known. Without it, the motion is estimated
+            from the ideal pictures.
+        """
         light = lightness(np.clip(rendered, 0.0, 1.0))
         wanted = None if ideal is None else lightness(np.clip(ideal, 0.0, 1.0))
         warped = None
@@ -211,7 +238,7 @@ class SequenceEvaluation:
     def _figures(
         self, rendered: Array, ideal: Array | None, step: Array | None, wanted: Array | None, warped: float | None
     ) -> FrameFigures:
-        """Return the figures of the newest frame that are known before the end."""
+        """Return the metrics of the newest frame that are known before the end of the sequence."""
         assert self._last is not None
         quality, difference = None, None
         if ideal is not None:
@@ -225,7 +252,7 @@ class SequenceEvaluation:
         return FrameFigures(len(self._frames), mean, jump, None, warped, quality, difference)
 
     def figures(self) -> SequenceFigures:
-        """Return the figures of all frames counted; ValueError unless there are two."""
+        """Return the metrics of all frames. Raises ValueError if there are fewer than two."""
         count = len(self._frames)
         if count < 2:
             raise ValueError("a sequence has two frames or more")
@@ -256,8 +283,11 @@ class SequenceEvaluation:
         return float(np.sqrt(_cell_means(variance)[still].mean()))
 
     def _still(self) -> NDArray[np.bool_]:
-        """Return the patches (row, col) that show the same all the time: by the ideal, or else as far as noise explains it,
-        such as that of the patches that change least."""
+        """Return the patches (row, col) that do not change.
+
+        With an ideal sequence, it decides. Otherwise a patch is still if noise explains its changes, where the patches that
+        change least define the noise.
+        """
         if self._range is not None:
             low, high = self._range
             return np.asarray(_cells(high - low).max(axis=(1, 3)) <= STILL)
@@ -271,10 +301,10 @@ class SequenceEvaluation:
 
 
 def _warped_error(error: Array, last: Array, motion: Array, border: int) -> float | None:
-    """Return the root mean square of changes of the error (row, col) where the same was seen; None if nothing was.
+    """Return the root mean square change of the error (row, col) along the motion, or None if nothing is seen twice.
 
-    Errors are warped, not pictures: the differences of two warped pictures less those of the ideal ones, since warping is
-    linear, and what the interpolation spoils at edges is in both.
+    Warping errors instead of pictures is equivalent, because warping is linear. Interpolation artefacts at edges are in both
+    pictures and cancel.
     """
     from scipy.ndimage import map_coordinates
 
@@ -287,7 +317,7 @@ def _warped_error(error: Array, last: Array, motion: Array, border: int) -> floa
 
 
 def _cells(plane: Array) -> Array:
-    """Return a plane (row, col) as (row of patches, row, column of patches, col); what does not fill a patch is cut off."""
+    """Reshape a plane (row, col) to (row of patches, row, column of patches, col). Incomplete patches are cut off."""
     rows, cols = (length // CELL for length in plane.shape)
     return plane[: rows * CELL, : cols * CELL].reshape(rows, CELL, cols, CELL)
 
@@ -297,7 +327,7 @@ def _cell_means(plane: Array) -> Array:
 
 
 def _deviation(series: Array) -> float:
-    """Return root mean square over series (time, …) of their standard deviation."""
+    """Return the RMS of the standard deviations of series (time, …)."""
     return float(np.sqrt(series.var(axis=0, ddof=1, dtype=np.float64).mean()))
 
 
@@ -311,7 +341,7 @@ def _mean(values: list[float | None]) -> float | None:
 
 
 def read_sequence_figures(path: Path) -> SequenceFigures:
-    """Return the figures that `l3 evaluate --sequence` printed as JSON; InputFileError if a file holds something else."""
+    """Read the JSON that `l3 evaluate --sequence` printed. Raises InputFileError if the file contains something else."""
     try:
         printed = msgspec.json.decode(read_bounded(path, GIVE), type=dict[str, Any])
         printed.pop("run", None)  # how the command ran
@@ -319,5 +349,5 @@ def read_sequence_figures(path: Path) -> SequenceFigures:
     except (OSError, msgspec.MsgspecError, RecursionError) as error:
         raise InputFileError(f"{path} is not an evaluation of a sequence; {GIVE}") from error
     if len(figures.frames) < 2:
-        raise InputFileError(f"{path} holds fewer than two frames; {GIVE}")
+        raise InputFileError(f"{path} has fewer than two frames; {GIVE}")
     return figures

@@ -1,1 +1,1 @@
-"""Physics of light, each formula once: spectra, lenses, displays. Arrays in, arrays out; no camera, no file."""
+"""Physics of light: spectra, lenses and displays. Functions take and return arrays and know nothing of cameras or files."""

@@ -1,4 +1,4 @@
-"""Charts whose reflectances are known, by name."""
+"""Test charts with known reflectances, by name."""
 
 import functools
 import re
@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 
-CLASSIC = (4, 6)  # rows, columns of patches
+CLASSIC = (4, 6)  # rows and columns of patches
 AVERAGE, STANDARD = "BabelColor Average", "ISO 17321-1"
 SINCE_2014 = "ColorChecker24 - After November 2014"
-CHARTS = {  # name: measured spectra, colours that the maker states since
+CHARTS = {  # name: (measured spectra, colours that the manufacturer states for newer charts)
     "classic": (AVERAGE, None),
     "classic ISO 17321": (STANDARD, None),
     "classic 2014": (AVERAGE, SINCE_2014),
@@ -23,17 +23,35 @@ NO_SPECTRA = (
     "its colours are published, its reflectances are not; give them as CSV (wavelength, a column a patch, row by row): "
     'chart = "sg.csv", layout = [10, 14]'
 )
-CORRECTION_NM = 60.0  # over which a correction of the dyes is smooth
+CORRECTION_NM = 60.0  # nm, correlation length of the correction for new dyes
 Array = NDArray[np.floating]
 
 
 def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
-    """Return names of the patches and reflectances (patch, wavelength), row by row, of a chart of CLASSIC rows and columns.
+    """Return the patches of a chart with CLASSIC rows and columns, row by row.
 
-    "classic" and "passport" are ColorCheckers made before November 2014, the average of thirty (BabelColor), of which ISO
-    17321-1 lists another one. Those made since have other dyes, whose spectra nobody publishes: "classic 2014" and
-    "passport 2" are the former spectra times the smoothest factors that give the colours which the maker states.
-    RecipeError if the name is unknown.
+    "classic" and "passport" are ColorCheckers made before November 2014: the average of thirty charts (BabelColor), or the
+    single chart in ISO 17321-1. Later charts have other dyes, whose spectra are not published. "classic 2014" and "passport
+    2" are the older spectra times the smoothest factors that give the colours stated by the manufacturer.
+
+    Parameters
+    ----------
+    name : str
+        A key of CHARTS.
+    wavelength : ndarray, (wavelength)
+        In nm.
+
+    Returns
+    -------
+    names : tuple of str
+        Names of the patches.
+    reflectance : ndarray, (patch, wavelength)
+        Reflectances.
+
+    Raises
+    ------
+    RecipeError
+        If the name is unknown.
     """
     if name not in CHARTS:
         if re.search(r"\bsg\b|semi.?gloss", name.casefold()):
@@ -46,13 +64,13 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 
 def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
-    """Return reflectances times 1 + what is smoothest among all that gives the stated colours."""
+    """Multiply reflectances by the smoothest factors that give the stated colours."""
     target = _stated_xyz(stated)
     light = spectra.illuminant("D50", wavelength)
     weights = spectra.xyz_weights(wavelength) * light
     weights = weights / weights[1].sum()
-    isolated = (wavelength[:, None] - wavelength) / CORRECTION_NM
-    kernel = np.exp(-0.5 * isolated**2)
+    distance = (wavelength[:, None] - wavelength) / CORRECTION_NM
+    kernel = np.exp(-0.5 * distance**2)
     rows = []
     for patch, xyz in zip(reflectance, target, strict=True):
         design = weights * patch
@@ -63,7 +81,7 @@ def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
 
 @functools.cache
 def _stated_xyz(stated: str) -> Array:
-    """Return (patch, 3) XYZ under D50, a perfect white's Y 1, in colour-science's table of what the maker states."""
+    """Return XYZ (patch, 3) under D50 that the manufacturer states. A perfect white has Y = 1."""
     colour = spectra.colour_science()
     table = colour.CCS_COLOURCHECKERS[stated]
     assert np.allclose(table.illuminant, colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D50"], atol=2e-3)

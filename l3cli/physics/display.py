@@ -1,6 +1,6 @@
-"""From XYZ to what a screen shows and an eye sees of it: adaptation, exposure, sRGB and its inverse, CIELAB differences.
+"""From XYZ to a displayed picture: adaptation, exposure and sRGB, their inverses, and CIELAB differences.
 
-XYZ are CIE 1931. A picture is linear sRGB (row, col, 3), 1 being display white, unless a name says "codes"
+XYZ are CIE 1931. A picture is linear sRGB (row, col, 3), where 1 is display white, unless a name says "codes"
 (docs/method.md#display).
 """
 
@@ -19,13 +19,13 @@ from l3cli.system.text import Quantity
 Array = NDArray[np.floating]
 XYZ = ("X", "Y", "Z")  # names of outputs that are CIE 1931 tristimulus values
 CHROMATICITY = Quantity(0.001, 0.999)  # x or y of a white
-WHITE_PERCENTILE = 99  # of Y, shown white, as the authors of the method show their pictures
-LUMA = np.array([0.2126, 0.7152, 0.0722])  # of sRGB's primaries (Rec. 709)
-FLOAT_BITS = 32  # of linear values, in floating point
-CODES = {8: np.uint8, 16: np.uint16}  # bits of a picture's codes → their type
-AT_ONCE = 1 << 13  # colours whose differences stay in the caches
-TONE_LIMIT = 1e6  # of linear values: more is as white
-PRECISION = 1e-3  # of the gradient of mean squares: more changes no figure
+WHITE_PERCENTILE = 99  # percentile of Y that is mapped to display white, as in the authors' pictures
+LUMA = np.array([0.2126, 0.7152, 0.0722])  # luminance weights of sRGB's primaries (Rec. 709)
+FLOAT_BITS = 32  # bits of linear values, which are floating point
+CODES = {8: np.uint8, 16: np.uint16}  # bits per code → type
+AT_ONCE = 1 << 13  # number of colours whose differences fit into the CPU cache
+TONE_LIMIT = 1e6  # linear values are clipped here, where tone curves have reached white
+PRECISION = 1e-3  # tolerance of the gradient; a smaller one does not change any result
 
 
 # ------------------------------------------------------------------------------------------- white and exposure
@@ -33,23 +33,29 @@ PRECISION = 1e-3  # of the gradient of mean squares: more changes no figure
 
 @functools.cache
 def daylight() -> Array:
-    """Return XYZ (3), Y = 1, of D65, the white of displays."""
+    """Return XYZ (3), with Y = 1, of D65, the white of displays."""
     return white_point("D65")
 
 
 def display_white() -> Array:
-    """Return XYZ (3), Y = 1 to four digits, of what sRGB's matrix shows as white: D65."""
+    """Return XYZ (3), with Y = 1 to four digits, of white in sRGB's rounded matrix: D65."""
     return np.linalg.solve(SRGB_FROM_XYZ, np.ones(3))
 
 
 def white_luminance(luminance: Array) -> float:
-    """Return the luminance shown white: the 99th percentile of `luminance` (row, col), in its unit; 1 in the dark."""
+    """Return the luminance that is mapped to display white: the 99th percentile of `luminance` (row, col).
+
+    It has the unit of `luminance`, and is 1 if the scene is dark.
+    """
     bright = white_percentile(luminance)
     return bright if bright > 0 else 1.0
 
 
 def white_percentile(values: Array) -> float:
-    """Return np.percentile(values, 99), which loads masked arrays for it: a twentieth of the time that a picture takes."""
+    """Return np.percentile(values, 99), bit for bit, but faster.
+
+    np.percentile imports masked arrays, which takes a twentieth of the time of rendering a picture.
+    """
     flat = values.ravel()
     place = (flat.size - 1) * (WHITE_PERCENTILE / 100)
     below = min(int(place), flat.size - 1)
@@ -62,12 +68,23 @@ def white_percentile(values: Array) -> float:
 
 
 def exposure_scale(luminance: Array) -> float:
-    """Return the scale that brings the 99th percentile of Y (row, col) to display white; 1 where all is dark."""
+    """Return the scale that maps the 99th percentile of Y (row, col) to display white, or 1 if the scene is dark."""
     return 1.0 / white_luminance(luminance)
 
 
 def scene_white(text: str) -> NDArray[np.float64]:
-    """Return XYZ (3), Y = 1, of a white given as "x,y" or by the name of an illuminant; RecipeError if neither."""
+    """Parse a white given as chromaticity "x,y" or as the name of an illuminant.
+
+    Returns
+    -------
+    ndarray, (3)
+        XYZ with Y = 1.
+
+    Raises
+    ------
+    RecipeError
+        If it is neither.
+    """
     if "," not in text:
         return np.asarray(white_point(text), np.float64)
     parts = text.split(",")
@@ -87,33 +104,36 @@ def scene_white(text: str) -> NDArray[np.float64]:
 
 
 def xyz_from_srgb_matrix() -> Array:
-    """Return XYZ = M (3, 3) @ linear sRGB, white at Y = 1."""
+    """Return the matrix (3, 3) from linear sRGB to XYZ, with white at Y = 1."""
     return np.linalg.inv(SRGB_FROM_XYZ)
 
 
 def srgb_curve(linear: Array) -> Array:
-    """Return non-linear sRGB of linear values, both clipped to 0…1 (IEC 61966-2-1)."""
+    """Encode linear values as non-linear sRGB, clipped to 0…1 (IEC 61966-2-1)."""
     return SRGB_CURVE.encoded(linear)
 
 
 def srgb_decoded(encoded: Array) -> Array:
-    """Return linear values of non-linear sRGB in 0…1, the inverse of `srgb_curve` (IEC 61966-2-1)."""
+    """Decode non-linear sRGB in 0…1 to linear values, the inverse of `srgb_curve` (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def codes(encoded: Array, bits: int = 8) -> NDArray[Any]:
-    """Return encoded values in 0…1 as the codes of a picture file, of a depth in CODES: round((2^bits − 1) · value)."""
+    """Convert encoded values in 0…1 to integer codes of a picture file: round((2^bits − 1) · value).
+
+    `bits` is a key of CODES.
+    """
     return np.floor(encoded * (2**bits - 1) + 0.5).astype(CODES[bits])
 
 
 def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
-    """Return linear sRGB as the `codes` of a picture file."""
+    """Encode linear sRGB as integer codes of a picture file."""
     return codes(srgb_curve(linear), bits)
 
 
 @dataclass(frozen=True)
 class Tone:
-    """A tone curve of linear values x: x (a x + b) / (x (c x + d) + e), at most 1; 0 below 0."""
+    """Tone curve for linear values x: x (a x + b) / (x (c x + d) + e), limited to 0…1."""
 
     a: float
     b: float
@@ -122,12 +142,12 @@ class Tone:
     e: float
 
     def toned(self, linear: Array) -> Array:
-        """Return what linear values are shown as, linear, too."""
+        """Apply the tone curve. The result is linear too."""
         x = np.clip(linear, 0.0, TONE_LIMIT)
         return np.minimum(x * (self.a * x + self.b) / (x * (self.c * x + self.d) + self.e), 1.0)
 
 
-# K. Narkowicz, ACES Filmic Tone Mapping Curve, 2016, of the ACES output.
+# K. Narkowicz, ACES Filmic Tone Mapping Curve, 2016: a fit to the ACES output transform.
 TONES = {"aces": Tone(2.51, 0.03, 2.43, 0.59, 0.14)}
 
 
@@ -135,24 +155,39 @@ TONES = {"aces": Tone(2.51, 0.03, 2.43, 0.59, 0.14)}
 
 
 def displayed(xyz: Array, white: Array, scale: float) -> Array:
-    """Return the picture in 0…1 of XYZ planes (3, row, col): `white` (3) adapted to D65, Y = `scale` shown as 1."""
+    """Convert XYZ planes to a picture, clipped to 0…1.
+
+    Parameters
+    ----------
+    xyz : ndarray, (3, row, col)
+        CIE 1931 XYZ.
+    white : ndarray, (3)
+        XYZ of the scene's white, which is adapted to D65.
+    scale : float
+        Y that is mapped to 1.
+
+    Returns
+    -------
+    ndarray, (row, col, 3)
+        Linear sRGB.
+    """
     matrix = SRGB_FROM_XYZ @ adaptation_matrix(white, daylight()) / scale
     return np.clip(np.einsum("oc,crk->rko", matrix, xyz), 0.0, 1.0)
 
 
 def scene_xyz(linear: Array, white: Array, scale: float) -> Array:
-    """Return XYZ planes (3, row, col) of a picture, the inverse of `displayed` where that does not clip."""
+    """Convert a picture to XYZ planes (3, row, col): the inverse of `displayed`, where that does not clip."""
     matrix = adaptation_matrix(daylight(), white) @ xyz_from_srgb_matrix() * scale
     return np.einsum("co,rko->crk", matrix, linear)
 
 
 def displayed_xyz(linear: Array) -> Array:
-    """Return XYZ (row, col, 3) of a display that shows a picture, white at Y = 1."""
+    """Return XYZ (row, col, 3) of a display that shows a picture, with white at Y = 1."""
     return linear @ xyz_from_srgb_matrix().T
 
 
 def lab(xyz: Array, white: Array) -> Array:
-    """Return CIE L*a*b* of xyz (…, 3) relative to `white` (3), in the same scale (CIE 15)."""
+    """Convert XYZ (…, 3) to CIE L*a*b* relative to `white` (3) at the same scale (CIE 15)."""
     share = np.asarray(xyz, np.float64) / white
     root = np.where(share > (6 / 29) ** 3, np.cbrt(share), share * (29 / 6) ** 2 / 3 + 4 / 29)
     x, y, z = np.moveaxis(root, -1, 0)
@@ -160,19 +195,19 @@ def lab(xyz: Array, white: Array) -> Array:
 
 
 def lightness(linear: Array) -> Array:
-    """Return CIE L* (row, col), 0 to 100, of a picture as a display shows it."""
+    """Return CIE L* (row, col), 0 to 100, of a displayed picture."""
     return np.asarray(colour_science().lightness(100.0 * (linear @ LUMA), method="CIE 1976"))
 
 
 def srgb_from_lab(lab_values: Array) -> Array:
-    """Return linear sRGB (…, 3), unclipped, of CIE L*a*b* relative to D65."""
+    """Convert CIE L*a*b* relative to D65 to linear sRGB (…, 3), without clipping."""
     colour = colour_science()
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     return np.asarray(colour.Lab_to_XYZ(lab_values, white) @ SRGB_FROM_XYZ.T)
 
 
 def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
-    """Return CIEDE2000 colour difference of two L*a*b* arrays (…, 3)."""
+    """Return the CIEDE2000 colour difference between two L*a*b* arrays (…, 3)."""
     one, other = np.broadcast_arrays(lab_a, lab_b)
     flat = one.reshape(-1, 3), other.reshape(-1, 3)
     difference = np.empty(len(flat[0]))
@@ -183,18 +218,20 @@ def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
 
 
 def _delta_e_2000(one: Array, other: Array) -> Array:
-    """Return CIEDE2000 (colour) of L*, a*, b* (3, colour) (Sharma, Wu and Dalal 2005). Hues are unit vectors, of which that
-    of the mean is the bisector, so that one angle is computed instead of two and their cosines."""
+    """Return CIEDE2000 (colour) between L*, a*, b* (3, colour) (Sharma, Wu and Dalal 2005).
+
+    Hues are unit vectors, and the mean hue is their bisector. This takes one angle instead of two angles and their cosines.
+    """
     (light_1, a_1, b_1), (light_2, a_2, b_2) = one, other
     stretch = 1.5 - 0.5 * _vivid((_length(a_1, b_1) + _length(a_2, b_2)) / 2)
     a_1, a_2 = a_1 * stretch, a_2 * stretch
     chroma_1, chroma_2 = _length(a_1, b_1), _length(a_2, b_2)
     both, dot, cross = chroma_1 * chroma_2, a_1 * a_2 + b_1 * b_2, a_1 * b_2 - b_1 * a_2
-    opposed = both + dot <= 1e-9 * both  # or one of them is grey
+    opposed = both + dot <= 1e-9 * both  # also true if one colour is grey
     far = np.copysign(np.sqrt(np.maximum(2 * (both - dot), 0)), cross)
     hue = np.where(opposed, far, cross * np.sqrt(2 / np.where(opposed, 1, both + dot)))  # 2 √(C₁C₂) sin(Δh/2)
     x, y = (np.where(both > 0, p * chroma_2 + q * chroma_1, p + q) for p, q in ((a_1, a_2), (b_1, b_2)))
-    sign = np.where((b_1 > 0) | (b_1 == 0) & (a_1 > 0), 1, -1)  # opposite hues: the mean of the angles
+    sign = np.where((b_1 > 0) | (b_1 == 0) & (a_1 > 0), 1, -1)  # for opposite hues, the mean of the angles
     x, y = (np.where((x == 0) & (y == 0), each, of) for of, each in ((x, -sign * b_1), (y, sign * a_1)))
     length = _length(x, y)
     mean = (x + 1j * y) / np.where(length > 0, length, 1) + (length == 0)
@@ -211,7 +248,7 @@ def _delta_e_2000(one: Array, other: Array) -> Array:
 
 
 def _length(x: Array, y: Array) -> Array:
-    """Return np.hypot(x, y), which takes care of numbers that no colour has, in a fifth of the time."""
+    """Return √(x² + y²), in a fifth of the time of np.hypot, which guards against overflow that colours never cause."""
     return np.sqrt(x * x + y * y)
 
 
@@ -222,38 +259,71 @@ def _vivid(chroma: Array) -> Array:
 
 
 def displayed_delta_e(one: Array, other: Array) -> Array:
-    """Return CIEDE2000 (row, col) of two pictures as a display shows them."""
+    """Return CIEDE2000 (row, col) between two displayed pictures."""
     labs = [lab(displayed_xyz(picture), daylight()) for picture in (one, other)]
     return delta_e_2000(*labs)
 
 
 def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, noise: Array | float = 0.0) -> Array:
-    """Return M (output, input) of least squares over surfaces of |outputs − M inputs|² for which M @ known = answer (by a
-    Lagrange multiplier); inputs (surface, input), outputs (surface, output). `noise` (input): variances that the inputs have
-    beside, which M is not to amplify."""
+    """Fit a matrix by least squares that maps one given input exactly.
+
+    The constraint is met with a Lagrange multiplier.
+
+    Parameters
+    ----------
+    inputs : ndarray, (surface, input)
+        Inputs.
+    outputs : ndarray, (surface, output)
+        Outputs to approximate.
+    known : ndarray, (input)
+        Input of the constraint.
+    answer : ndarray, (output)
+        Output of the constraint: M @ known = answer.
+    noise : ndarray, (input), or float
+        Variances of noise on the inputs, which penalise amplification.
+
+    Returns
+    -------
+    ndarray, (output, input)
+        M.
+    """
     gram = inputs.T @ inputs + len(inputs) * np.diag(np.broadcast_to(noise, inputs.shape[1:]))
     free = np.linalg.solve(gram, inputs.T @ outputs).T
     towards = np.linalg.solve(gram, known)
     return free + np.outer(answer - free @ known, towards / (known @ towards))
 
 
-STEP = 2.0**-26  # of slopes: the root of float64's precision
+STEP = 2.0**-26  # step of numerical derivatives, the square root of float64's precision
 
 
 def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
-    """Return R (3, 3) that leaves `white` (3) as it is, for which the squares of CIEDE2000 between R @ xyz and `wanted`,
-    both (surface, 3), are least near the unit matrix."""
+    """Return the matrix near the identity that minimises squared CIEDE2000 errors and keeps white.
+
+    Parameters
+    ----------
+    xyz : ndarray, (surface, 3)
+        Colours to be transformed.
+    wanted : ndarray, (surface, 3)
+        Target colours.
+    white : ndarray, (3)
+        White point, which the matrix does not change.
+
+    Returns
+    -------
+    ndarray, (3, 3)
+        R, applied as R @ xyz.
+    """
     from scipy.optimize import minimize
 
-    goal, free = lab(wanted, white), np.linalg.svd(white[None])[2][1:]  # directions (2, 3) that white has nothing of
+    goal, free = lab(wanted, white), np.linalg.svd(white[None])[2][1:]  # directions (2, 3) orthogonal to white
 
     def turned(changes: Array) -> Array:
         return np.eye(3) + changes.reshape(-1, 3, 2) @ free
 
-    def errors(changes: Array) -> Array:  # of squares, since those are smooth where a surface is met
+    def errors(changes: Array) -> Array:  # squares, because they are smooth where an error vanishes
         return np.square(delta_e_2000(lab(xyz @ turned(changes).swapaxes(1, 2), white), goal)).mean(axis=1)
 
-    def sloped(change: Array) -> tuple[float, Array]:  # all neighbours at once, in a fifth of the time
+    def sloped(change: Array) -> tuple[float, Array]:  # evaluating all neighbours at once takes a fifth of the time
         first, *others = errors(change + np.vstack([np.zeros(6), STEP * np.eye(6)]))
         return float(first), (np.array(others) - first) / STEP
 

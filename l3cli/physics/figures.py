@@ -1,4 +1,4 @@
-"""Figures of quality: their names, units, and which of two values is the better one (docs/method.md#quality-figures)."""
+"""Quality metrics: their names, units, and whether larger values are better (docs/method.md#quality-figures)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,16 +8,16 @@ from l3cli.system.text import figure as number
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure as pages, tables and sentences name it."""
+    """How a metric is named on pages, in tables and in sentences."""
 
-    heading: str  # on a page
-    short: str  # over a column of a terminal's table, beneath those before it
-    unit: str = ""  # behind a difference
+    heading: str  # heading on a page
+    short: str  # heading of a column in the terminal
+    unit: str = ""  # unit after a difference
     more_is_better: bool = False
     digits: int = 2
 
 
-FIGURES = {  # those of frames, in the order in which they are shown, then those of standards (docs/measurement.md)
+FIGURES = {  # metrics of frames in the order of display, then metrics from standards (docs/measurement.md)
     "mean_delta_e": Figure("mean ΔE00", "ΔE00 mean", " ΔE00"),
     "median_delta_e": Figure("median ΔE00", "median", " ΔE00"),
     "p95_delta_e": Figure("95 % ΔE00", "95 %", " ΔE00"),
@@ -45,23 +45,23 @@ FIGURES = {  # those of frames, in the order in which they are shown, then those
 
 
 def figure_text(figure: str, value: float | None) -> str:
-    """Return a figure as text, without its unit; a dash where a frame has none."""
+    """Format the value of a metric without its unit. A missing value is a dash."""
     return "–" if value is None else number(value, f".{FIGURES[figure].digits}f")
 
 
 def known_mean(values: Sequence[float | None]) -> float | None:
-    """Return the mean of the values that are known; None if none is."""
+    """Return the mean of the values that are not None, or None if there are none."""
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if known else None
 
 
 def sign(figure: str) -> float:
-    """Return 1 if more of a figure is better, else -1; of a figure that other versions of the program gave, too."""
+    """Return 1 if larger values of a metric are better, otherwise −1. Unknown metrics, from other versions, give −1."""
     known = FIGURES.get(figure)
     return 1.0 if known and known.more_is_better else -1.0
 
 
 def in_words(value: float, figure: str) -> str:
-    """Return a difference of a figure with its unit."""
+    """Format a difference of a metric with its unit."""
     unit = FIGURES[figure].unit if figure in FIGURES else ""
     return f"{value:.2g}{unit}" if value < 10 else f"{value:.0f}{unit}"

@@ -1,13 +1,15 @@
-"""Colours that a space cannot show, brought into its gamut along lines of constant hue (docs/method.md#gamut).
+"""Map colours outside a colour space into its gamut along lines of constant hue (docs/method.md#gamut).
 
-A colour is linear values c of a space. Its OkLab cone responses are s = (A c)^(1/3), with rows of A that give 1 for
-white, and its lightness is L = λ · s. Greys have s = (L, L, L), so the colours of one lightness and hue lie on the line
-s(t) = L + t (s − L), and linear values along it are cubic polynomials in t.
+A colour is a vector c of linear values of the space. Its OkLab cone responses are s = (A c)^(1/3), where the rows of A are
+scaled to give 1 for white. Its lightness is L = λ · s. Greys have s = (L, L, L), so the colours with one lightness and hue
+lie on the line s(t) = L + t (s − L). Along it, linear values are cubic polynomials in t.
 
-1. Negative values: the colour moves towards grey until none is below 0. t is the least root of the cubics, by one step of
-   Halley's method from where the straight line through both ends of the cubic that ends lowest is 0.
-2. Values above 1: the colour is darkened until none is above 1, which leaves its OkLab hue as it is. Towards a luminance Y
-   of 1 this gives way to clipping each value, by Y⁴, so that highlights are as bright as they can be and end in white.
+1. Negative values: the colour moves towards grey until no value is below 0. The position t is the smallest root of the
+   cubics. It is approximated by one step of Halley's method, from the zero of the straight line between both ends of the
+   cubic with the lowest end.
+2. Values above 1: the colour is darkened until no value is above 1, which preserves its OkLab hue. As the luminance Y
+   approaches 1, darkening gives way to clipping each value, with the weight Y⁴. Highlights are thus as bright as possible
+   and end in white.
 
 References
 ----------
@@ -31,25 +33,25 @@ CONES_FROM_XYZ = np.array(
         [0.0482003018, 0.2643662691, 0.6338517070],
     ]
 )
-LIGHTNESS = np.array([0.2104542553, 0.7936177850, -0.0040720468])  # of the cubic roots of cone responses
-LEAST_CONE = 1e-12
-CONE_SHARE = 0.02  # of the largest cone response, below which another is raised: real colours have no less than 0.07
-LEAST_LIGHTNESS = 1e-4
-TINY = 1e-30
+LIGHTNESS = np.array([0.2104542553, 0.7936177850, -0.0040720468])  # weights λ of the cube roots of cone responses
+LEAST_CONE = 1e-12  # smallest cone response, for black
+CONE_SHARE = 0.02  # cone responses are raised to this fraction of the largest; real colours have at least 0.07
+LEAST_LIGHTNESS = 1e-4  # avoids division by zero
+TINY = 1e-30  # avoids division by zero
 
 
 @dataclass(frozen=True)
 class Gamut:
-    """The colours that a space shows: linear values in 0…1."""
+    """The colours that a space can show, as matrices between its linear values (0…1) and cone responses."""
 
-    cones: NDArray[np.float64]  # (3, 3) cone responses from linear values; (1, 1, 1) of white
-    linear: NDArray[np.float64]  # (3, 3) its inverse
-    luminance: NDArray[np.float64]  # (3) Y of linear values; 1 of white
+    cones: NDArray[np.float64]  # (3, 3) from linear values to cone responses, (1, 1, 1) for white
+    linear: NDArray[np.float64]  # (3, 3) the inverse of `cones`
+    luminance: NDArray[np.float64]  # (3) weights of linear values in Y, 1 for white
 
 
 @functools.cache
 def gamut_of(space: Space) -> Gamut:
-    """Return the gamut of a space whose white is D65."""
+    """Return the gamut of a space with the white point D65."""
     to_xyz = np.linalg.inv(space.from_xyz)
     cones = CONES_FROM_XYZ @ to_xyz
     cones /= cones.sum(axis=1, keepdims=True)
@@ -57,22 +59,22 @@ def gamut_of(space: Space) -> Gamut:
 
 
 def into_gamut(linear: NDArray[np.float64], gamut: Gamut, bounded: bool = True) -> NDArray[np.float64]:
-    """Return colours with those outside of a gamut brought into it; the others are unchanged.
+    """Map colours outside a gamut into it. Other colours do not change.
 
     Parameters
     ----------
     linear : ndarray, (…, 3)
         Linear values of the space.
     gamut : Gamut
-        The gamut of the space.
+        Gamut of the space.
     bounded : bool
-        False if values above 1 can be shown, because a tone curve follows. They are then left as they are.
+        False if a tone curve follows, which can show values above 1. These values then remain.
 
     Returns
     -------
     ndarray, (…, 3)
-        Linear values. A few may still lie outside of 0…1, deep blues by up to 2 % of their largest value, and are to be
-        clipped.
+        Linear values. The caller must clip them, because a few may remain outside 0…1: deep blues by up to 2 % of their
+        largest value.
     """
     shown = linear.copy()
     negative = linear.min(axis=-1) < 0
@@ -84,14 +86,14 @@ def into_gamut(linear: NDArray[np.float64], gamut: Gamut, bounded: bool = True) 
 
 
 def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.float64]:
-    """Return colours (colour, 3) moved towards the grey of their lightness until no value is negative."""
+    """Move colours (colour, 3) towards the grey of their lightness until no value is negative."""
     responses = linear @ gamut.cones.T
     least_responses = np.maximum(CONE_SHARE * responses.max(axis=1, keepdims=True), LEAST_CONE)
     roots = np.cbrt(np.maximum(responses, least_responses))
     lightness = np.maximum(roots @ LIGHTNESS, LEAST_LIGHTNESS)[:, None]
     chroma = roots / lightness - 1
     first, second, third = (scale * chroma**power @ gamut.linear.T for scale, power in ((3, 1), (3, 2), (1, 3)))
-    ends = np.minimum(linear / lightness**3, 0)  # of the cubics, at t = 1; they begin at 1
+    ends = np.minimum(linear / lightness**3, 0)  # the cubics' values at t = 1; at t = 0 they are 1
     t = 1 / (1 - ends.min(axis=1, keepdims=True))
     value = 1 + t * (first + t * (second + t * third))
     slope = first + t * (2 * second + t * (3 * third))
@@ -103,7 +105,7 @@ def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.flo
 
 
 def _darker(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.float64]:
-    """Return colours (colour, 3) with values above 1 darkened, or clipped the nearer to white they are."""
+    """Darken colours (colour, 3) with values above 1, or clip them, the more so the nearer they are to white."""
     square = np.square(np.clip(linear @ gamut.luminance, 0, 1))[:, None]
     clipped, scaled = np.minimum(linear, 1), linear / linear.max(axis=1, keepdims=True)
     return scaled + square * square * (clipped - scaled)

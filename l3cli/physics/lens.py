@@ -1,7 +1,7 @@
-"""Optics of a lens: the camera equation, fall-off towards the corners, and blur by diffraction and defocus.
+"""Optics of a lens: camera equation, fall-off towards the corners, and blur by diffraction and defocus.
 
-The formulas are ISETCam's, against which they are checked (docs/method.md#optics). Lengths are in m unless a
-name says otherwise.
+The formulas are those of ISETCam, and are tested against it (docs/method.md#optics). Lengths are in m unless a name says
+otherwise.
 """
 
 import numpy as np
@@ -11,43 +11,59 @@ Array = NDArray[np.floating]
 
 
 def image_distance(focal_length: float, object_distance: float) -> float:
-    """Return the distance from lens to sensor when an object is in focus, f d / (d − f); the focal length for an object at
-    infinity, whose `object_distance` is 0."""
+    """Return the distance from lens to sensor when the object is in focus: f d / (d − f).
+
+    For an object at infinity, written as `object_distance` 0, it is the focal length.
+    """
     if object_distance > 0:
         return focal_length * object_distance / (object_distance - focal_length)
     return focal_length
 
 
 def magnification(focal_length: float, object_distance: float) -> float:
-    """Return |m|, image size over object size in focus: f / (d − f); 0 at infinity, an `object_distance` of 0."""
+    """Return the magnification |m| in focus: f / (d − f), or 0 at infinity (`object_distance` 0)."""
     return focal_length / (object_distance - focal_length) if object_distance > 0 else 0.0
 
 
 def irradiance_per_radiance(f_number: float, magnification: float) -> float:
-    """Return, in sr, the camera equation: sensor irradiance / scene radiance on the axis, π / (1 + 4 N² (1 + |m|)²)."""
+    """Return the ratio, in sr, of sensor irradiance to scene radiance on the axis: π / (1 + 4 N² (1 + |m|)²)."""
     return float(np.pi / (1.0 + 4.0 * f_number**2 * (1.0 + magnification) ** 2))
 
 
 def relative_illumination(image_distance: float, pixel_pitch: float, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return light (row, col) of an even scene over that on the axis, the middle of the frame: (D² / (D² + r²))², the "cos⁴
-    law", D being the image distance."""
+    """Return the illumination (row, col) of an even scene relative to the centre of the frame.
+
+    It is (D² / (D² + r²))², the cos⁴ law, where D is the image distance and r the distance from the centre.
+    """
     down, across = ((np.arange(length) - (length - 1) / 2) * pixel_pitch for length in shape)
     squared = image_distance**2
     return np.asarray((squared / (squared + down[:, None] ** 2 + across**2)) ** 2, dtype=np.float64)
 
 
 def diffraction_transfer(frequency: Array, wavelength: Array, f_number: float) -> Array:
-    """Return MTF (frequency, wavelength) of an aberration-free lens: 2/π (acos u − u √(1 − u²)), u = f λ N.
+    """Return the MTF (frequency, wavelength) of an aberration-free lens: 2/π (acos u − u √(1 − u²)), u = f λ N.
 
-    `frequency` in cycles/m on the sensor, `wavelength` in nm.
+    Parameters
+    ----------
+    frequency : ndarray, (frequency)
+        Cycles/m on the sensor.
+    wavelength : ndarray, (wavelength)
+        In nm.
+    f_number : float
+        N.
     """
     u = np.minimum(frequency[:, None] * (wavelength * 1e-9) * f_number, 1.0)
     return 2.0 / np.pi * (np.arccos(u) - u * np.sqrt(1.0 - u**2))
 
 
 def gaussian_transfer(frequency: Array, deviation: float) -> Array:
-    """Return MTF (frequency) of a Gaussian blur of standard deviation `deviation` on the sensor: exp(−2 (π σ f)²).
+    """Return the MTF (frequency) of a Gaussian blur: exp(−2 (π σ f)²).
 
-    `frequency` in cycles/m.
+    Parameters
+    ----------
+    frequency : ndarray, (frequency)
+        Cycles/m on the sensor.
+    deviation : float
+        Standard deviation σ in m on the sensor.
     """
     return np.asarray(np.exp(-2.0 * (np.pi * deviation * frequency) ** 2))

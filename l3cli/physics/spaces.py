@@ -1,4 +1,4 @@
-"""Colour spaces that pictures are written in: primaries, white, transfer curve (docs/method.md#display).
+"""Colour spaces of output pictures: primaries, white point and transfer curve (docs/method.md#display).
 
 Sources: IEC 61966-2-1 (sRGB), SMPTE EG 432-1 with the sRGB curve (Display P3), ITU-R BT.2020-2, Academy S-2014-004 (ACEScg).
 """
@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.floating]
 XY: TypeAlias = tuple[float, float]  # chromaticity
 
-# Written out, though colour-science has both: rendering a frame needs nothing else of it, and importing it takes longer.
+# Both matrices are in colour-science too, but importing it takes longer than rendering a frame, which needs nothing else.
 SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
-BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])  # cones of XYZ
+BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])  # XYZ to cones
 D65: XY = (0.3127, 0.3290)
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Encoded value of a linear one x in 0…1: gain · x^exponent − offset above `knee`, slope · x up to it."""
+    """Transfer curve from linear x in 0…1: gain · x^exponent − offset above `knee`, slope · x below."""
 
     knee: float
     slope: float
@@ -29,7 +29,7 @@ class Curve:
     exponent: float
 
     def encoded(self, linear: Array) -> Array:
-        """Return encoded values of linear ones, both clipped to 0…1."""
+        """Encode linear values. Inputs are clipped to 0…1."""
         clipped = np.clip(linear, 0.0, 1.0)
         power = self.gain * np.maximum(clipped, 1e-9) ** self.exponent - self.offset
         return np.where(clipped <= self.knee, self.slope * clipped, power)
@@ -41,29 +41,29 @@ BT2020_CURVE = Curve(0.018053968510807, 4.5, 1.09929682680944, 0.09929682680944,
 
 @dataclass(frozen=True)
 class Space:
-    """A space of three values; where all are equal the colour is `white`."""
+    """An RGB colour space, or XYZ. Equal values of all three components are `white`."""
 
-    name: str  # that it is asked for by
+    name: str  # value of the option that selects it
     title: str
     primaries: tuple[XY, XY, XY]
     white: XY
-    curve: Curve | None  # None: values are linear, and not clipped
-    neutral: XY | None = None  # what a white surface is shown as; None: `white`
+    curve: Curve | None  # None if values are linear and not clipped
+    neutral: XY | None = None  # chromaticity of a white surface, if it is not `white`
 
     @property
     def neutral_xyz(self) -> Array:
-        """Return the XYZ (3), Y = 1, of a white surface."""
+        """XYZ (3) of a white surface, with Y = 1."""
         return xyz_of(self.neutral) if self.neutral else np.linalg.solve(self.from_xyz, np.ones(3))
 
     @property
     def to_xyz(self) -> Array:
-        """Return M (3, 3), XYZ = M @ linear values, by the definition of the primaries."""
+        """Matrix (3, 3) from linear values to XYZ, computed from the primaries."""
         columns = np.array([(x, y, 1 - x - y) for x, y in self.primaries]).T
         return columns * np.linalg.solve(columns, xyz_of(self.white))
 
     @property
     def from_xyz(self) -> Array:
-        """Return M (3, 3), linear values = M @ XYZ; that of sRGB as its standard rounds it."""
+        """Matrix (3, 3) from XYZ to linear values. For sRGB it is the rounded matrix of the standard."""
         return SRGB_FROM_XYZ.copy() if self.name == SRGB.name else np.linalg.inv(self.to_xyz)
 
 
@@ -84,18 +84,24 @@ SPACES = {
 
 
 def xyz_of(chromaticity: XY) -> Array:
-    """Return XYZ (3), Y = 1, of a chromaticity x, y."""
+    """Return XYZ (3), with Y = 1, of a chromaticity x, y."""
     x, y = chromaticity
     return np.array([x, y, 1 - x - y]) / y
 
 
 def chromaticity_of(xyz: Array) -> XY:
-    """Return chromaticity x, y of XYZ (3)."""
+    """Return the chromaticity x, y of XYZ (3)."""
     x, y, _ = np.asarray(xyz, np.float64) / np.sum(xyz)
     return float(x), float(y)
 
 
 def adaptation_matrix(white: Array, to: Array) -> Array:
-    """Return Bradford chromatic adaptation (3, 3) of XYZ from `white` to `to`, each (3) with any Y."""
+    """Return the Bradford matrix (3, 3) that adapts XYZ from one white to another.
+
+    Parameters
+    ----------
+    white, to : ndarray, (3)
+        XYZ of both whites, at any luminance.
+    """
     gain = (BRADFORD @ to / to[1]) / (BRADFORD @ white / white[1])
     return np.linalg.solve(BRADFORD, gain[:, None] * BRADFORD)

@@ -1,4 +1,4 @@
-"""Wavelengths, illuminants, observers and reflectances: the one door to colour-science.
+"""Wavelengths, illuminants, observers and reflectances. All access to colour-science goes through this module.
 
 Spectra are arrays over a wavelength grid in nm. Radiance is in photons/s/sr/m²/nm unless a name says otherwise.
 """
@@ -17,17 +17,17 @@ from l3cli.system.text import NoSuchNumber, Quantity
 PLANCK = 6.62607015e-34  # J s
 LIGHT_SPEED = 299792458.0  # m/s
 LUMINOUS_EFFICACY = 683.0  # lm/W
-BLACK_BODY = Quantity(500, 100_000, "K")  # below, nothing is seen by it
-DAYLIGHT = Quantity(4000, 25_000, "K")  # as far as CIE daylight goes
-# Correlated colour temperatures of the CIE's daylights in K, by the second radiation constant of today (CIE 15)
+BLACK_BODY = Quantity(500, 100_000, "K")  # cooler black bodies emit no visible light
+DAYLIGHT = Quantity(4000, 25_000, "K")  # range in which CIE daylight is defined
+# Correlated colour temperatures of the CIE daylights in K, for today's value of the second radiation constant (CIE 15)
 DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
-UNSEEN = 1e-9  # luminous efficiency below which light is taken for invisible: less than rounding leaves beyond 830 nm
-SPRAGUE_STEP = 20.0  # nm between bands up to which a reflectance is taken as smooth
+UNSEEN = 1e-9  # luminous efficiency below which light counts as invisible; rounding beyond 830 nm leaves more
+SPRAGUE_STEP = 20.0  # nm, widest band spacing for which a reflectance is interpolated as a smooth curve
 Array = NDArray[np.floating]
 
 
 def colour_science() -> Any:
-    """Return colour-science, imported when first needed (it takes two seconds) and without its import-time warnings."""
+    """Import colour-science on first use, which takes two seconds, and suppress its warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour
@@ -35,13 +35,16 @@ def colour_science() -> Any:
 
 
 def photons_from_energy(wavelength: Array, energy: Array) -> Array:
-    """Return photon count per joule-based spectrum: energy (…, wavelength) W… → photons/s…"""
+    """Convert a spectrum (…, wavelength) from energy (W…) to photons (photons/s…)."""
     return energy * (wavelength * 1e-9) / (PLANCK * LIGHT_SPEED)
 
 
 def bin_edges(wavelength: Array) -> Array:
-    """Return edges (wavelength + 1) in nm of the steps that the samples of an increasing grid stand for: midway between
-    them; the outermost as far beyond the ends as the next lie inside. One sample alone stands for 1 nm."""
+    """Return the edges (wavelength + 1) in nm of the bins around the samples of an increasing grid.
+
+    Edges lie midway between samples. The outer edges are as far outside as the next edges are inside. A single sample has a
+    bin of 1 nm.
+    """
     if wavelength.size == 1:
         return wavelength[0] + np.array([-0.5, 0.5])
     inner = (wavelength[1:] + wavelength[:-1]) / 2
@@ -49,19 +52,21 @@ def bin_edges(wavelength: Array) -> Array:
 
 
 def bin_widths(wavelength: Array) -> Array:
-    """Return the width (wavelength) in nm of the step that each sample stands for: Σ f·Δλ is the integral of f."""
+    """Return the width (wavelength) in nm of the bin around each sample, so that Σ f·Δλ is the integral of f."""
     return np.abs(np.gradient(wavelength)) if wavelength.size > 1 else np.ones(1)
 
 
 def ascending(wavelength: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Return a grid that falls, with its values (…, wavelength), turned round; any other as it is."""
+    """Reverse a decreasing grid and its values (…, wavelength). Other grids are returned unchanged."""
     falls = wavelength.size > 1 and (np.diff(wavelength) < 0).all()
     return (wavelength[::-1], values[..., ::-1]) if falls else (wavelength, values)
 
 
 def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the two samples of an increasing grid about each wavelength, and their weights in a linear interpolation that
-    is held beyond the ends, both (2, at)."""
+    """Return the two samples of an increasing grid around each wavelength, and their linear weights, both (2, at).
+
+    Values are held constant beyond the ends.
+    """
     if grid.size == 1:
         return np.zeros((2, at.size), np.intp), np.array([[1.0], [0.0]]) * np.ones(at.size)
     right = np.clip(np.searchsorted(grid, at), 1, grid.size - 1)
@@ -70,12 +75,14 @@ def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def light_grid(seen: Array) -> Array:
-    """Return every nm of what the observer sees, and a camera with wavelengths `seen`."""
+    """Return a 1 nm grid that covers the range of the observer and of a camera with wavelengths `seen`."""
     return np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
 
 
 def interpolation_matrix(source: Array, grid: Array) -> Array:
-    """Return M (grid, source): a smooth function at points, linear between its samples and zero outside their range."""
+    """Return the matrix (grid, source) that interpolates samples linearly at points. It is zero outside the range of
+    `source`.
+    """
     matrix = np.zeros((grid.size, source.size))
     samples, shares = _neighbours(source, grid)
     inside = (grid >= source[0]) & (grid <= source[-1])
@@ -84,12 +91,12 @@ def interpolation_matrix(source: Array, grid: Array) -> Array:
 
 
 def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
-    """Return M (grid, source): the mean over each step of `grid`, for `sampling_matrix` and, `held`, `average`.
+    """Return the matrix (grid, source) that averages a spectrum over the bins of `grid`.
 
-    The source is linear between its samples and constant in the outer half of its outermost steps; beyond, it is zero or
-    held. Its integral over every piece between samples of either grid is shared between the two samples of `grid`
-    about them by their distances, as a function that is linear between those samples weighs it: so power and the
-    power's mean wavelength are kept, and equal grids give the unit matrix. ValueError if a wavelength occurs twice.
+    Notes ----- The source is linear between its samples and constant in the outer half of its outermost bins. Beyond, it is
+    zero, or held constant if `extended`. The integral over every piece between samples of either grid is split between the
+    two nearest samples of `grid`, with the weights of linear interpolation. This preserves the power and its mean
+    wavelength, and equal grids give the identity. Raises ValueError if a wavelength occurs twice.
     """
     rising, aim = np.argsort(source), np.argsort(grid)
     low, high = source[rising], grid[aim]
@@ -108,31 +115,35 @@ def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
 
 
 def sampling_matrix(source: Array, grid: Array) -> Array:
-    """Return M (grid, source): a density (power or photons per nm) as means over the steps of another `grid`, so that the
-    sum of value × bin width stays what it was, wherever spectral lines lie between the samples. Zero beyond its steps.
+    """Return the matrix (grid, source) that resamples a density such as power or photons per nm.
 
-    Grids are in any order. On a finer grid this is linear interpolation, on the same grid it changes nothing.
+    Values become means over the bins of `grid`, so that the sum of value × bin width is preserved wherever spectral lines
+    lie between the samples. On a finer grid this is linear interpolation; on the same grid it is the identity. The result is
+    zero beyond the bins of `source`. Grids may be in any order.
     """
     return _step_matrix(source, grid, extended=False)
 
 
 def resample(spectrum: Array, source: Array, grid: Array) -> Array:
-    """Return a density (…, source) by `sampling_matrix`."""
+    """Resample a density (…, source) with `sampling_matrix`."""
     return spectrum @ sampling_matrix(source, grid).T
 
 
 def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
-    """Return a ratio (…, source) such as a transmittance or a responsivity, averaged over the steps of another grid like a
-    density in `sampling_matrix`; at its ends over what is known of it, and zero at wavelengths outside its range."""
+    """Average a ratio (…, source), such as a transmittance or responsivity, over the bins of another grid.
+
+    At the ends of its range, the average covers the part of a bin where the ratio is known. It is zero at wavelengths
+    outside the range.
+    """
     inside = (grid >= source.min()) & (grid <= source.max())
     return np.asarray(curve @ (_step_matrix(source, grid, extended=True) * inside[:, None]).T, dtype=np.float64)
 
 
 def held_interpolation(bands: Array, wavelength: Array) -> Array:
-    """Return M (wavelength, band): a reflectance's mean over each step of a grid; constant beyond the ends (CIE 15).
+    """Return the matrix (wavelength, band) that averages a reflectance over bins, held constant beyond its ends (CIE 15).
 
-    Evenly spaced bands of 20 nm at most are interpolated by Sprague's polynomials as CIE 167 recommends and colour-science
-    does, all others linearly.
+    Evenly spaced bands up to 20 nm apart are interpolated with Sprague polynomials, as in CIE 167 and colour-science. All
+    others are interpolated linearly.
     """
     return _held_interpolation(tuple(bands), tuple(wavelength))
 
@@ -154,15 +165,15 @@ def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...])
 OBSERVERS = {"CIE 1931": "CIE 1931 2 Degree Standard Observer", "CIE 1964": "CIE 1964 10 Degree Standard Observer"}
 
 
-INFRARED = 740.0, 780.0, 1000.0  # nm, of near_infrared: where it begins, is whole, and ends
+INFRARED = 740.0, 780.0, 1000.0  # nm, for near_infrared: start, full sensitivity, end
 LUMINOUS_WIDTH = 106.86  # nm, integral of ȳ of CIE 1931
-SAMPLED = np.arange(400.0, 701.0, 10.0)  # nm, of spectra as outputs
-# Called as OpenEXR files call them (Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10, 2021)
+SAMPLED = np.arange(400.0, 701.0, 10.0)  # nm, bands of spectral outputs
+# Names as in OpenEXR files (Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10, 2021)
 REFLECTANCES, RADIANCES = (tuple(f"{kind}.{each:g}nm" for each in SAMPLED) for kind in ("T", "S0"))
 
 
 def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> Array:
-    """Return x̄ ȳ z̄, (3, wavelength), of a key of OBSERVERS, linearly interpolated from the tabulated 1 nm observer."""
+    """Return x̄ ȳ z̄ (3, wavelength) of an observer in OBSERVERS, interpolated linearly from its 1 nm table."""
     if observer not in OBSERVERS:
         raise RecipeError(f'observer "{observer}" is unknown; {suggestion(observer, OBSERVERS)}')
     cmfs = colour_science().MSDS_CMFS[OBSERVERS[observer]]
@@ -170,32 +181,39 @@ def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> 
 
 
 def near_infrared(wavelength: Array) -> Array:
-    """Return (wavelength) of a band of near infrared, scaled as ȳ is, so that a light of equal power up to 830 nm gives as
-    much of it as of Y: from 740 nm, where eyes end, rising to 780 nm, where CIE's IR-A begins; zero beyond 1000 nm."""
+    """Return a sensitivity (wavelength) for the near infrared.
+
+    It rises from 740 nm, where the eye's range ends, to 780 nm, where CIE IR-A begins, and is zero beyond 1000 nm. It has
+    the scale of ȳ: light of equal power up to 830 nm gives as much of it as of Y.
+    """
     band = np.clip((wavelength - INFRARED[0]) / (INFRARED[1] - INFRARED[0]), 0.0, 1.0) * (wavelength <= INFRARED[2])
     return np.asarray(band * (LUMINOUS_WIDTH / (830.0 - (INFRARED[0] + INFRARED[1]) / 2)))
 
 
 def sampled_radiance(wavelength: Array) -> Array:
-    """Return functions (output, wavelength) of RADIANCES: the mean of each step of SAMPLED, scaled as ȳ is, so that a light
-    of equal power gives as much of each as of Y."""
+    """Return the functions (output, wavelength) of the outputs RADIANCES: the mean over each bin of SAMPLED.
+
+    They have the scale of ȳ: light of equal power gives as much of each as of Y.
+    """
     return np.asarray(LUMINOUS_WIDTH * sampling_matrix(wavelength, SAMPLED) / bin_widths(wavelength))
 
 
 def is_spectrum(outputs: tuple[str, ...], channels: tuple[str, ...]) -> bool:
-    """Return whether the outputs are a spectrum: reflectances, radiances, or the bands of a camera of these channels."""
+    """Whether the outputs are a spectrum: reflectances, radiances, or the bands of a camera with the given channels."""
     return outputs in (channels, REFLECTANCES, RADIANCES)
 
 
 def matching_weights(functions: Array, wavelength: Array) -> Array:
-    """Return W (output, wavelength) of matching functions (output, wavelength) per watt: output = W @ radiance
-    (photons/s/sr/m²/nm), in cd/m² for x̄ ȳ z̄."""
+    """Return weights (output, wavelength) for photon radiance from matching functions (output, wavelength).
+
+    The output is weights @ radiance (photons/s/sr/m²/nm). For x̄ ȳ z̄ it is in cd/m².
+    """
     energy_per_photon = PLANCK * LIGHT_SPEED / (wavelength * 1e-9)
     return LUMINOUS_EFFICACY * functions * energy_per_photon * bin_widths(wavelength)
 
 
 def xyz_weights(wavelength: Array) -> Array:
-    """Return W (3, wavelength): CIE 1931 XYZ with Y in cd/m² = W @ radiance (photons/s/sr/m²/nm)."""
+    """Return weights (3, wavelength), so that CIE 1931 XYZ (cd/m²) = weights @ radiance (photons/s/sr/m²/nm)."""
     return matching_weights(colour_matching_functions(wavelength), wavelength)
 
 
@@ -204,13 +222,28 @@ USUAL_LIGHTS = 'A, D50, D65, F2, F11, LED-B3, "3200K" (a black body) and "D6000K
 
 @functools.cache
 def illuminant_names() -> tuple[str, ...]:
-    """Return the tabulated illuminants; beside them "F1"…"F12" are FL1…FL12, "3200K" is a black body, "D6000K" daylight."""
+    """Return the tabulated illuminants.
+
+    "F1" to "F12" are aliases of FL1 to FL12. "3200K" (black body) and "D6000K" (daylight) are not in the table.
+    """
     return tuple(sorted(colour_science().SDS_ILLUMINANTS))
 
 
 def illuminant(name: str, wavelength: Array) -> Array:
-    """Return relative photon radiance (wavelength), mean 1, of a named CIE illuminant, a black body such as "3200K" or
-    daylight of a correlated colour temperature such as "D6000K"; RecipeError if the name is unknown."""
+    """Return the relative photon radiance (wavelength), with mean 1, of a named light.
+
+    Parameters
+    ----------
+    name : str
+        A CIE illuminant, a black body such as "3200K", or daylight of a colour temperature such as "D6000K".
+    wavelength : ndarray, (wavelength)
+        In nm.
+
+    Raises
+    ------
+    RecipeError
+        If the name is unknown.
+    """
     temperature = re.fullmatch(r"(D?)(\d+(?:\.\d+)?) ?K", name, re.ASCII)
     if temperature:
         kind, what = (DAYLIGHT, "CIE daylight") if temperature[1] else (BLACK_BODY, "a black body")
@@ -232,9 +265,10 @@ def illuminant(name: str, wavelength: Array) -> Array:
 
 
 def known_range(name: str) -> tuple[float, float]:
-    """Return the wavelengths in nm between which a named light is known: all of a light that a formula defines.
+    """Return the range in nm in which the spectrum of a named light is known.
 
-    Beyond them `illuminant` holds the ends of the light's table.
+    Lights that a formula defines are known everywhere. Beyond the table of any other light, `illuminant` holds its ends
+    constant.
     """
     if name in ("A", "E") or re.fullmatch(r"\d+(?:\.\d+)? ?K", name, re.ASCII):
         return 0.0, np.inf
@@ -245,26 +279,26 @@ def known_range(name: str) -> tuple[float, float]:
 
 @functools.lru_cache(1000)
 def require_illuminant(name: str) -> None:
-    """Raise RecipeError unless a light has that name."""
+    """Raise RecipeError unless there is a light with that name."""
     illuminant(name, SAMPLED)
 
 
 def _illuminant_a(wavelength: Array) -> Array:
-    """Return energy (wavelength) of CIE illuminant A, by the formula that defines it (ISO/CIE 11664-2)."""
+    """Return the energy (wavelength) of CIE illuminant A, from its defining formula (ISO/CIE 11664-2)."""
     return 100.0 * (560.0 / wavelength) ** 5 * np.expm1(1.435e7 / (2848 * 560)) / np.expm1(1.435e7 / (2848 * wavelength))
 
 
 def _tabulated(name: str, wavelength: Array) -> Array:
-    """Return energy (wavelength) of a CIE illuminant, linear between its samples and held beyond them."""
+    """Return the energy (wavelength) of a CIE illuminant, interpolated linearly and held constant beyond its table."""
     source, values = _illuminant_table(name)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
 
 def _illuminant_table(name: str) -> tuple[Array, Array]:
-    """Return wavelengths and energy of a CIE illuminant; RecipeError if it has no table.
+    """Return the wavelengths and energy of a CIE illuminant. Raises RecipeError if it has no table.
 
-    Tables of colour-science end at 780 nm, those of the CIE's daylights at 830 nm: the rest is from the components of
-    daylight.
+    The tables of colour-science end at 780 nm, those of the CIE for daylight at 830 nm. The components of daylight extend
+    these.
     """
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
@@ -282,13 +316,13 @@ def _illuminant_table(name: str) -> tuple[Array, Array]:
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
-    """Return energy (wavelength) of CIE daylight of a correlated colour temperature in K, one of DAYLIGHT (CIE 15)."""
+    """Return the energy (wavelength) of CIE daylight of a colour temperature in the range DAYLIGHT (CIE 15)."""
     source, values = _daylight_table(temperature)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
 
 def _daylight_table(temperature: float) -> tuple[Array, Array]:
-    """Return wavelengths and energy of CIE daylight of a correlated colour temperature in K."""
+    """Return the wavelengths and energy of CIE daylight of a correlated colour temperature in K."""
     colour = colour_science()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -297,7 +331,7 @@ def _daylight_table(temperature: float) -> tuple[Array, Array]:
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
-    """Return `radiance` (wavelength) scaled to a luminance of `luminance` cd/m²; InputFileError if none of it is visible."""
+    """Scale `radiance` (wavelength) to `luminance` cd/m². Raises InputFileError if the light is not visible."""
     seen = xyz_weights(wavelength)[1] @ radiance
     if not seen > UNSEEN * (matching_weights(np.ones_like(wavelength), wavelength) @ radiance):
         ends = f"{wavelength.min():g}…{wavelength.max():g} nm"
@@ -306,13 +340,13 @@ def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
 
 
 def white_point(name: str) -> NDArray[np.float64]:
-    """Return XYZ (3), Y = 1, of a perfect reflector under a named illuminant or black body."""
+    """Return XYZ (3), with Y = 1, of a perfect reflector under a named illuminant or black body."""
     wavelength = np.arange(380.0, 781.0, 5.0)
     xyz = xyz_weights(wavelength) @ illuminant(name, wavelength)
     return xyz / xyz[1]
 
 
-COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm: where the chart was measured
+COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm, wavelengths at which the chart was measured
 
 
 def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
@@ -324,7 +358,9 @@ def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 @functools.cache
 def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
-    """Return the measured reflectances in colour-science as (wavelength, (sample, wavelength)), no ColorChecker."""
+    """Return the measured reflectances in colour-science as pairs of wavelength and (sample, wavelength), without
+    ColorChecker.
+    """
     colour = colour_science()
     from colour.quality.cfi2017 import load_TCS_CIE2017
     from colour.quality.datasets.tcs import SDS_TCS
@@ -338,13 +374,14 @@ def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
     return tuple(tables)
 
 
-SURFACES_MEASURED = 380.0, 780.0  # nm, between which all reflectances of the library are measured; held beyond
+SURFACES_MEASURED = 380.0, 780.0  # nm, range of all measurements in the library; values are held constant beyond it
 
 
 def reflectance_library(wavelength: Array) -> Array:
-    """Return measured reflectances of surfaces, (sample, wavelength), within 0.003–0.999 (docs/method.md#procedural-scenes).
+    """Return measured reflectances of surfaces (sample, wavelength), clipped to 0.003–0.999
+    (docs/method.md#procedural-scenes).
 
-    They are smooth: taken at points, for that is where `held_interpolation` leads a curve through; means would be flatter.
+    They are smooth curves sampled at points, as `held_interpolation` expects. Means over bins would be flatter.
     """
     library = np.concatenate(
         [[np.interp(wavelength, grid, sample) for sample in samples] for grid, samples in _reflectance_tables()]
@@ -352,28 +389,47 @@ def reflectance_library(wavelength: Array) -> Array:
     return np.clip(library[np.isfinite(library).all(axis=1)], 0.003, 0.999)
 
 
-WHITEST, BLACKEST = 1.0, 0.002  # reflectances
+WHITEST, BLACKEST = 1.0, 0.002  # limits of reflectances
 
 
 def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.bool_] | slice = slice(None)) -> Array:
-    """Return reflectance (…, band) drawn towards its geometric mean: 0 is grey, 1 leaves it. The mean is that of the bands
-    `drawn`, of all without."""
+    """Change the saturation of reflectances.
+
+    Parameters
+    ----------
+    reflectance : ndarray, (…, band)
+        Reflectances.
+    saturation : float
+        0 gives grey, the geometric mean over bands. 1 changes nothing.
+    drawn : ndarray of bool, (band), or slice
+        Bands over which the mean is taken.
+    """
     grey = np.exp(np.log(reflectance[..., drawn]).mean(axis=-1, keepdims=True))
     return np.asarray(grey * (reflectance / grey) ** saturation)
 
 
 def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, width: float) -> Array:
-    """Return reflectance (…, band) in [BLACKEST, WHITEST] with the absorption edge of rutile (3.0 eV, 413 nm) added:
-    whatever is scattered by titanium white turns dark within some 20 nm of it. `edge` is the K/S it adds at 405 nm (about
-    0.2), `width` how fast that falls, in nm (5 to 11): Kubelka–Munk; the tail falls exponentially, as Urbach's rule says.
+    """Add the absorption edge of titanium white (rutile, 3.0 eV, 413 nm) to reflectances.
 
-    Cameras and eyes weigh this edge differently; without it a table takes white paint for yellow.
+    All light that titanium white scatters turns dark within some 20 nm of the edge. Cameras and the eye weigh the edge
+    differently. Without it in training, a table takes white paint for yellow.
+
+    Parameters
+    ----------
+    reflectance : ndarray, (…, band)
+        Within BLACKEST to WHITEST.
+    wavelength : ndarray, (band)
+        In nm.
+    edge : float
+        K/S (Kubelka–Munk) added at 405 nm, about 0.2.
+    width : float
+        Decay length of the exponential tail in nm, 5 to 11 (Urbach's rule).
     """
     pigment = (1.0 - reflectance) ** 2 / (2.0 * reflectance)
     return np.clip(kubelka_munk(pigment + edge * np.exp(-(wavelength - 405.0) / width)), BLACKEST, WHITEST)
 
 
 def kubelka_munk(absorption_per_scattering: Array) -> Array:
-    """Return the reflectance of an opaque layer of given K/S (Kubelka–Munk)."""
+    """Return the reflectance of an opaque layer from its K/S (Kubelka–Munk)."""
     ratio = absorption_per_scattering
     return 1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio)

@@ -1,9 +1,10 @@
-"""CGATS.17 text files with spectra: ArgyllCMS .sp, .ti3, .cie and .ccss, and exports of chart-reading programs.
+"""Read spectra from CGATS.17 text files: ArgyllCMS .sp, .ti3, .cie and .ccss, and exports of chart-reading programs.
 
-A file holds one or more tables. A table has keywords (`KEYWORD "value"`), the names of its fields between BEGIN_DATA_FORMAT
-and END_DATA_FORMAT, and a row for each sample between BEGIN_DATA and END_DATA. A spectrum is a run of fields that are called
-by their wavelength: SPEC_380 (ArgyllCMS), SPECTRAL_NM380, nm380, R_380. ArgyllCMS rounds these names to whole nanometres and
-states the exact grid in SPECTRAL_BANDS, SPECTRAL_START_NM and SPECTRAL_END_NM. The value that stands for 1 is SPECTRAL_NORM.
+A file contains one or more tables. A table has keywords (`KEYWORD "value"`), the names of its fields between
+BEGIN_DATA_FORMAT and END_DATA_FORMAT, and one row per sample between BEGIN_DATA and END_DATA. A spectrum is a run of
+fields that are named after their wavelengths: SPEC_380 (ArgyllCMS), SPECTRAL_NM380, nm380, R_380. ArgyllCMS rounds these
+names to whole nanometres and states the exact grid in SPECTRAL_BANDS, SPECTRAL_START_NM and SPECTRAL_END_NM.
+SPECTRAL_NORM is the value that represents 1.
 
 References: ANSI CGATS.17; ArgyllCMS documentation, "File formats".
 """
@@ -21,9 +22,9 @@ FIRST_LINE = re.compile(r"\s*(?:CGATS|SPECT\s|CTI[1-4]|CCSS|CIE\b|CMF\b|ISO28178
 TOKEN = re.compile(r'"((?:[^"]|"")*)"|([^\s"]+)')
 COMMENT = re.compile(r'^((?:[^"#]|"[^"]*")*)#.*$')
 BAND = re.compile(r"^(?:(?:SPEC|SPECTRAL|R|NM)_?)?(?:NM_?)?(\d{3,4}(?:\.\d+)?)(?:_?NM)?$", re.I)
-NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # of samples, the first that is there counts
-PERCENT_ABOVE = 2.0  # no surface reflects twice the light that falls on it: larger values are percent
-KINDS = {"REFLECTIVE": "reflectance", "TRANSMISSIVE": "transmittance"}  # MEAS_TYPE → unit; others are lights
+NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # fields with the sample's name, in order of preference
+PERCENT_ABOVE = 2.0  # values above this are percent, because no surface reflects twice the incident light
+KINDS = {"REFLECTIVE": "reflectance", "TRANSMISSIVE": "transmittance"}  # MEAS_TYPE → unit; all others are lights
 
 
 @dataclass
@@ -37,16 +38,16 @@ class CgatsTable:
 
 @dataclass(frozen=True)
 class Spectra:
-    """Spectra of the samples of a file."""
+    """The spectra of the samples in a file."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     values: NDArray[np.float64]  # (sample, wavelength)
     names: tuple[str, ...]
-    unit: str | None  # of all samples, if the file says it
+    unit: str | None  # unit of all samples, if the file states it
 
 
 def is_cgats(text: str) -> bool:
-    """Whether a text is a CGATS file by its first line and its markers."""
+    """Whether a text is a CGATS file, judging by its first line and its markers."""
     return FIRST_LINE.match(text) is not None and re.search(r"^\s*BEGIN_DATA\b", text, re.M | re.I) is not None
 
 
@@ -118,7 +119,7 @@ def _tokens(line: str) -> list[str]:
 
 
 def _bands(table: CgatsTable) -> list[tuple[int, float]]:
-    """Return the place and wavelength of each spectral field."""
+    """Return the position and wavelength of each spectral field."""
     found = [(place, BAND.match(name)) for place, name in enumerate(table.fields)]
     return [(place, float(match[1])) for place, match in found if match]
 
@@ -153,7 +154,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
 
 
 def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDArray[np.float64]:
-    """Return the wavelengths in nm: the grid that the keywords state, or that of the names of the fields."""
+    """Return the wavelengths in nm from the keywords, or otherwise from the names of the fields."""
     keys = ("SPECTRAL_BANDS", "SPECTRAL_START_NM", "SPECTRAL_END_NM")
     if not all(key in table.keywords for key in keys):
         return np.array(named)

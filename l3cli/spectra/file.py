@@ -1,19 +1,20 @@
-"""Files of spectra: the formats that `read_table` reads (FORMATS), and the reader of text tables among them.
+"""Read files of spectra. `read_table` reads every format in FORMATS; the reader of text tables is here too.
 
-A text table is CSV, as spectrometers, spreadsheets and l3 itself write it. A row is a wavelength and equally many values.
-Commas, semicolons, tabs or blanks separate them; between semicolons or tabs a comma is a decimal point. A heading, the first
-line or the last comment (#) before the numbers, names the columns: the wavelengths are where it says, other columns are
-known by their names whatever their order, and units in brackets are converted. Without a heading the wavelengths, in nm,
-come first and the columns are in the order that is asked for. Curves digitised from a plot, pairs of X and Y each, are laid
-on one grid of 1 nm.
+A text table is CSV as spectrometers, spreadsheets and l3 itself write it. Each row is a wavelength followed by the same
+number of values. Columns are separated by commas, semicolons, tabs or blanks. Between semicolons or tabs, a comma is a
+decimal point. A heading names the columns. It is the first line, or the last comment (#) before the numbers. The heading
+says which column contains the wavelengths, the other columns are found by name in any order, and units in brackets are
+converted. Without a heading, the wavelengths come first, in nm, and the other columns are in the order that the caller
+expects.
 
-CGATS and JCAMP-DX files are known by their first line. IES TM-27-14 (Illuminating Engineering Society, Standard Format for
-the Electronic Transfer of Spectral Data) is read through colour-science.
+CGATS and JCAMP-DX files are recognised by their first line. IES TM-27-14 (Illuminating Engineering Society, Standard
+Format for the Electronic Transfer of Spectral Data) is read with colour-science.
 
-Instruments export text in UTF-8, UTF-16 or that of Western Windows. Before the numbers may stand lines of any text (`Key:
-value`, a marker such as >>>>>Begin Spectral Data<<<<<), of which one is the heading and one may hold the units; behind them
-may stand an end marker. A table may lie on its side: a row of wavelengths, then a row for each spectrum. Digitised curves
-(WebPlotDigitizer) are columns X and Y, each of its own length, below a line of their names.
+Instruments export text as UTF-8, UTF-16 or Windows-1252. Lines of any text may precede the numbers (`Key: value`, or a
+marker such as >>>>>Begin Spectral Data<<<<<). One of them is the heading, another may state the units. An end marker may
+follow the numbers. A table may also be transposed: a row of wavelengths, then one row per spectrum. Curves digitised from
+a plot (WebPlotDigitizer) are pairs of columns X and Y, each pair of its own length, below a line with their names. They
+are interpolated to one grid of 1 nm.
 """
 
 import codecs
@@ -42,14 +43,14 @@ from l3cli.system.limits import read_bounded
 
 CURE = "give a CSV file of spectra"
 MARKER = re.compile(r"^(?:>{3,}|<{3,}|\*{3,}|={3,}|-{3,}|\+{3,})")
-CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that no text of Windows has
+CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that do not occur in Windows text
 UNIT_KEY = re.compile(
     r"^(?:y[- ]?(?:axis|unit)|(?:spectral |radiometric |measurement )?units?)\b[^:;=,\t]*[:;=,\t]\s*(.+)$", re.I
 )
-QUALITY = re.compile(r"\d{5}")  # the code before a measurement of Photo Research's instruments
-SIDEWAYS, LIGHT = 10, (150.0, 5000.0)  # wavelengths in a row, and their range in nm, from which on a table lies on its side
+QUALITY = re.compile(r"\d{5}")  # code before a measurement of Photo Research instruments
+SIDEWAYS, LIGHT = 10, (150.0, 5000.0)  # a table is transposed if a row has this many wavelengths in this range (nm)
 WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl", "wellenlänge")
-JAZ = {"d", "r", "s", "p"}  # columns of Ocean Optics' Jaz beside W: dark, reference, sample, processed result
+JAZ = {"d", "r", "s", "p"}  # further columns of Ocean Optics' Jaz: dark, reference, sample, processed result
 SEPARATORS = r"[\s_()\[\]/,]+"
 Cells = list[str]
 DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name, and X in nm and Y of each point
@@ -57,16 +58,16 @@ DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name, and X in nm and 
 
 @dataclass(frozen=True)
 class TextTable:
-    """The rows of numbers of a text, and what it calls its columns."""
+    """The rows of numbers in a text, and the names of their columns."""
 
     heading: Cells | None  # a name for each column
     rows: list[list[float]]  # all of one length
-    pairs: tuple[DigitisedCurve, ...] = ()  # instead of these rows
-    faults: tuple[str, ...] = ()  # of the pairs
+    pairs: tuple[DigitisedCurve, ...] = ()  # digitised curves, instead of rows
+    faults: tuple[str, ...] = ()  # faults of the digitised curves
 
 
 def read_text_table(path: Path) -> TextTable:
-    """Return the table in the text of a file; InputFileError if there is none, or one with a broken row."""
+    """Read the table in a text file. Raises InputFileError if there is none, or if a row is broken."""
     return _text_table(_text(path), path)
 
 
@@ -99,12 +100,12 @@ def _text_table(text: str, path: Path) -> TextTable:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a file, in the encodings that instruments write."""
+    """Decode the text of a file, in the encodings that instruments use."""
     try:
         content = read_bounded(path, CURE)
         if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             return content.decode("utf-16")
-        if content[1:64:2].count(0) > len(content[1:64:2]) // 2:  # without its mark
+        if content[1:64:2].count(0) > len(content[1:64:2]) // 2:  # UTF-16 without a byte order mark
             return content.decode("utf-16-le")
         try:
             return content.decode("utf-8-sig")
@@ -117,7 +118,7 @@ def _text(path: Path) -> str:
 
 
 def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
-    """Return the separator of the columns of the numbers, None for blanks, and whether commas are decimal points."""
+    """Return the column separator, None for blanks, and whether a comma is a decimal point."""
     last = next((line for line in reversed(lines) if re.match(r"[-+.]?\d", line)), lines[-1] if lines else "")
     for separator in ";\t":
         if separator in last:
@@ -128,7 +129,7 @@ def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
 
 
 def _split(line: str, separator: str | None) -> Cells:
-    """Return the cells of a line."""
+    """Split a line into cells."""
     if separator is None:
         return line.split()
     cells = line.split(separator)
@@ -139,7 +140,7 @@ def _split(line: str, separator: str | None) -> Cells:
 
 
 def _without_last(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
-    """Return the cells where every row of numbers ends in a separator, with nothing behind it."""
+    """Remove the empty last cell if every row of numbers ends in a separator."""
     rows = [row for row in cells if _is_number(row[0], decimal_comma)]
     if not rows or any(len(row) < 3 or row[-1] for row in rows):
         return cells
@@ -147,7 +148,7 @@ def _without_last(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
 
 
 def _number(cell: str, decimal_comma: bool) -> float:
-    """Return the number in a cell; ValueError if there is none."""
+    """Convert a cell to a number. Raises ValueError if it is not a number."""
     return float(cell.replace(",", ".") if decimal_comma else cell)
 
 
@@ -165,8 +166,11 @@ def _is_number(cell: str, decimal_comma: bool) -> bool:
 def _numbers(
     cells: list[Cells], separator: str | None, decimal_comma: bool, path: Path
 ) -> tuple[list[list[float]], list[Cells]]:
-    """Return the rows of numbers at the end of a text, and the lines before them. InputFileError if there are none, or
-    others before the last line that is none: a broken row must not pass for the end of a preamble."""
+    """Return the rows of numbers at the end of a text, and the lines before them.
+
+    Raises InputFileError if there are none, or if numbers precede the last line of text: a broken row must not be mistaken
+    for the end of the preamble.
+    """
     numeric = [all(_is_number(cell, decimal_comma) for cell in row) for row in cells]
     start = len(cells)
     while start and numeric[start - 1]:
@@ -193,10 +197,10 @@ def _numbers(
 
 
 def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurve, ...], tuple[str, ...]]:
-    """Return the curves of a text that holds pairs of X and Y, and all that is wrong with them; none of other texts.
+    """Return the digitised curves (pairs of X and Y) in a text, and all their faults. Both are empty for other texts.
 
-    Digitisers write the pairs beside one another, below X, Y, X, Y… and a line of names, or below a wavelength and a name
-    for each curve; or one curve below the other, each with its own heading.
+    Digitisers write the pairs side by side, below X, Y, X, Y… and a line of names, or below a wavelength and a name for each
+    curve. Or they write one curve below the other, each with its own heading.
     """
     numeric = [_is_number(row[0], decimal_comma) for row in cells]
     above = [_is_lettered(row) or follows for row, follows in zip(cells, [*numeric, False][1:], strict=True)]
@@ -233,7 +237,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
 
 
 def _pair_heads(row: Cells) -> list[tuple[str, str]]:
-    """Return the headings of X and Y of each curve in a heading of pairs; none of other rows."""
+    """Return the headings of X and Y of each curve, or an empty list if the row is not a heading of pairs."""
     cells = [cell for cell in row if cell]
     pairs = list(zip(cells[::2], cells[1::2], strict=False))
     if not pairs or len(cells) % 2 or any(not (_is_x(x) and not _is_x(y)) for x, y in pairs):
@@ -246,7 +250,7 @@ def _is_x(cell: str) -> bool:
 
 
 def _is_lettered(row: Cells) -> bool:
-    """Whether a heading of pairs calls them X and Y, so that names stand above it."""
+    """Whether a heading of pairs reads X, Y, so that the names are in the line above."""
     return [units.split(cell)[0].casefold() for cell in row if cell][:2] == ["x", "y"]
 
 
@@ -255,10 +259,10 @@ def _all_numbers(row: Cells, decimal_comma: bool) -> bool:
 
 
 def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
-    """Return the table with a row for each wavelength, also where it lies on its side below a row of many wavelengths."""
+    """Transpose a table that has its wavelengths in a row, so that each row is a wavelength."""
     for number, row in enumerate(cells):
         if len(row) <= SIDEWAYS or _is_number(_without_nm(row[0]), decimal_comma):
-            continue  # as most rows are
+            continue  # most rows are not a row of wavelengths
         across = [_without_nm(cell) for cell in row]
         labels = next((at for at, cell in enumerate(across) if _is_number(cell, decimal_comma)), len(row))
         grid = across[labels:]
@@ -271,7 +275,7 @@ def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
         first = [other[0] for other in spectra]
         named = len(first) > 2 and _all_numbers(first, decimal_comma)
         if named and _is_grid([_number(each, decimal_comma) for each in first]):
-            return cells  # columns that are called by their wavelengths
+            return cells  # the column names are wavelengths
         names = [" ".join(filter(None, other[:labels])) for other in spectra]
         return [*cells[:number], ["nm", *names], *map(list, zip(grid, *(other[labels:] for other in spectra), strict=True))]
     return cells
@@ -282,7 +286,7 @@ def _without_nm(cell: str) -> str:
 
 
 def _is_grid(values: Sequence[float]) -> bool:
-    """Return whether numbers may be wavelengths in nm, in order."""
+    """Whether numbers may be sorted wavelengths in nm."""
     ordered = sorted(values)
     return LIGHT[0] <= ordered[0] and ordered[-1] <= LIGHT[1] and len(set(values)) == len(values) and (
         list(values) in (ordered, ordered[::-1])
@@ -293,7 +297,7 @@ def _is_grid(values: Sequence[float]) -> bool:
 
 
 def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path) -> Cells | None:
-    """Return the line before the numbers that names their columns, with the units of a line below it."""
+    """Return the line that names the columns, with units from the line below it."""
     if not before:
         return None
     if len(before) == 1 and not QUALITY.fullmatch(before[0][0]) and not MARKER.match(before[0][0]):
@@ -312,7 +316,7 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
         return last if len(last) == columns > 2 and not any(_is_number(cell, decimal_comma) for cell in last) else None
     heading = fitting[named]
     below = fitting[named + 1] if named + 1 < len(fitting) else None
-    if named and all(_bare(cell) is not None or not cell for cell in heading):  # units alone: the names stand above them
+    if named and all(_bare(cell) is not None or not cell for cell in heading):  # units only, the names are above
         heading, below = fitting[named - 1], heading
     if below and all(_bare(cell) is not None or not cell for cell in below):
         return [_with_unit(name, _bare(unit) or "") for name, unit in zip(heading, below, strict=True)]
@@ -327,42 +331,42 @@ def _mismatch(named: int, columns: int, path: Path) -> str:
 
 
 def is_wavelength(heading: str) -> bool:
-    """Return whether a heading names wavelengths: by a word for them, or by a unit of length alone."""
+    """Whether a heading denotes wavelengths, by a word for them or by a unit of length alone."""
     words = [word for word in re.split(SEPARATORS, heading) if word]
     lone = len(words) == 1 and words[0] not in ("m", "A") and units.length_nm(words[0]) is not None
     return bool(words) and (words[0].lower() in WAVELENGTH or lone)
 
 
 def _bare(cell: str) -> str | None:
-    """Return the unit that a cell holds and nothing else, in brackets or not."""
+    """Return the unit in a cell that contains nothing else, with or without brackets."""
     inside = cell.strip("[]() ")
     known = units.parse(inside) is not None or units.RAW.fullmatch(inside) or inside.lower() == "a.u."
     return inside if inside and (known or re.fullmatch(r"% ?\w+", inside)) else None
 
 
 def _with_unit(name: str, unit: str) -> str:
-    """Return a heading with its unit in brackets, wavelengths without the unit of the others."""
+    """Append the unit in brackets to a heading. The heading of the wavelengths does not get the unit of the values."""
     if not unit or (is_wavelength(name) and units.length_nm(unit) is None):
         return name
     return f"{name} ({unit})"
 
 
 def _stated_unit(line: str) -> str | None:
-    """Return the unit of all values that a line of the preamble states: "Units: µW/cm²/nm"."""
+    """Return the unit of all values that a line of the preamble states, as in "Units: µW/cm²/nm"."""
     found = UNIT_KEY.match(line)
     unit = found[1].strip(' ;,\t[]"') if found else ""
     known = units.RAW.fullmatch(unit) or (units.parse(unit) is not None and units.length_nm(unit) is None)
     return unit if unit and known else None
 
 
-MOST_ROWS = 100_000
-WIDEST_GAP = 20.0  # nm between points of a digitised curve
-EDGE = 5.0  # nm from where the first curve begins or the last one ends: others end there with the plot
-FOOT = 0.05  # of a digitised curve's peak: below it a curve may end within the plot, and is zero beyond
-JITTER = 0.02  # of its peak that a digitised curve may lie below zero
-METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0  # what ends below the first or second, or begins above the third: no nm
+MOST_ROWS = 100_000  # largest number of wavelengths in a text table
+WIDEST_GAP = 20.0  # nm, largest distance between points of a digitised curve
+EDGE = 5.0  # nm; a curve that ends this close to the edge of the plot was cut off by the edge
+FOOT = 0.05  # a curve may end inside the plot below this fraction of its peak, and is zero beyond
+JITTER = 0.02  # fraction of the peak by which a digitised curve may fall below zero
+METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0  # limits beyond which a grid of wavelengths is in these units, not in nm
 SPDX = (".spdx", ".xml")
-SPDX_UNITS = {  # of each quantity that the standard has
+SPDX_UNITS = {  # unit of each quantity in the standard
     "radiance": "W/(sr m² nm)",
     "irradiance": "W/(m² nm)",
     "exitance": "W/(m² nm)",
@@ -371,38 +375,38 @@ SPDX_UNITS = {  # of each quantity that the standard has
     "relative": "relative power",
     "other": None,
 }
-READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # columns in counts beside an instrument's result
+READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # raw columns in counts that accompany a result
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class SpectrumFormat:
-    """A format of files of spectra; docs/own-lab.md shows the table of all."""
+    """A file format for spectra. docs/own-lab.md lists all formats."""
 
     name: str
-    suffixes: tuple[str, ...]  # small letters; case does not count in the names of files
-    holds: str  # what l3 takes from such a file, for the documentation
-    is_of: Callable[[str], bool] | None  # whether a text is of the format; None: known by the suffix alone
-    read: Callable[[str, Path], CurveTable]  # the text of a file, and its name
+    suffixes: tuple[str, ...]  # in lower case; file names may use any case
+    holds: str  # contents that l3 reads, for the documentation
+    is_of: Callable[[str], bool] | None  # recognises the text of a file; None if only the suffix counts
+    read: Callable[[str, Path], CurveTable]  # reads the text of a file with the given path
 
 
 def read_table(path: Path) -> CurveTable:
-    """Read the curves of a file of spectra, of any of the FORMATS.
+    """Read the curves of a file of spectra, in any of the FORMATS.
 
     Parameters
     ----------
     path : Path
-        The file. Its content tells the format, unless it is XML.
+        The file. The format is recognised by the content, except for XML.
 
     Returns
     -------
     CurveTable
-        Its columns over wavelengths in nm, rising.
+        Its columns over increasing wavelengths in nm.
 
     Raises
     ------
     InputFileError
-        If the file is of no known format, or its wavelengths are not those of light, in nm or the unit that it states.
+        If the format is unknown, or if the wavelengths are not plausible in nm or in the unit that the file states.
     """
     if path.suffix.lower() in SPDX:
         return _spdx("", path)
@@ -411,23 +415,23 @@ def read_table(path: Path) -> CurveTable:
 
 
 def names_file(name: str) -> bool:
-    """Whether a light, chart or transmittance is named as a file of spectra: by a suffix of the FORMATS, in any case."""
+    """Whether the name of a light, chart or transmittance is a file name, by the suffixes of FORMATS in any case."""
     return name.lower().endswith(SUFFIXES)
 
 
 def _cgats(content: str, path: Path) -> CurveTable:
-    """Return the samples of a CGATS file as columns."""
+    """Read the samples of a CGATS file as columns."""
     spectra = read_cgats(content, path)
     return _over_wavelengths(path, spectra.wavelength, spectra.values, spectra.names, spectra.unit)
 
 
 def _jcamp(content: str, path: Path) -> CurveTable:
-    """Return the spectrum of a JCAMP-DX file."""
+    """Read the spectrum of a JCAMP-DX file."""
     return _over_wavelengths(path, *read_jcamp(content, path))
 
 
 def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple[str, ...], unit: str | None) -> CurveTable:
-    """Return curves (column, wavelength) of one unit in rising order of their wavelengths."""
+    """Return curves (column, wavelength) with a common unit, sorted by wavelength."""
     _require_light(path, wavelength, values)
     if other := other_unit(float(wavelength.min()), float(wavelength.max())):
         raise InputFileError(f"{path}: {other[0]}; export it over nm")
@@ -436,8 +440,10 @@ def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple
 
 
 def _result(table: CurveTable) -> CurveTable:
-    """Return the result of a measurement alone where a file has it beside the readings that it was computed from, such as
-    Avantes' Sample, Dark, Reference in counts and Transmittance in percent."""
+    """Return only the result of a measurement if the file also has the readings from which it was computed.
+
+    Avantes, for example, writes Sample, Dark and Reference in counts beside Transmittance in percent.
+    """
     if table.names is None or len(table.values) < 2:
         return table
     plain = [name.strip().lower() for name in table.names]
@@ -455,7 +461,7 @@ def _result(table: CurveTable) -> CurveTable:
 
 
 def _text_curves(content: str, path: Path) -> CurveTable:
-    """Return the curves of a text table."""
+    """Read the curves of a text table."""
     text = _text_table(content, path)
     if text.pairs:
         return _digitised(text.pairs, text.faults, path)
@@ -479,8 +485,11 @@ def _text_curves(content: str, path: Path) -> CurveTable:
 
 
 def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Path) -> CurveTable:
-    """Return the curves of points in any order, interpolated every nm; zero beyond their ends, but at the plot's edges.
-    InputFileError names all faults of all curves at once."""
+    """Interpolate digitised curves, whose points are in any order, to 1 nm.
+
+    A curve is zero beyond its ends, unless it ends at the edge of the plot. Raises InputFileError that lists all faults of
+    all curves.
+    """
     wrong = list(faults)
     lines = [np.array(sorted(points), np.float64).reshape(-1, 2).T for _, points in curves]
     every = np.concatenate([x for x, _ in lines])
@@ -503,7 +512,7 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
 
 
 def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
-    """Yield what is wrong with a digitised curve, X and Y, of a plot that shows a `grid` of wavelengths."""
+    """Yield the faults of a digitised curve (X and Y) from a plot that covers `grid`."""
     x, y = line
     if x.size < 2:
         if x.size:
@@ -518,7 +527,7 @@ def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
 
 
 def _spdx(_: str, path: Path) -> CurveTable:
-    """Return the spectrum of an IES TM-27-14 file, in the unit of its quantity; InputFileError if it holds none."""
+    """Read the spectrum of an IES TM-27-14 file, in the unit of its quantity."""
     read_bounded(path, CURE)
     colour = colour_science()
     try:
@@ -536,7 +545,10 @@ def _spdx(_: str, path: Path) -> CurveTable:
 
 
 def _require_light(path: Path, wavelength: Array, values: Array, column: str = "") -> None:
-    """Raise InputFileError unless values stand along wavelengths of light, in order; `column`: what holds these."""
+    """Raise InputFileError unless the wavelengths are sorted and plausible and all values are finite.
+
+    `column` describes the column of the wavelengths in the message.
+    """
     steps = np.diff(wavelength)
     if not (np.abs(values) <= LARGEST).all() or not ((steps > 0).all() or (steps < 0).all()):
         raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
@@ -545,8 +557,18 @@ def _require_light(path: Path, wavelength: Array, values: Array, column: str = "
 
 
 def other_unit(first: float, last: float) -> tuple[str, str] | None:
-    """Return what is wrong with a grid of wavelengths from `first` to `last` that should be in nm, and the unit they seem
-    to be in; None if they may be in nm."""
+    """Say why a grid of wavelengths cannot be in nm, and which unit it seems to have.
+
+    Parameters
+    ----------
+    first, last : float
+        Smallest and largest wavelength.
+
+    Returns
+    -------
+    tuple of str, or None
+        The fault, and the likely unit. None if the wavelengths may be in nm.
+    """
     if first <= 0 or (last >= MICROMETRES and first <= ANGSTROMS):
         return None
     unit, nm = ("m", 1e9) if last < METRES else ("um", 1e3) if last < MICROMETRES else ("A", 0.1)
@@ -554,7 +576,7 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
 
 
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
-    """Return the column that holds the wavelengths, and how many nm its unit has, if the heading says it."""
+    """Return the index of the column with the wavelengths, and its unit in nm if the heading states one."""
     named = [number for number, cell in enumerate(heading) if is_wavelength(cell)] or ([0] if not heading[0] else [])
     if len(named) != 1:
         which = " and ".join(f'"{heading[number][:40]}"' for number in named[:2]) or f'none of "{", ".join(heading)[:60]}"'
@@ -571,21 +593,21 @@ FORMATS = (
     SpectrumFormat(
         "CGATS.17, ArgyllCMS",
         (".sp", ".ti3", ".cie", ".ccss", ".cgats"),
-        "lights, reflectances and charts: fields SPEC_380, SPECTRAL_NM380, nm380; a column a sample",
+        "illuminants, reflectances and charts: fields SPEC_380, SPECTRAL_NM380, nm380; one column per sample",
         is_cgats,
         _cgats,
     ),
     SpectrumFormat(
         "JCAMP-DX",
         (".jdx", ".dx", ".jcamp"),
-        "one spectrum over nm, µm or Å, packed (ASDF) or not; of SpectraSuite's blocks the processed spectrum",
+        "one spectrum over nm, µm or Å, packed (ASDF) or not; from files of SpectraSuite the processed spectrum",
         is_jcamp,
         _jcamp,
     ),
     SpectrumFormat(
         "text table",
         (".csv", ".tsv", ".txt", ".dat", ".asc", ".spd", ".irr", ".trm", ".trt", ".ttt", ".jaz", ".jazirrad"),
-        "a row a wavelength, or a row a spectrum: spreadsheets, CIE data, WebPlotDigitizer, Ocean Optics (SpectraSuite, "
+        "one row per wavelength, or one row per spectrum: spreadsheets, CIE data, WebPlotDigitizer, Ocean Optics (SpectraSuite, "
         "OceanView, Jaz), Avantes, StellarNet, Konica Minolta, Photo Research",
         lambda _: True,
         _text_curves,
@@ -595,6 +617,6 @@ SUFFIXES = tuple(suffix for each in FORMATS for suffix in each.suffixes)
 
 
 def formats_table() -> str:
-    """Return the FORMATS as a Markdown table, as docs/own-lab.md shows it."""
+    """Return the FORMATS as the Markdown table in docs/own-lab.md."""
     rows = [f"| {each.name} | {' '.join(f'`{suffix}`' for suffix in each.suffixes)} | {each.holds} |" for each in FORMATS]
-    return "\n".join(["| format | file names | holds |", "|---|---|---|", *rows])
+    return "\n".join(["| format | file names | content |", "|---|---|---|", *rows])

@@ -1,13 +1,14 @@
-"""JCAMP-DX files of optical spectra (4.24 and 5): one block or several linked ones.
+"""Read optical spectra from JCAMP-DX files (versions 4.24 and 5) with one block or several linked blocks.
 
-A block is a list of records `##LABEL= value`. Its ordinates are XYDATA, (X++(Y..Y)): each line is an abscissa and equally
-spaced ordinates; or XYPOINTS, (XY..XY): pairs. Numbers are AFFN, plain decimal numbers, or ASDF, which packs ordinates:
+A block is a list of records `##LABEL= value`. Its data are XYDATA or XYPOINTS. In XYDATA, (X++(Y..Y)), each line is an
+abscissa followed by equally spaced ordinates. XYPOINTS, (XY..XY), are pairs. Numbers are plain decimals (AFFN), or
+ordinates packed as ASDF:
 
 =====  ==========================================================================  =======================
 PAC    signs separate numbers: +1-2+3
-SQZ    the first digit with its sign is a letter                                   @ A…I a…i: 0, 1…9, −1…−9
-DIF    differences; the first ordinate of a line repeats the last of the line before  % J…R j…r: 0, 1…9, −1…−9
-DUP    how many times the number before it stands there                            S…Z s: 1…8, 9
+SQZ    a letter replaces the sign and the first digit                              @ A…I a…i: 0, 1…9, −1…−9
+DIF    differences; a line begins with the last ordinate of the line above         % J…R j…r: 0, 1…9, −1…−9
+DUP    number of times that the preceding number occurs                            S…Z s: 1…8, 9
 =====  ==========================================================================  =======================
 
 Reference: R. S. McDonald, P. A. Wilks, "JCAMP-DX: A standard form for exchange of infrared spectra in computer readable
@@ -26,7 +27,7 @@ from l3cli.spectra import units
 
 RECORD = re.compile(r"^\s*##([^=]*)=(.*)$")
 AFFN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-PACKED = re.compile(r"[%@A-DF-Za-df-s]")  # letters that no plain number has
+PACKED = re.compile(r"[%@A-DF-Za-df-s]")  # characters that occur in packed numbers only
 ASDF = re.compile(r"([@A-Ia-i%J-Rj-rS-Zs]|[-+]|(?=[\d.]))(\d*\.?\d*)")
 SQZ = {letter: digit for digit, letter in enumerate("@ABCDEFGHI")} | {
     letter: -digit for digit, letter in enumerate("abcdefghi", 1)
@@ -35,7 +36,7 @@ DIF = {letter: digit for digit, letter in enumerate("%JKLMNOPQR")} | {
     letter: -digit for digit, letter in enumerate("jklmnopqr", 1)
 }
 DUP = {letter: digit for digit, letter in enumerate("STUVWXYZs", 1)}
-NM = {  # nm of each unit of abscissae
+NM = {  # size in nm of each unit of the abscissae
     "NANOMETERS": 1.0,
     "NANOMETRES": 1.0,
     "NM": 1.0,
@@ -53,23 +54,24 @@ SHARES = {"T": "transmittance", "R": "reflectance"}  # first letters of transmit
 class Block:
     """One block of a file."""
 
-    records: dict[str, str] = field(default_factory=dict)  # by label, without blanks, dashes, slashes and underlines
-    kind: str = ""  # label of its data
-    lines: list[str] = field(default_factory=list)  # of its data
+    records: dict[str, str] = field(default_factory=dict)  # by label without blanks, dashes, slashes and underscores
+    kind: str = ""  # label of the data
+    lines: list[str] = field(default_factory=list)  # lines of the data
 
     def of(self, label: str, default: str = "") -> str:
         return self.records.get(label, default)
 
 
 def is_jcamp(text: str) -> bool:
-    """Whether a text is a JCAMP-DX file: its first record is a title."""
+    """Whether a text is a JCAMP-DX file, that is, its first record is a title."""
     return re.match(r"\s*##\s*TITLE\s*=", text, re.I) is not None
 
 
 def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[str, ...], str | None]:
     """Read a spectrum from a JCAMP-DX file.
 
-    Of linked blocks, as SpectraSuite writes them, the processed spectrum counts, otherwise the first block with data.
+    If blocks are linked, as SpectraSuite writes them, the block with the processed spectrum is read. Otherwise it is the
+    first block with data.
 
     Parameters
     ----------
@@ -92,7 +94,7 @@ def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.f
     Raises
     ------
     InputFileError
-        If the file has no spectrum over wavelengths, or its data contradict its records.
+        If the file has no spectrum over wavelengths, or if its data contradict its records.
     """
     blocks = [block for block in _blocks(text) if block.kind]
     if not blocks:
@@ -134,7 +136,7 @@ def _blocks(text: str) -> list[Block]:
 
 
 def _figure(block: Block, label: str, comma: bool, path: Path, default: float | None = None) -> float:
-    """Return the number of a record; InputFileError if there is none."""
+    """Return the number in a record. Raises InputFileError if it is not a number."""
     text = block.of(label).strip()
     try:
         return float(text.replace(",", ".") if comma else text)
@@ -145,7 +147,7 @@ def _figure(block: Block, label: str, comma: bool, path: Path, default: float | 
 
 
 def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return abscissae and ordinates of XYDATA."""
+    """Return the abscissae and ordinates of XYDATA."""
     lines = [line.replace(",", ".") if comma else line for line in block.lines]
     if any("?" in line for line in lines):
         raise InputFileError(f"{path}: some of its values are missing (?); measure the spectrum again")
@@ -159,7 +161,7 @@ def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float6
 
 
 def _unpacked(lines: list[str], path: Path) -> list[float]:
-    """Return the ordinates of packed lines."""
+    """Unpack ordinates from lines."""
     values: list[float] = []
     by_difference = False  # whether the last number was a difference
     for line in lines:
@@ -194,7 +196,7 @@ def _signed(digit: int, digits: str) -> float:
 
 
 def _pairs(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return abscissae and ordinates of XYPOINTS."""
+    """Return the abscissae and ordinates of XYPOINTS."""
     lines = [re.sub(r"(?<=\d),(?=\d)", ".", line) if comma else line for line in block.lines]
     numbers = [float(each) for line in lines for each in AFFN.findall(line)]
     count = int(_figure(block, "NPOINTS", comma, path, len(numbers) / 2))
@@ -205,7 +207,7 @@ def _pairs(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], 
 
 
 def _in_unit(values: NDArray[np.float64], text: str) -> tuple[NDArray[np.float64], str | None]:
-    """Return values and their unit by YUNITS: shares as fractions, relative values without a unit."""
+    """Convert values by YUNITS: fractions of light become 0…1, relative values have no unit."""
     share = re.fullmatch(r"(%?)\s*(?:([TR])|(T)RANSMI\w+|(R)EFLECT\w+)\s*(\(?%\)?)?", text.upper())
     if share:
         percent = bool(share[1] or share[5])

@@ -1,4 +1,4 @@
-"""Columns of spectra over their wavelengths, as CSV files hold them: by their names, in the units that are asked for."""
+"""Tables of spectra over wavelength: select columns by name and convert them to the units that are needed."""
 
 import json
 import re
@@ -13,44 +13,56 @@ from l3cli.errors import InputFileError, suggestion
 from l3cli.physics import spectra
 from l3cli.spectra import units
 
-DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm: no pixel sees less, no lamp gives more
-RELATIVE = ("relative", "relative photons", "relative power")  # units of radiances whose scale is not known
+DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm: less is invisible to any pixel, and no lamp emits more
+RELATIVE = ("relative", "relative photons", "relative power")  # units of radiances of unknown scale
 AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}
 VISIBLE = 400.0, 700.0  # nm
-DARK, DARK_OUTSIDE = 0.01, 0.05  # of its peak: a curve below it is dark, within the visible and outside
-NOISE = 0.01  # of a curve's peak: so far below zero lies the dark noise of spectrometers at most
+DARK, DARK_OUTSIDE = 0.01, 0.05  # fraction of the peak below which a curve is dark, inside and outside the visible
+NOISE = 0.01  # fraction of the peak by which a spectrometer's dark noise may fall below zero
 COLOURS = {"r": "red", "g": "green", "b": "blue", "c": "cyan", "m": "magenta", "y": "yellow", "w": "white"}
-OTHER_NAMES = COLOURS | {name: letter for letter, name in COLOURS.items()}  # of channels
+OTHER_NAMES = COLOURS | {name: letter for letter, name in COLOURS.items()}  # other spellings of channel names
 ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # eV nm: energy of a photon × wavelength
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class CurveTable:
-    """The content of a CSV file of spectra."""
+    """The columns of a file of spectra."""
 
     path: Path
     wavelength: Array  # (wavelength) nm
     values: Array  # (column, wavelength)
-    names: tuple[str, ...] | None  # of the columns, without units; None: there is no heading
-    units: tuple[str | None, ...]  # of the columns, as the heading states them
-    left_out: tuple[str, ...] = ()  # the names of further columns of the file
+    names: tuple[str, ...] | None  # names of the columns without units; None if there is no heading
+    units: tuple[str | None, ...]  # units of the columns as stated in the heading
+    left_out: tuple[str, ...] = ()  # names of columns of the file that were not selected
 
     @property
     def note(self) -> str | None:
-        """Return a line on columns that are left out, if there are any."""
+        """A line about columns that were not selected, if there are any."""
         return f"{self.path}: left out are the columns {', '.join(self.left_out)}" if self.left_out else None
 
     def counted(self, columns: int) -> "CurveTable":
-        """Return the table itself; InputFileError unless it has so many columns."""
+        """Return the table itself. Raises InputFileError unless it has `columns` columns."""
         if len(self.values) != columns:
             comma = "; with decimal commas separate columns by semicolons" if len(self.values) == 2 * columns else ""
-            raise InputFileError(f"{self.path}: holds {len(self.values)} curves, {columns} are wanted{comma}")
+            raise InputFileError(f"{self.path}: contains {len(self.values)} curves, but {columns} are needed{comma}")
         return self
 
     def ordered(self, wanted: Sequence[str], known_as: Callable[[str], str] | None = None) -> "CurveTable":
-        """Return the columns in the order of `wanted`, by their names if there are any; `known_as` gives the name that a
-        heading means. Capitals count where names differ in nothing else. InputFileError unless names are `wanted`."""
+        """Return the columns in the order of `wanted`, found by name if there is a heading.
+
+        Parameters
+        ----------
+        wanted : sequence of str
+            Names of all columns. Upper and lower case are distinguished only where names differ in nothing else.
+        known_as : callable, optional
+            Translates a name in the heading to a name in `wanted`.
+
+        Raises
+        ------
+        InputFileError
+            If the columns are not exactly those in `wanted`.
+        """
         self.counted(len(wanted))
         if self.names is None or len(wanted) == 1:
             return self
@@ -65,11 +77,28 @@ class CurveTable:
         return CurveTable(self.path, self.wavelength, self.values[order], tuple(wanted), tuple(self.units[i] for i in order))
 
     def channel_columns(self, channels: Sequence[str], columns: Mapping[str, str] | None = None) -> "CurveTable":
-        """Return the columns of `channels` in their order, each by its name or by that which `columns` gives it; others are
-        left out. Without names as many columns as channels, in their order. InputFileError if a channel has none."""
+        """Return one column per channel, in the order of `channels`. Other columns are dropped.
+
+        Parameters
+        ----------
+        channels : sequence of str
+            Names of the channels.
+        columns : mapping, optional
+            Channel → name of its column, if that is not the name of the channel.
+
+        Returns
+        -------
+        CurveTable
+            Without a heading, the columns are taken in their order, and their number must be that of the channels.
+
+        Raises
+        ------
+        InputFileError
+            If a channel has no column.
+        """
         columns = {known_as(channel, channels): name for channel, name in (columns or {}).items()}
         if self.names is None and columns:
-            raise InputFileError(f"{self.path}: columns are named, and there is no heading; leave `columns` out")
+            raise InputFileError(f"{self.path}: there is no heading that names columns; leave `columns` out")
         if self.names is None or (len(self.values) == len(channels) == 1 and not columns):
             return self.counted(len(channels))
         names = [_plain(name) for name in self.names]
@@ -92,7 +121,7 @@ class CurveTable:
         return CurveTable(self.path, self.wavelength, self.values[chosen], tuple(channels), units, tuple(left_out))
 
     def column(self, which: int | str) -> "CurveTable":
-        """Return one column, by its number from 1 or its name; InputFileError if there is none."""
+        """Return one column, by its number from 1 or by its name. Raises InputFileError if it does not exist."""
         if isinstance(which, str):
             names = [_plain(name) for name in self.names or ()]
             if names.count(_plain(which)) != 1:
@@ -100,15 +129,25 @@ class CurveTable:
                 raise InputFileError(f'{self.path}: no column is called "{which}"; {there}')
             which = names.index(_plain(which)) + 1
         if not 1 <= which <= len(self.values):
-            raise InputFileError(f"{self.path}: column {which} is none of its 1…{len(self.values)}")
+            raise InputFileError(f"{self.path}: there is no column {which}; give 1…{len(self.values)}")
         one = slice(which - 1, which)
         return CurveTable(self.path, self.wavelength, self.values[one], self.names and self.names[one], self.units[one])
 
     def photons(self, unit: str | None, absolute: bool = True) -> Array:
-        """Return the columns as radiances in photons/s/sr/m²/nm, whichever unit `unit` or the heading states; by default
-        they are.
+        """Convert the columns to radiances in photons/s/sr/m²/nm.
 
-        InputFileError if the two differ, if a unit is none of radiance, or if the values cannot be in it (`absolute`)."""
+        Parameters
+        ----------
+        unit : str or None
+            Unit of the values, if the heading states none. Without either, they are in photons/s/sr/m²/nm.
+        absolute : bool
+            Whether the scale matters. If so, units other than radiance and implausible values are errors.
+
+        Raises
+        ------
+        InputFileError
+            If heading and `unit` differ, if the unit is not a unit of radiance, or if values are implausible.
+        """
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             if heading is not None and unit is not None and _conversion(heading) != _conversion(unit):
@@ -126,8 +165,8 @@ class CurveTable:
         other = _without_angle(unit) if conversion is None else None
         if other is not None and absolute:
             raise InputFileError(
-                f'{self.path}: "{unit}" is of light that falls or flows, and no unit of spectral radiance; measure what the '
-                "camera sees"
+                f'{self.path}: "{unit}" is a unit of irradiance or flux, not of spectral radiance; measure the radiance '
+                "that the camera sees"
             )
         conversion = conversion or other
         if conversion is None:
@@ -141,36 +180,38 @@ class CurveTable:
         return np.asarray(photons, dtype=np.float64)
 
     def _check_level(self, photons: Array, stated: bool) -> None:
-        """Raise InputFileError if what ought to be photons/s/sr/m²/nm is none by its size."""
+        """Raise InputFileError if values are implausible as photons/s/sr/m²/nm."""
         peaks = photons.max(axis=1)
         peak = float(peaks[peaks > 0].min(initial=np.inf))
         if peak >= DIMMEST and peaks.max() <= BRIGHTEST:
             return
         peak = peak if peak < DIMMEST else float(peaks.max())
         if not np.isfinite(peak):
-            return  # dark, which is refused where it is asked for
+            return  # no light at all; callers that need light check for it
         cure = "correct the unit that is stated" if stated else f'if they are watts, give unit = "{units.POWER_RADIANCE}"'
         raise InputFileError(
-            f"{self.path}: a radiance peaks at {peak:.3g} {units.PHOTON_RADIANCE}, as no light does "
-            f"({DIMMEST:.0e} to {BRIGHTEST:.0e}); {cure}"
+            f"{self.path}: a radiance peaks at {peak:.3g} {units.PHOTON_RADIANCE}, outside the plausible range of "
+            f"{DIMMEST:.0e} to {BRIGHTEST:.0e}; {cure}"
         )
 
     def powers(self) -> Array:
-        """Return the columns per power, in any unit: those that the heading gives in photons become power."""
+        """Convert the columns to relative power per nm. Columns whose heading states photons are converted."""
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
             if heading is not None and heading not in units.PLAIN and not _is_power(unit):
                 raw = units.RAW.fullmatch(heading) is not None
-                why = ", it holds the response of the instrument" if raw else ""
+                why = ", because it includes the response of the instrument" if raw else ""
                 raise InputFileError(f'{self.path}: "{heading}" is not a unit of power per nm{why}; give "W/nm", or photons')
             photons = unit is not None and "photon" in unit.powers
             rows.append(values / self.wavelength if photons else values)
         return without_noise(np.array(rows))
 
     def shares(self) -> Array:
-        """Return the columns as shares, 0…1; InputFileError if they are none, which a heading "(%)" converts. Values that
-        noise brings beyond 0 or 1 are cut off."""
+        """Convert the columns to fractions of light, 0…1; "(%)" in the heading divides by 100.
+
+        Values that noise moves below 0 or above 1 are clipped. Raises InputFileError for other values outside the range.
+        """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
             if heading not in (*units.PLAIN, *units.SHARES) and (unit is None or unit.powers):
@@ -182,13 +223,16 @@ class CurveTable:
         if shares.min() < 0 or shares.max() > 1:
             percent = '; if they are percent, write "(%)" after the column\'s name' if 1 < shares.max() <= 100 else ""
             raise InputFileError(
-                f"{self.path}: values of {shares.min():g}…{shares.max():g} are not shares of light{percent}"
+                f"{self.path}: values of {shares.min():g}…{shares.max():g} are not fractions of light{percent}"
             )
         return shares
 
     def responses(self, per_energy: bool, key: str) -> Array:
-        """Return the columns as responsivities per energy or per photon, as the recipe's `key` says; InputFileError if the
-        heading says otherwise."""
+        """Return the columns as responsivities per energy or per photon.
+
+        `key` is the name of the recipe's key that sets `per_energy`, for the message. Raises InputFileError if the heading
+        contradicts it.
+        """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
             if heading in units.PLAIN or (unit is not None and not unit.powers):
@@ -204,8 +248,11 @@ class CurveTable:
         return self.values * np.array([[_share(heading)] for heading in self.units])
 
     def efficiencies(self, per_energy: bool) -> Array:
-        """Return the columns as quantum efficiencies, e-/photon, in the unit that the heading states and otherwise as they
-        are; InputFileError if they are relative, or not what the recipe's `per_energy` says."""
+        """Convert the columns to quantum efficiencies in e-/photon.
+
+        Columns without a unit count as efficiencies if `per_energy` is False. Raises InputFileError if the columns are
+        relative, or if their unit contradicts `per_energy`.
+        """
         rows = []
         for values, heading in zip(self.responses(per_energy, "per_energy"), self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
@@ -223,7 +270,9 @@ class CurveTable:
         return np.array(rows)
 
     def per_energy(self) -> Array:
-        """Return the columns as responses per energy, in any unit: those that the heading gives per photon are divided."""
+        """Convert the columns to relative responses per energy. Columns whose heading states a unit per photon are
+        converted.
+        """
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
@@ -232,7 +281,7 @@ class CurveTable:
 
 
 def without_noise(curves: Array) -> Array:
-    """Set values below zero to zero where they are within the NOISE of a spectrometer.
+    """Set negative values within the NOISE of a spectrometer to zero.
 
     Parameters
     ----------
@@ -242,25 +291,26 @@ def without_noise(curves: Array) -> Array:
     Returns
     -------
     ndarray, (curve, wavelength)
-        The same; values that are further below zero stay, for the caller to refuse.
+        The curves. Values further below zero remain, so that the caller can reject them.
     """
     least = -NOISE * curves.max(axis=1, keepdims=True)
     return np.where((curves < 0) & (curves >= least), 0.0, curves)
 
 
 def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest: float) -> list[tuple[float, float]]:
-    """Return the steps in which a curve is not known: wider than `widest` (nm), unless all curves are dark at both ends.
+    """Return the wavelength steps that are too wide for interpolation.
 
-    Dark is below 1 % of the peak, and below 5 % where the step lies outside of 400 to 700 nm.
+    Steps at both of whose ends all curves are dark do not count. Dark is below 1 % of the peak, or below 5 % if the step
+    lies outside 400 to 700 nm.
 
     Parameters
     ----------
     wavelength : ndarray, (wavelength)
-        In nm, rising.
+        In nm, increasing.
     curves : ndarray, (curve, wavelength)
-        Spectra or responses over them.
+        Spectra or responses.
     widest : float
-        Widest step in nm over which a curve may be interpolated.
+        Largest step in nm that may be interpolated.
 
     Returns
     -------
@@ -276,18 +326,18 @@ def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest:
 
 
 def _is_power(unit: units.Unit | None) -> bool:
-    """Whether values in a unit are proportional to power or to photons, or a relative power in percent."""
+    """Whether values in a unit are proportional to power or photons, or are a relative power in percent."""
     return unit is not None and (not unit.powers or unit.powers.get("J") == 1 or unit.powers.get("photon") == 1)
 
 
 def _share(heading: str | None) -> float:
-    """Return the factor of a column of shares: 0.01 of percent."""
+    """Return the factor of a column of fractions: 0.01 for percent."""
     unit = units.parse(heading) if heading is not None else None
     return unit.scale if unit is not None and not unit.powers else 1.0
 
 
 def _energy_response(unit: units.Unit) -> bool | None:
-    """Return whether a responsivity in `unit` is per energy (True), per photon (False), or no responsivity at all (None)."""
+    """Whether a unit of responsivity is per energy (True) or per photon (False). None for other units."""
     powers = unit.powers
     if powers in ({}, {"electron": 1, "photon": -1}):
         return False
@@ -295,7 +345,10 @@ def _energy_response(unit: units.Unit) -> bool | None:
 
 
 def _conversion(unit: str) -> tuple[str, float] | None:
-    """Return the quantity of a spectral radiance, "J" or "photon", and its size in photons/s/sr/m²/nm or W/(sr m² nm)."""
+    """Parse a unit of spectral radiance.
+
+    Returns the quantity, "J" or "photon", and the factor to W/(sr m² nm) or photons/s/sr/m²/nm. None for other units.
+    """
     if unit in RELATIVE:
         return ("J" if unit == "relative power" else "photon", 1.0)
     for text in filter(None, (unit, units.below_one_slash(unit))):
@@ -305,7 +358,7 @@ def _conversion(unit: str) -> tuple[str, float] | None:
 
 
 def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str, float] | None:
-    """Return the quantity of a unit, and its size, if it is one per all that is `below`."""
+    """Return the quantity of a unit and its factor, if the remaining powers of the unit are those in `below`."""
     for of in ("J", "photon"):
         if parsed is not None and parsed.powers == {of: 1, **below}:
             return of, float(f"{parsed.scale * 1e-9:.9g}")
@@ -313,7 +366,7 @@ def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str
 
 
 def _without_angle(unit: str) -> tuple[str, float] | None:
-    """Return `_conversion` of what is no radiance, but an irradiance or a flux per wavelength, such as µW/cm²/nm."""
+    """Parse a unit of irradiance or flux per wavelength, such as µW/cm²/nm, like `_conversion`."""
     parsed = units.parse(unit)
     return _quantity_per(parsed, {"s": -1, "m": -3}) or _quantity_per(parsed, {"s": -1, "m": -1})
 
@@ -323,8 +376,10 @@ def _plain(name: str) -> str:
 
 
 def _place(name: str, names: Sequence[str]) -> int | None:
-    """Return the place of the column of that name, "red" being "r"; capitals count only between names that differ in nothing
-    else. None: nowhere, or in several places."""
+    """Return the position of the column with a name, where "red" and "r" are the same, or None.
+
+    Upper and lower case are distinguished only where names differ in nothing else.
+    """
     folded = [each.casefold() for each in names]
     other = OTHER_NAMES.get(name.casefold(), name.casefold())
     for asked, given in ((name, names), (name.casefold(), folded), (other, folded)):
@@ -334,15 +389,17 @@ def _place(name: str, names: Sequence[str]) -> int | None:
 
 
 def known_as(name: str, channels: Sequence[str]) -> str:
-    """Return the channel that a name means, "red" being "r" where no channel is called red; other names as they are."""
+    """Translate a name to a channel: "red" becomes "r" if there is a channel r and no channel red. Other names are
+    unchanged.
+    """
     other = OTHER_NAMES.get(name.casefold(), name)
     return other if name not in channels and other in channels else name
 
 
 def _difference(given: Sequence[str], asked: Sequence[str]) -> str:
-    """Return what is wrong with the names of a heading, and the cure."""
+    """Say how the names in a heading differ from the expected names, and how to fix it."""
     odd = next((name for name in given if name not in asked), None)
     if odd is None:
         twice = next(name for name in given if given.count(name) > 1)
         return f'two columns are called "{twice}"; name each once'
-    return f'column "{odd[:40]}" is none of those wanted; {suggestion(odd, asked)} (or leave the heading out)'
+    return f'column "{odd[:40]}" is not expected; {suggestion(odd, asked)} (or leave the heading out)'

@@ -1,4 +1,4 @@
-"""Units by name: what "W/(sr m² nm)", "µm" or "ms" in a file mean in the units that l3 computes in."""
+"""Parse units such as "W/(sr m² nm)", "µm" or "ms", and convert them to the units that l3 computes in."""
 
 import re
 from dataclasses import dataclass
@@ -33,25 +33,25 @@ SPELLINGS = {
     "−": "-",
 }
 TOKEN = re.compile(r"\s*(?:(?P<name>e-(?!\d)|[A-Za-z]+|%|(?<![\w^])1(?!\d))|(?P<power>\^?-?\d)|(?P<sign>[()/]))\s*")
-# Readings of an instrument, in which its own response is.
+# Raw readings, which include the response of the instrument.
 RAW = re.compile(r"(?:counts?|cts|adu|dn|dbm?|[mu]?v)(?:/(?:s|ms|us|nm))?", re.I)
-RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # such a unit behind a name, without brackets
-SHARES = ("reflectance", "transmittance")  # units of fractions of light, 0…1, that are no light themselves
-PLAIN = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # said of numbers without a unit
-LONGEST = 80  # characters of a unit's name
+RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # the same at the end of a name, without brackets
+SHARES = ("reflectance", "transmittance")  # "units" of columns that contain fractions of light, 0…1
+PLAIN = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # "units" of columns in arbitrary units
+LONGEST = 80  # characters; longer texts are not units
 PHOTON_RADIANCE, POWER_RADIANCE = "photons/s/sr/m²/nm", "W/(sr m² nm)"
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit as SI units (J, photon, electron, s, sr, m, A, V) to their powers, times a factor."""
+    """A unit as a factor times powers of base units (J, photon, electron, s, sr, m, A, V, DN)."""
 
     scale: float
     powers: dict[str, int]
 
 
 def parse(text: str) -> Unit | None:
-    """Return the unit that `text` names, in any of the usual spellings; None if it names none."""
+    """Parse a unit in any common spelling. Returns None if the text is not a unit."""
     if len(text) > LONGEST:
         return None
     plain = re.sub(r"\bper\b", "/", "".join(SPELLINGS.get(letter, letter) for letter in text)).replace("^^", "^")
@@ -72,15 +72,19 @@ def parse(text: str) -> Unit | None:
 
 
 def below_one_slash(text: str) -> str | None:
-    """Return a unit such as "W/sr·m²/nm" with all behind its first slash below it; None where that changes nothing."""
+    """Rewrite a unit such as "W/sr·m²/nm" so that everything after the first slash is in the denominator.
+
+    Returns None if there is nothing to rewrite.
+    """
     above, slash, below = text.partition("/")
     plain = re.sub(r"[/()]", " ", below)
     return f"{above}/({plain})" if slash and plain.strip() else None
 
 
 def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
-    """Return the unit of leading tokens up to a closing bracket, and the tokens that remain; a slash divides by the next
-    factor."""
+    """Parse tokens up to a closing bracket. Returns the unit and the remaining tokens; a slash divides by the next factor
+    only.
+    """
     scale, powers = 1.0, dict[str, int]()
     while tokens and tokens[0]["sign"] != ")":
         sign = -1 if tokens[0]["sign"] == "/" else 1
@@ -103,15 +107,19 @@ def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
 
 
 def length_nm(text: str) -> float | None:
-    """Return how many nm a unit of length has; None if `text` names none. "A" is taken for the ångström, as wavelengths are
-    given."""
+    """Return the size in nm of a unit of length, or None if `text` is not one. "A" means ångström, as usual for
+    wavelengths.
+    """
     unit = parse("angstrom" if text in ("A", "AA", "Angstrom", "Angstroms", "ANGSTROM") else text)
     return unit.scale * 1e9 if unit is not None and unit.powers == {"m": 1} else None
 
 
 def split(heading: str) -> tuple[str, str | None]:
-    """Return a heading "name (unit)", "name [unit]" or "name / unit" as name and unit; without one, or with something in
-    brackets that is no unit and does not resemble one, the whole heading and None."""
+    """Split a heading such as "name (unit)", "name [unit]" or "name / unit" into name and unit.
+
+    The unit is None, and the name is the whole heading, if there is no unit or if the brackets contain something that does
+    not resemble a unit.
+    """
     heading = heading.strip()
     name, slash, rest = heading.partition(" / ")
     if slash and parse(rest):

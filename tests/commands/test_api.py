@@ -308,7 +308,7 @@ def test_arrays_that_are_no_pictures_are_described(one: np.ndarray, other: np.nd
 
 @pytest.mark.parametrize("viewing", [0, -1, float("nan"), 1e9])
 def test_a_distance_that_no_eye_is_at_is_described(viewing: float) -> None:
-    with pytest.raises(RecipeError, match="is not within 2…1000 samples a degree"):
+    with pytest.raises(RecipeError, match="is not within 2…1000 samples per degree"):
         l3.scielab(np.zeros((8, 9, 3)), np.zeros((8, 9, 3)), viewing)
 
 

@@ -141,7 +141,7 @@ def test_a_chart_needs_24_radiances(copied: Path, tmp_path: Path, refused: Refus
     (path,) = (copied / "spectra").glob("chart_*_A.csv")
     path.write_text("\n".join(line.rpartition(",")[0] for line in path.read_text().splitlines()))
     line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert "23 curves, 24 are wanted" in line
+    assert "23 curves, but 24 are needed" in line
 
 
 def test_a_missing_spectrum_is_named(copied: Path, tmp_path: Path, refused: Refused) -> None:
@@ -326,7 +326,7 @@ def test_a_table_of_other_channels_is_refused(table: Path, tmp_path: Path, refus
     path = table / "sweep.csv"
     path.write_text("\n".join(line.rpartition(",")[0] for line in path.read_text().splitlines()))
     line = refused(3, "calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert "sweep.csv: holds 7 curves, 8 are wanted" in line
+    assert "sweep.csv: contains 7 curves, but 8 are needed" in line
 
 
 def corners_of(folder: Path) -> str:

@@ -95,7 +95,7 @@ def test_arrays_share_a_file_whose_other_columns_are_left_out(folder: Path, l3: 
     (folder / "camera.toml").write_text(RECIPE.read_text())
     assert 'two columns are called "r"; name each once' in refused(3, *simulate, "--force")
     (folder / CSV).write_text(written("", nm, four).lstrip())
-    assert "holds 4 curves, 3 are wanted" in refused(3, *simulate, "--force")
+    assert "contains 4 curves, but 3 are needed" in refused(3, *simulate, "--force")
 
 
 def digitised(nm: np.ndarray, percent: np.ndarray) -> str:
@@ -129,9 +129,9 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     "order": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[[1, 0, *range(2, nm.size)]], percent), "must increase"),
     "names": (
         lambda nm, percent: written("nm,r (%),leaf (%),b (%)", nm, percent),
-        'column "leaf" is none of those wanted',
+        'column "leaf" is not expected',
     ),
-    "count": (lambda nm, percent: written("nm,r (%),g (%)", nm, percent[:, :2]), "holds 2 curves, 3 are wanted"),
+    "count": (lambda nm, percent: written("nm,r (%),g (%)", nm, percent[:, :2]), "contains 2 curves, but 3 are needed"),
     "unit": (
         lambda nm, percent: written("nm,r (W/nm),g (W/nm),b (W/nm)", nm, percent),
         '"W/nm" is not a unit of responsivity',

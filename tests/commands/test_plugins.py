@@ -70,7 +70,7 @@ def test_the_noise_model_of_the_page_is_simulated(installed: Path, pipeline: Pat
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("return np.array(planes)", "return np.array(planes[:2])", "these are of (2, "),
+        ("return np.array(planes)", "return np.array(planes[:2])", "their shape is (2, "),
         ("return np.array(planes)", "return np.array(planes) * np.nan", "must be finite and of shape (3, "),
         (
             "size = 2",
@@ -104,8 +104,8 @@ def test_names_that_are_taken_or_unknown_are_refused(
     entries = installed / "my_l3-1.0.dist-info/entry_points.txt"
     text = entries.read_text()
     for name, words in {
-        "basic": "called like a baseline of l3",
-        "ideal": 'rename "ideal"',
+        "basic": "the name of one of l3's own baselines",
+        "ideal": '"ideal" is already in use',
         "a/b": "other characters",
     }.items():
         entries.write_text(text.replace("boxes =", f"{name} ="))

@@ -110,7 +110,7 @@ def test_tables_that_state_the_same(text: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("nm,a,c\n400,1,2\n", '"c" is none of those wanted'),
+        ("nm,a,c\n400,1,2\n", '"c" is not expected'),
         ("nm,a,a\n400,1,2\n", '"a" is called|two columns are called "a"'),
         ("nm,wavelength,a\n1,2,3\n", '"nm" and "wavelength" names the wavelengths'),
         ("frequency_THz,a,b\n400,1,2\n", 'call one column "wavelength_nm"'),
@@ -123,7 +123,7 @@ def test_tables_that_state_the_same(text: str, tmp_path: Path) -> None:
         ("400,1,1\n400,2,2\n", "wavelengths must increase"),
         ("400,1,1\n410,nan,1\n", "wavelengths must increase and every value be a number"),
         ("400,1,1\n410\n", "equally many values"),
-        ("400,1\n410,1\n", "holds 1 curves, 2 are wanted"),
+        ("400,1\n410,1\n", "contains 1 curves, but 2 are needed"),
         ("", "rows must be"),
         ("nm;a;b\n400;1.234,5;1\n", "not a row of numbers"),
         ("nm;a;b\n400;1,5;1.5\n", "commas and points"),
@@ -138,7 +138,7 @@ def test_tables_that_are_refused(text: str, words: str, tmp_path: Path) -> None:
 def test_capitals_count_where_they_distinguish_channels(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("nm,R,r\n400,1,2\n")
     np.testing.assert_array_equal(read_table(tmp_path / "t.csv").ordered(("r", "R")).values, [[2.0], [1.0]])
-    with pytest.raises(InputFileError, match="none of those wanted"):
+    with pytest.raises(InputFileError, match="is not expected"):
         read_table(tmp_path / "t.csv").ordered(("r", "g"))
 
 
@@ -158,7 +158,7 @@ def test_radiances_in_any_unit_are_photons(tmp_path: Path) -> None:
         np.testing.assert_allclose(read_table(tmp_path / "untold.csv").photons(unit)[0], photons, rtol=1e-9)
     with pytest.raises(InputFileError, match="correct one"):
         read_table(tmp_path / "stated.csv").photons("W/(sr m² nm)")
-    with pytest.raises(InputFileError, match="no unit of spectral radiance"):
+    with pytest.raises(InputFileError, match="not of spectral radiance"):
         read_table(tmp_path / "untold.csv").photons("W/(m² nm)")  # an irradiance
 
 

@@ -111,7 +111,10 @@ def test_percent_become_shares(tmp_path: Path) -> None:
         (OCEAN + BEGIN + END, "rows must be a wavelength"),
         ("Operator: me\nx;a;b\n400;1;2\n410;1;2\n", 'none of "x, a, b" names the wavelengths'),
         ("Wavelength;a\n400;1,5\n410;2.5\n", "commas and points"),
-        ("Wavelength (nm);a (W/m²/nm)\n400;1\n410;2\n", "no unit of spectral radiance; measure what the camera sees"),
+        (
+            "Wavelength (nm);a (W/m²/nm)\n400;1\n410;2\n",
+            "not of spectral radiance; measure the radiance that the camera sees",
+        ),
         ("\x00\x01\x02", "not a text file"),
     ],
 )
