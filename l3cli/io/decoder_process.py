@@ -1,8 +1,9 @@
-"""The process that decodes foreign files (isolated.py): its limits, its workers, and the answers they give.
+"""The process that decodes foreign files for isolated.py: its limits, its workers, and their replies.
 
-A worker is confined by Linux's Landlock (files) and seccomp (all else). It may read the files it is given, the installation
-of Python and the system's libraries. It writes to no file, opens no socket, starts no process, touches no other one; what it
-has open already it may use. Where the kernel lacks one of the two, the other still holds (man 7 landlock, man 2 seccomp).
+A worker is confined by Linux's Landlock (files) and seccomp (everything else). It may read the files that it is given, the
+Python installation and the system's libraries. It cannot write to files, open sockets, start processes or touch other
+processes. It may use what it already has open. If the kernel lacks one of the two, the other still applies (man 7 landlock,
+man 2 seccomp).
 """
 
 import contextlib
@@ -26,15 +27,15 @@ from l3cli.io.isolated import MORE_MEMORY, MOST_TALK, READY, ArrayWriter, isolat
 
 LANDLOCK, SECCOMP = "Landlock", "seccomp"
 NO_NEW_PRIVILEGES, SET_SECCOMP, FILTER = 38, 22, 2  # prctl
-CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # syscalls of Landlock, on every architecture
+CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # syscalls of Landlock, the same on every architecture
 PATH_BENEATH = 1
-VERSION = 1  # flag of CREATE_RULESET that asks for Landlock's own
-RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of rights of access in its first version; versions that added another
+VERSION = 1  # flag of CREATE_RULESET that asks for Landlock's version
+RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of access rights in the first version; versions that added one more
 READ_FILE, READ_FOLDER = 1 << 2, 1 << 3
 SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime")
 PACKAGES = ("site-packages", "dist-packages")
 
-# Syscalls that reach beyond the process, by number on x86_64 and on aarch64 (None: it has none of the name).
+# Syscalls that reach beyond the process: their numbers on x86_64 (None if it lacks the syscall) and on aarch64.
 REFUSED: dict[str, tuple[int | None, int]] = {
     "socket": (41, 198), "connect": (42, 203), "accept": (43, 202), "bind": (49, 200), "listen": (50, 201),
     "socketpair": (53, 199), "accept4": (288, 242), "execve": (59, 221), "execveat": (322, 281), "tkill": (200, 130),
@@ -59,19 +60,19 @@ OLD_NAMES = {"fork": 57, "vfork": 58, "chmod": 90, "chown": 92, "lchown": 94, "u
 CLONE, CLONE3, KILL, TGKILL, PRLIMIT = (56, 220), (435, 435), (62, 129), (234, 131), (302, 261)
 CLONE_THREAD = 0x10000
 ARCHITECTURES = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}  # AUDIT_ARCH_…, in the order of the numbers
-X32 = 0x40000000  # x86_64: syscalls from here on are those of another ABI
+X32 = 0x40000000  # on x86_64, syscall numbers from here on belong to the x32 ABI
 LOAD, EQUAL, AT_LEAST, HAS_BITS, RETURN = 0x20, 0x15, 0x35, 0x45, 0x06  # instructions of classic BPF
-ALLOW, REFUSE = 0x7FFF0000, 0x00050000  # what a filter returns; the second with an error's number
-NUMBER_AT, ARCHITECTURE_AT, ARGUMENT_AT = 0, 4, 16  # in struct seccomp_data, of the first argument the low half
-MOST_WORKERS = 8  # that live at a time: files may be read in turn, frame by frame
+ALLOW, REFUSE = 0x7FFF0000, 0x00050000  # return values of a filter; an error number is added to the second
+NUMBER_AT, ARCHITECTURE_AT, ARGUMENT_AT = 0, 4, 16  # offsets in struct seccomp_data; low half of the first argument
+MOST_WORKERS = 8  # workers that live at the same time, because several files may be read alternately
 
-_measures: tuple[str, ...] = ()  # by which this process is confined
+_measures: tuple[str, ...] = ()  # names of the measures that confine this process
 
 
 def confine(files: Iterable[Path]) -> tuple[str, ...]:
-    """Confine this process, which has one thread, to reading `files`; return what of Landlock and seccomp holds now.
+    """Confine this process, which must have one thread, to reading `files`. This cannot be undone.
 
-    It cannot be undone.
+    Returns which of Landlock and seccomp are now in force.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(NO_NEW_PRIVILEGES, *map(ctypes.c_ulong, (1, 0, 0, 0))):
@@ -81,14 +82,14 @@ def confine(files: Iterable[Path]) -> tuple[str, ...]:
 
 
 def _installation() -> set[Path]:
-    """Return the folders that Python and its libraries read while they run."""
+    """Return the folders that Python and its libraries read at run time."""
     package = Path(__file__).parents[1]
     packages = [path for path in sys.path if Path(path).name in PACKAGES]
     return {package, *map(Path, (sys.prefix, sys.base_prefix, sys.exec_prefix, *packages, *SYSTEM))}
 
 
 def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> bool:
-    """Refuse all access to files but reading what lies in `readable`; False where the kernel cannot."""
+    """Deny all file access except reading below `readable`. Returns False if the kernel cannot do that."""
     version = libc.syscall(CREATE_RULESET, None, ctypes.c_size_t(0), VERSION)
     every_right = (1 << RIGHTS + sum(version >= added for added in ADDED_IN)) - 1
     handled = ctypes.create_string_buffer(struct.pack("=Q", every_right), 8)
@@ -100,7 +101,7 @@ def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> bool:
             try:
                 place = os.open(path, os.O_PATH | os.O_CLOEXEC)
             except OSError:
-                continue  # it is not there
+                continue  # it does not exist
             rights = READ_FILE | READ_FOLDER if path.is_dir() else READ_FILE
             rule = ctypes.create_string_buffer(struct.pack("=Qi", rights, place), 12)
             libc.syscall(ADD_RULE, ruleset, PATH_BENEATH, rule, 0)
@@ -111,7 +112,7 @@ def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> bool:
 
 
 def _filter_syscalls(libc: ctypes.CDLL) -> bool:
-    """Refuse syscalls that reach beyond the process; False where the kernel or this module cannot."""
+    """Deny syscalls that reach beyond the process. Returns False if the kernel or this module cannot do that."""
     machine = platform.machine()
     if machine not in ARCHITECTURES or sys.maxsize < 2**32:
         return False
@@ -122,7 +123,7 @@ def _filter_syscalls(libc: ctypes.CDLL) -> bool:
 
 
 def _program(machine: str) -> bytes:
-    """Return the filter as classic BPF, eight bytes an instruction."""
+    """Return the filter as classic BPF, eight bytes per instruction."""
     column = list(ARCHITECTURES).index(machine)
     numbers = [each[column] for each in REFUSED.values()] + ([] if column else [*OLD_NAMES.values()])
     refuse, absent = REFUSE | errno.EPERM, REFUSE | errno.ENOSYS
@@ -132,7 +133,7 @@ def _program(machine: str) -> bytes:
     for number in numbers:
         if number is not None:
             code += [(EQUAL, 0, 1, number), (RETURN, 0, 0, refuse)]
-    # The C library tries `clone3`, whose flags a filter cannot read, and takes `clone` where there is none.
+    # A filter cannot read the flags of `clone3`. If it does not seem to exist, the C library falls back to `clone`.
     code += [(EQUAL, 0, 1, CLONE3[column]), (RETURN, 0, 0, absent)]
     itself = os.getpid()
     for syscalls, test, value in (
@@ -146,15 +147,27 @@ def _program(machine: str) -> bytes:
 
 @isolated()
 def measures(path: Path) -> tuple[str, ...]:
-    """Return the names of what confines the worker for a file: LANDLOCK and SECCOMP, where they hold."""
+    """Return which of LANDLOCK and SECCOMP confine the worker for a file."""
     return _measures
 
 
 def serve(talk: int, arrays: int, seconds: float, room: int) -> None:
-    """Decode files, each by a worker of its own, until nobody asks any more."""
+    """Decode files, each with a worker of its own, until the connection closes.
+
+    Parameters
+    ----------
+    talk : int
+        File descriptor of the socket to the caller.
+    arrays : int
+        File descriptor of the file through which arrays are returned.
+    seconds : float
+        CPU time allowed per file.
+    room : int
+        Address space in bytes.
+    """
     for what, most in ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_AS, room), (resource.RLIMIT_FSIZE, room)):
-        resource.setrlimit(what, 2 * (_allowed(what, most),))  # the hard limit, too: none of them is lifted again
-    workers: dict[str, _Worker] = {}  # by file and decoder, the one that was asked last at the end
+        resource.setrlimit(what, 2 * (_allowed(what, most),))  # hard limits too, so that they cannot be raised again
+    workers: dict[str, _Worker] = {}  # by file and decoder, least recently used first
     with socket.socket(fileno=talk) as connection:
         send(connection, READY)
         while True:
@@ -180,17 +193,17 @@ def serve(talk: int, arrays: int, seconds: float, room: int) -> None:
 
 
 def _import(module: str, name: str) -> None:
-    """Import a decoder and its libraries: once for all workers, which then read no other file of the caller's."""
-    with contextlib.suppress(Exception):  # the worker tries again, and says what is wrong
+    """Import a decoder and its libraries once, before workers are forked and confined."""
+    with contextlib.suppress(Exception):  # the worker tries again and reports the error
         for library in getattr(importlib.import_module(module), name).libraries:
             importlib.import_module(library)
 
 
 class _Worker:
-    """A process that decodes one file, confined to it."""
+    """A process that decodes one file and can read no other."""
 
     def __init__(self, path: Path, arrays: int, seconds: float, others: list[socket.socket]) -> None:
-        """Fork it, without the sockets to `others`. OSError if there can be no further process."""
+        """Fork the worker without the sockets `others`. Raises OSError if no further process can be started."""
         self._owned = contextlib.ExitStack()
         with contextlib.ExitStack() as failed:
             failed.push(self._owned)
@@ -209,7 +222,7 @@ class _Worker:
             failed.pop_all()
 
     def answer(self, request: bytes) -> bytes:
-        """Return its answer; where it dies instead, die as it did: its caller then knows."""
+        """Return the worker's reply. If the worker dies, end this process in the same way, so that the caller notices."""
         try:
             send(self.socket, request)
             return receive(self.socket)
@@ -223,14 +236,14 @@ class _Worker:
             os._exit(code)
 
     def end(self) -> None:
-        """Kill it, whatever it does."""
+        """Kill the worker process immediately."""
         os.kill(self._process, signal.SIGKILL)
         os.waitpid(self._process, 0)
         self._owned.close()
 
 
 def _decode(connection: socket.socket, path: Path, arrays: int, seconds: float) -> None:
-    """Answer requests for a file, confined to it, until nobody asks any more; then end the process."""
+    """Confine this process, answer requests for a file until the connection closes, then exit."""
     global _measures
     _measures = confine([path])
     while True:
@@ -238,7 +251,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, seconds: float) 
             folder, _, module, name, path_there, *plain = json.loads(receive(connection))
         except EOFError:
             os._exit(0)
-        os.chdir(folder)  # where the caller is: names in messages are those that he gave
+        os.chdir(folder)  # the caller's folder, so that relative names work and appear in messages as given
         used = resource.getrusage(resource.RUSAGE_SELF)
         until = _allowed(resource.RLIMIT_CPU, int(used.ru_utime + used.ru_stime + seconds) + 1)
         resource.setrlimit(resource.RLIMIT_CPU, (until, resource.getrlimit(resource.RLIMIT_CPU)[1]))
@@ -246,7 +259,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, seconds: float) 
 
 
 def _allowed(what: int, most: int) -> int:
-    """Return a limit of this process: `most`, or the hard limit where that is lower."""
+    """Return the lower of `most` and the hard limit of this process."""
     hard = resource.getrlimit(what)[1]
     return most if hard == resource.RLIM_INFINITY else min(most, hard)
 
@@ -262,7 +275,7 @@ def _answer(module: str, name: str, path: Path, plain: list[Any], arrays: int) -
         return _problem(error)
     except MemoryError:
         return _problem(InputFileError(too_much(path)))
-    except OSError as error:  # of the arrays' file: what a decoder raises has become an InputFileError
+    except OSError as error:  # from the file of the arrays; decoders' errors have become InputFileErrors already
         return _problem(InputFileError(f"{path}: its content cannot be handed over ({error.strerror})"))
 
 

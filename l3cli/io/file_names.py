@@ -1,5 +1,8 @@
-"""Names that stand for several files: folders, globs, patterns with numbers such as frame_%04d.tif and frame_####.tif; and
-the order of numbered names. Clips of one call: which files of a folder they are, and what the output of each is called."""
+"""Names that stand for several files: folders, globs, and patterns with numbers such as frame_%04d.tif and frame_####.tif.
+
+Also: the order of numbered names, and the clips of one call: which files of a folder they are, and the names of their
+outputs.
+"""
 
 import contextlib
 import re
@@ -12,26 +15,26 @@ from l3cli.io.raw.cfa_codes import Sensor
 from l3cli.io.raw.files import BY_SUFFIX, RawOverrides, format_of, holds_several, is_frame
 from l3cli.system.files import STDIN
 
-RAW, IDEAL, MOTION = "_raw.tif", "_ideal.png", "_motion.exr"  # ends of the names that a simulation gives
-MOST_WILD = 4  # parts of a glob with a wildcard: each multiplies the folders that are searched
-MOST_DIGITS = 18  # of a number: enough for the time to a microsecond, within 64 bits
-PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # no wider than names are
-DIGITS = re.compile(r"[0-9]+")  # of a number: not those of every script, some of which are no digits to Python
+RAW, IDEAL, MOTION = "_raw.tif", "_ideal.png", "_motion.exr"  # endings of the files of a simulated sequence
+MOST_WILD = 4  # path components of a glob that may have wildcards; each multiplies the number of folders searched
+MOST_DIGITS = 18  # digits of a number, enough for a time in microseconds, within 64 bits
+PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # placeholder of a number
+DIGITS = re.compile(r"[0-9]+")  # ASCII digits only, because Python cannot convert every digit that \d matches
 
 
 def natural_order(path: Path) -> tuple[Any, ...]:
-    """Return a key that sorts 9 before 10."""
+    """Return a sort key that orders 9 before 10."""
     return tuple((int(part), part) if DIGITS.fullmatch(part) else (0, part) for part in re.split(r"([0-9]+)", str(path)))
 
 
 def last_number(path: Path) -> int | None:
-    """Return the last number in a file's name."""
+    """Return the last number in a file's name, or None."""
     numbers = DIGITS.findall(path.stem)
     return int(numbers[-1]) if numbers and len(numbers[-1]) <= MOST_DIGITS else None
 
 
 def numbered_name(pattern: Path, number: int) -> Path:
-    """Return the pattern's file of a number: %d, %04d or a run of # in its name stands for it."""
+    """Return the file of a pattern with a number in place of %d, %04d or a run of #."""
 
     def digits(field: re.Match[str]) -> str:
         width = len(field[0]) if field[0][0] == "#" else int(field[1] or 0)
@@ -41,7 +44,7 @@ def numbered_name(pattern: Path, number: int) -> Path:
 
 
 def numbered_files(pattern: Path) -> dict[int, Path]:
-    """Return the files that exist of a pattern, by number, in order."""
+    """Return the existing files of a pattern by number, in order."""
     where = PATTERN.search(pattern.name)
     if where is None or not pattern.parent.is_dir():
         return {}
@@ -57,18 +60,18 @@ def numbered_files(pattern: Path) -> dict[int, Path]:
 
 
 def is_glob(path: Path) -> bool:
-    """Return whether a name has wildcards."""
+    """Whether a name has wildcards."""
     return any(letter in str(path) for letter in "*?[")
 
 
 def globbed(path: Path) -> list[Path]:
-    """Return the files that a glob matches, in their order, hidden ones left out."""
+    """Return the files that a glob matches, in natural order, without hidden files."""
     matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
     return sorted((each for each in matches if each.name[0] != "." and each.is_file()), key=natural_order)
 
 
 def of_one_kind(folder: Path, files: Iterable[Path]) -> list[Path]:
-    """Return the files of a folder in their order; InputFileError if they are of several kinds."""
+    """Return the files of a folder in natural order. Raises InputFileError if their suffixes differ."""
     files = sorted(files, key=natural_order)
     kinds = sorted({path.suffix.lower() for path in files})
     if len(kinds) > 1:
@@ -77,7 +80,27 @@ def of_one_kind(folder: Path, files: Iterable[Path]) -> list[Path]:
 
 
 def find_scenes(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
-    """Return the files (or `folders`) of a name or glob relative to `folder`, sorted; InputFileError if there is none."""
+    """Find the scene files of a name or glob.
+
+    Parameters
+    ----------
+    pattern : str
+        Name or glob relative to `folder`.
+    folder : Path
+        Folder of the recipe.
+    folders : bool
+        Whether scenes are folders instead of files.
+
+    Returns
+    -------
+    list of Path
+        Sorted.
+
+    Raises
+    ------
+    InputFileError
+        If there are none.
+    """
     wanted = Path.is_dir if folders else Path.is_file
     single = folder / pattern
     if wanted(single):
@@ -100,17 +123,20 @@ WILD = re.compile(r"\[[^]]*\]|[*?]")
 
 
 def name_of(source: Path) -> str:
-    """Return the name of a clip's output: that of its file or folder; of a pattern or glob what is left without its
-    placeholders or, if nothing is, the name of its folder."""
+    """Return the name of a clip's output.
+
+    It is the name of the clip's file or folder. For a pattern or glob, it is the name without placeholders or, if nothing
+    remains, the name of the folder.
+    """
     if source.exists():
         name = source.resolve().name if source.is_dir() else source.stem
-        return PATTERN.sub("_", name) or "clip"  # which an output must not be taken for
+        return PATTERN.sub("_", name) or "clip"  # the output must not look like a pattern
     plain = WILD.sub("", PATTERN.sub("", source.stem)).strip("_-. ")
     return plain or WILD.sub("", source.parent.resolve().name) or "clip"
 
 
 def refuse_one_name(sources: Sequence[Path]) -> None:
-    """Raise RecipeError if two clips have one name."""
+    """Raise RecipeError if two clips have the same output name."""
     named: dict[str, Path] = {}
     for source in sources:
         if source == STDIN:
@@ -121,20 +147,37 @@ def refuse_one_name(sources: Sequence[Path]) -> None:
 
 
 def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, warn: Callable[[str], None]) -> list[Path]:
-    """Return the videos, files of several frames, folders of frames and single frames of a folder of clips. None of a
-    folder of frames, which is one clip: one whose first file that can be read as frames holds just one."""
-    paths = [path for path in folder.iterdir() if path.name[0] != "."]  # a million, it may be
+    """Return the clips in a folder: videos, files of several frames, folders of frames, and single frames.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    sensor : callable
+        Returns the table or camera, for the size of headerless files.
+    known : RawOverrides
+        Facts about the raw files.
+    warn : callable
+        Receives a warning if files are left out.
+
+    Returns
+    -------
+    list of Path
+        Empty if the folder is itself one clip, that is, if its first readable frame file contains a single frame.
+    """
+    paths = [path for path in folder.iterdir() if path.name[0] != "."]  # there may be a million
     frames = {path.name for path in paths if is_frame(path)}
     longer = [path for path in paths if path.name not in frames and _is_clip(path)]
     several = None
     for path in map(folder.joinpath, sorted(frames)):
-        with contextlib.suppress(L3Error):  # broken, so it does not tell
+        with contextlib.suppress(L3Error):  # a broken file says nothing about the folder
             if path.is_file():
                 several = holds_several(path, sensor, known)
                 break
     if several or (several is None and longer):
         return sorted(filter(_is_clip, paths), key=natural_order)
-    left_out = sorted(path.name for path in longer if not format_of(path).wants_dataset)  # HDF5: artifacts, most likely
+    # HDF5 files are most likely artifacts, so they are not reported.
+    left_out = sorted(path.name for path in longer if not format_of(path).wants_dataset)
     if left_out:
         more = f" and {len(left_out) - 1} more" if len(left_out) > 1 else ""
         warn(f"{folder} is taken for its frames, without {left_out[0]}{more}; name these, too, if they are meant")
@@ -142,10 +185,10 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
 
 
 def _is_clip(path: Path) -> bool:
-    """Return whether this is a raw file or a folder that holds some."""
+    """Whether a path is a raw file, or a folder that contains raw files."""
     try:
         if not path.is_dir():
             return path.suffix.lower() in BY_SUFFIX and path.is_file()
         return any(each.name[0] != "." and each.suffix.lower() in BY_SUFFIX for each in path.iterdir())
     except OSError:
-        return True  # rendering it says what is wrong
+        return True  # rendering it reports the error

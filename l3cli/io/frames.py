@@ -1,5 +1,7 @@
-"""Frames of a lab as they stand, never developed: single-channel 16-bit pictures (TIFF, PNG, PGM) or raw files, raw DN; and
-which files of a folder of captures are raw frames, which are tables of spectra, which are neither."""
+"""Read frames of a lab as they are: single-channel 16-bit pictures (TIFF, PNG, PGM) or raw files, in raw DN.
+
+Also: classify the files in a folder of captures as raw frames, tables of spectra or others.
+"""
 
 import os
 import re
@@ -30,12 +32,15 @@ from l3cli.system.limits import require_picture
 
 TIFF = (".tif", ".tiff")
 RAW_FILE = "give a raw file of a chart (DNG, CR2, NEF, ARW…)"
-PICTURES = (".tif", ".png")  # of formats whose depth is checked before their pixels are read
+PICTURES = (".tif", ".png")  # formats whose depth is checked before pixels are read
 
 
 def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
-    """Return the content of a raw file of one frame; InputFileError if it is not a mosaic of one channel, or has a fault
-    that none of the `answered` parameters answers."""
+    """Return the content of a raw file with one frame.
+
+    Raises InputFileError if it is not a mosaic of one channel, or if it has a fault that none of the `answered` parameters
+    resolves.
+    """
     require_regular(path, RAW_FILE)
     kind = format_of(path)
     if not kind.holds_frame or kind.wants_geometry:
@@ -45,19 +50,19 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
         raise InputFileError(f"{path} is not a mosaic; {RAW_FILE}")
     require_picture(str(path), *content["values"].shape)
     refuse_faults(str(path), content, answered)
-    if content["values"].dtype not in (np.uint8, np.uint16):  # the depth of which callers check
+    if content["values"].dtype not in (np.uint8, np.uint16):  # callers check the depth of these types
         content["values"] = require_dn(str(path), content["values"])
     return content
 
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """Frames read one by one each time they are gone through."""
+    """Frames that are read one by one in each iteration."""
 
     paths: tuple[Path, ...]
     shape: tuple[int, int]
     bits: int
-    array: FilterArray | None = None  # of the sensor, that raw files have to state
+    array: FilterArray | None = None  # CFA of the sensor, which raw files must match
 
     def __iter__(self) -> Iterator[NDArray[np.uint16]]:
         for path in self.paths:
@@ -71,7 +76,7 @@ class FrameFiles:
 
 @dataclass(frozen=True)
 class WholeFrames:
-    """Raw files of a known camera's whole sensor, read one by one each time they are gone through."""
+    """Raw files of a known camera's whole sensor, read one by one in each iteration."""
 
     paths: tuple[Path, ...]
     camera: CameraModel
@@ -88,7 +93,7 @@ class WholeFrames:
             yield frame.values
 
     def _frames_in(self, path: Path) -> Iterator[RawFrame]:
-        """Yield the frame of a file, or those of a stack."""
+        """Yield the frame of a file, or the frames of a stack."""
         pages = pages_of(path)
         if pages is None:
             yield read_raw(path, self.camera)
@@ -122,7 +127,7 @@ def pages_of(path: Path) -> Iterator[tuple[str, RawContent]] | None:
 
 
 def _stack(path: Path) -> MultiFrameFile | None:
-    """Return the frames of a stack, None of any other file."""
+    """Return the frames of a stack, or None for any other file."""
     kind = BY_SUFFIX.get(path.suffix.lower())
     if kind is None or not kind.holds_frame or kind.wants_geometry:
         return None
@@ -139,10 +144,11 @@ def _counted(pages: MultiFrameFile, number: int) -> RawContent:
 
 
 def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray | None = None) -> NDArray[np.uint16]:
-    """Return a single-channel 16-bit picture (row, col) in DN, an 8-bit one of a sensor of 8 bits or less, or a raw file's
+    """Read a frame (row, col) in DN: a single-channel 16-bit picture (8 bits for sensors of up to 8 bits) or a raw file's
     mosaic.
 
-    InputFileError if it is none, not of `shape`, beyond `bits`, or if it states another `array` or phase.
+    Raises InputFileError if the file is neither, if its size differs from `shape`, if values exceed `bits`, or if the file
+    states another CFA or phase than `array`.
     """
     if path.suffix.lower() in BY_SUFFIX and format_of(path).suffixes[0] not in PICTURES:
         content = raw_content(path, ("black_level",))
@@ -169,9 +175,9 @@ def _whole_frame(
 
 
 def require_bits(path: Path, values: NDArray, bits: int) -> None:
-    """Raise InputFileError if a sensor of so many bits cannot give the values."""
+    """Raise InputFileError if values are too large for a sensor with the given bits."""
     if values.max() >= 2**bits:
-        raise InputFileError(f"{path} holds {values.max()} DN, more than {bits} bits; check sensor.bits")
+        raise InputFileError(f"{path} contains {values.max()} DN, more than {bits} bits can store; check sensor.bits")
 
 
 @isolated("OpenImageIO")
@@ -182,8 +188,10 @@ def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
 
 
 def phase_of(path: Path, pattern: NDArray[np.int64], array: FilterArray) -> tuple[int, int]:
-    """Return the site of a sensor's array of the first pixel of a file of this CFA `pattern`. InputFileError if there is
-    none."""
+    """Return the site of a sensor's CFA at the first pixel of a file with the CFA `pattern`.
+
+    Raises InputFileError if there is no such site.
+    """
     try:
         return find_phase(str(path), pattern, array)
     except InputFileError as error:
@@ -203,14 +211,17 @@ def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: 
 
 # --------------------------------------------------------------------------------------------------- a folder of captures
 
-MOST_FILES, DEEPEST = 20_000, 8  # files and folders below one another that are looked at
+MOST_FILES, DEEPEST = 20_000, 8  # largest number of files, and depth of nested folders, that are searched
 DEVELOPED = tuple(suffix for each in UNREAD if each.instead == unread.DEVELOPED for suffix in each.suffixes)
-PROSE = (".txt", ".asc", ".xml")  # of which most are no tables
+PROSE = (".txt", ".asc", ".xml")  # suffixes of files that are rarely tables
 FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # a row of a table
 
 
 def list_captures(folder: Path) -> CaptureFolder:
-    """Return the content of a folder and of those below it; InputFileError if it is none, or holds too many files."""
+    """List the frames and tables in a folder and its subfolders.
+
+    Raises InputFileError if it is not a folder, or contains too many files.
+    """
     if not folder.is_dir():
         raise InputFileError(f"{folder} is not a folder; give the folder of a lab's captures")
     frames, tables, notes = [], [], Counter[str]()
@@ -218,7 +229,7 @@ def list_captures(folder: Path) -> CaptureFolder:
         if number >= MOST_FILES:
             raise InputFileError(f"{folder} holds more than {MOST_FILES} files; give the folder of one camera's captures")
         suffix, name = path.suffix.lower(), path.relative_to(folder).as_posix()
-        if re.search("[\ud800-\udfff]", name):  # which no measurement file can hold
+        if re.search("[\ud800-\udfff]", name):  # names that are not UTF-8 cannot be written in a measurement file
             notes[f"{suffix}: their names are not text; left out"] += 1
             continue
         kind = BY_SUFFIX.get(suffix)
@@ -240,7 +251,7 @@ def list_captures(folder: Path) -> CaptureFolder:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield regular files, hidden ones and links to folders left out, sorted by name."""
+    """Yield regular files sorted by name, without hidden files and without following links to folders."""
     for place, folders, names in os.walk(folder):
         deep = len(Path(place).relative_to(folder).parts)
         folders[:] = sorted(name for name in folders if not name.startswith(".") and deep < DEEPEST)
@@ -251,7 +262,10 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def read_capture(path: Path) -> RawFile:
-    """Return a raw frame as it stands, of a stack its first one; InputFileError of a developed picture or a damaged file."""
+    """Read a raw frame as it is; for a stack, its first frame.
+
+    Raises InputFileError for a developed picture or a damaged file.
+    """
     pages = _stack(path)
     content = raw_content(path) if pages is None else _counted(pages, 0)
     return RawFile(
@@ -265,7 +279,7 @@ def read_capture(path: Path) -> RawFile:
 
 
 def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, CurveTable]]:
-    """Return the tables of a folder that hold spectra; `notes` gets a line for each that does not."""
+    """Read the tables of spectra in a folder. `notes` gets a line for each table that is not one."""
     found = []
     for name in folder.tables:
         try:
@@ -279,7 +293,7 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
 
 
 def _has_numbers(path: Path) -> bool:
-    """Return whether a text has rows of numbers, so that it may be meant for a table."""
+    """Whether a text file has rows of numbers and may therefore be meant as a table."""
     try:
         with open(path, "rb") as stream:
             return len(FIGURES.findall(stream.read(65536))) >= 3

@@ -1,4 +1,4 @@
-"""Pictures and linear values of any format that OpenImageIO reads."""
+"""Read pictures and linear values in any format that OpenImageIO supports."""
 
 import contextlib
 import re
@@ -20,34 +20,36 @@ EXPOSURE_TIME = "ExposureTime"  # OpenImageIO's name of the Exif tag
 
 @isolated("OpenImageIO")
 def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
-    """Return the pixels (row, col, channel) as stored and the channels' names; InputFileError if the file cannot be read."""
+    """Read the pixels (row, col, channel) as stored, and the names of the channels.
+
+    Raises InputFileError if the file cannot be read.
+    """
     with opened(path) as (source, spec):
         return pixels_of(path, source, spec), tuple(spec.channelnames)
 
 
 @isolated("OpenImageIO")
 def picture_flip(path: Path) -> int:
-    """Return LibRaw's flip code that makes stored pixels upright (tag Orientation). InputFileError if it cannot be read."""
+    """Return LibRaw's flip code that makes the stored pixels upright, from the tag Orientation."""
     with opened(path) as (_, spec):
         return flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
 
 
 @isolated("OpenImageIO")
 def picture_size(path: Path) -> tuple[int, int]:
-    """Return (rows, cols) of a picture by its header; InputFileError if it has none."""
+    """Return rows and columns of a picture from its header. Raises InputFileError if it has none."""
     with opened(path) as (_, spec):
         return spec.height, spec.width
 
 
 def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | None]:
-    """Return the values as stored (row, col) of a single-channel picture, of 8 or 16 bits as uint16, and its exposure time
-    (s)."""
+    """Return the stored values (row, col) of a single-channel picture, 8 or 16 bits as uint16, and its exposure time (s)."""
     if spec.nchannels != 1:
         raise InputFileError(f"{path} has {spec.nchannels} channels of {spec.format}; a raw image has one channel")
     values = pixels_of(path, source, spec)[..., 0]
     if values.dtype not in (np.uint8, np.uint16):
         return values, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
-    # OpenImageIO stretches depths such as 12 bits over the whole of 16: the upper bits are what is stored.
+    # OpenImageIO scales depths such as 12 bits up to 16. The stored value is in the upper bits.
     depth = 8 * values.dtype.itemsize
     unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
     return values.astype(np.uint16) >> unused, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
@@ -55,7 +57,7 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | N
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Yield OpenImageIO's input and the description of its only picture, whose size has been checked."""
+    """Yield OpenImageIO's input and specification of a file that contains a single picture of acceptable size."""
     with named_in_utf8(path) as name, contextlib.closing(open_image(path, name)) as source:
         spec = source.spec()
         require_bearable(path, spec)
@@ -63,13 +65,13 @@ def opened(path: Path) -> Iterator[tuple[Any, Any]]:
         if source.seek_subimage(1, 0):
             what = "page" if source.format_name() == "tiff" else "part"
             raise InputFileError(f"{path} holds more than one {what}; give a file of one picture, or render it alone")
-        source.geterror()  # that there is no second one
+        source.geterror()  # clears the error that there is no second picture
         source.seek_subimage(0, 0)
         yield source, spec
 
 
 def open_image(path: Path, name: str) -> Any:
-    """Return OpenImageIO's input, of a file that is called `name` in UTF-8."""
+    """Open a file with OpenImageIO. `name` is its name in UTF-8."""
     import OpenImageIO as oiio
 
     source = oiio.ImageInput.open(name)
@@ -79,15 +81,17 @@ def open_image(path: Path, name: str) -> Any:
 
 
 def require_bearable(path: Path, spec: Any) -> None:
-    """Raise InputFileError unless a picture is flat and no larger than inputs may be."""
+    """Raise InputFileError unless a picture is flat and not too large."""
     require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
     if spec.deep or spec.depth != 1:
         raise InputFileError(f"{path} holds a volume or deep samples; give a flat picture")
 
 
 def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
-    """Raise InputFileError if a picture's description counts more frames than there are pages: ImageJ and tifffile may store
-    a stack as a single page, the other frames somewhere behind it."""
+    """Raise InputFileError if a picture's description counts more frames than there are pages.
+
+    ImageJ and tifffile may store a stack as a single page, with the other frames somewhere after it.
+    """
     text = spec.get_string_attribute("ImageDescription")
     count = re.search(r"^images=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
     shape = re.match(r"""\{.*"shape": \[([0-9, ]{1,99})\]""", text)
@@ -101,7 +105,7 @@ def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
 
 
 def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
-    """Return the pixels (row, col, channel) of an opened picture."""
+    """Read the pixels (row, col, channel) of an open picture."""
     pixels = source.read_image(spec.format)
     if pixels is None:
         raise InputFileError(f"{path} is truncated or damaged ({_reason(source.geterror(), str(path))}); give a whole image")
@@ -109,6 +113,6 @@ def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
 
 
 def _reason(message: str, name: str) -> str:
-    """Return OpenImageIO's message in one line, without the name at its beginning."""
+    """Return OpenImageIO's message in one line, without the file name at its beginning."""
     line = message.strip().splitlines()[0] if message.strip() else "unknown format"
     return line.removeprefix(f"{name}: ")

@@ -1,11 +1,10 @@
-"""Foreign files are decoded in an isolated process of limited time and memory: what the decoders of others stumble over can
-end that process, never this one.
+"""Decode foreign files in an isolated process with limited time and memory.
 
-The process is started when the first file is read. It forks a worker for each file, which decodes what is asked of that file
-confined to it (decoder_process.py), as far as the kernel can; when a worker dies so does the process, and the next file gets
-a new one. Requests and answers are JSON; arrays come through a file in memory, checked against its size and copied, so
-that nothing that a worker says is executed or believed here. Who trusts his files (`--trust`, or L3_TRUST=1) has them
-decoded in the caller's process.
+If a third-party decoder crashes, it can end only that process, never this one. The process is started when the first file
+is read. It forks a worker for each file, which decodes the file and can access nothing else (decoder_process.py), as far as
+the kernel supports that. If a worker dies, the process dies with it, and the next file gets a new one. Requests and replies
+are JSON. Arrays are passed through a memory file and copied after checking their sizes, so that nothing a worker sends is
+executed or trusted. Users who trust their files (`--trust`, or L3_TRUST=1) have them decoded in the caller's process.
 """
 
 import atexit
@@ -32,13 +31,13 @@ from l3cli.system.files import require_regular, stamp
 from l3cli.system.limits import MEGAPIXELS, ONE_BLAS_THREAD, SECONDS, TRUST, decode_seconds, most_bytes, trusted
 from l3cli.system.locks import ThreadLock
 
-PATIENCE = 5  # times the processor time that a file may take by the clock, on a slow disk
+PATIENCE = 5  # limit of the wall-clock time, as a multiple of the CPU time, for slow disks
 ROOM = 1 << 30  # bytes of address space for the interpreter, the libraries and their buffers
-COPIES = 2  # of what a file may hold, for which there is address space, too
+COPIES = 2  # further address space, as a multiple of the largest allowed content of a file
 MORE_MEMORY = "free some memory, or raise its limit (ulimit -v)"
-READY = b"ready"  # what a child says when it has begun
-MOST_TALK = 64 << 20  # bytes of an answer beside its arrays
-ALIGNMENT = 64
+READY = b"ready"  # first message of the process
+MOST_TALK = 64 << 20  # bytes, largest reply without its arrays
+ALIGNMENT = 64  # bytes, alignment of arrays in the memory file
 LENGTH = struct.Struct("<I")
 KINDS = {kind.__name__: kind for kind in (L3Error, RecipeError, InputFileError)}
 ONE_THREAD = ONE_BLAS_THREAD | {"OPENIMAGEIO_THREADS": "1"}
@@ -47,11 +46,23 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def isolated(*libraries: str) -> Callable[[F], F]:
-    """Make a decoder of foreign files run isolated; `libraries`: those that it imports, which are then imported once.
+    """Decorate a decoder of foreign files so that it runs in the isolated process.
 
-    The function stands in a module and takes a path, then plain values (text, numbers, None); it returns arrays of numbers,
-    plain values, and tuples, lists and dictionaries of these. It may read no other file. What it raises, but for this
-    package's errors, becomes an InputFileError that names the file.
+    Parameters
+    ----------
+    libraries : str
+        Modules that the decoder imports. They are imported once, before workers are forked.
+
+    Returns
+    -------
+    callable
+        The decorator.
+
+    Notes
+    -----
+    The function must be at module level and take a path, then plain values (text, numbers, None). It returns arrays of
+    numbers, plain values, and tuples, lists and dictionaries of these. It may read no other file. Exceptions other than this
+    package's own become an InputFileError that names the file.
     """
 
     def made(function: F) -> F:
@@ -70,14 +81,14 @@ def isolated(*libraries: str) -> Callable[[F], F]:
 
 
 def start() -> None:
-    """Start the child while there is other work, for a caller who knows that it will be needed."""
+    """Start the process early, for a caller who knows that it will be needed."""
     if not trusted():
         with _lock:
             _the_child()
 
 
 def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
-    """Return function(path, *plain); what the libraries of others raise becomes an InputFileError."""
+    """Call the decoder in this process, and convert exceptions of third-party libraries to InputFileError."""
     try:
         return function(path, *plain)
     except L3Error:
@@ -86,7 +97,7 @@ def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
         raise InputFileError(too_much(path)) from error
     except ImportError as error:
         raise L3Error(f"a library that decodes {path} cannot be loaded ({error}); {MORE_MEMORY}") from error
-    except Exception as error:  # decoders raise whatever they stumble over
+    except Exception as error:  # decoders raise all kinds of exceptions
         if isinstance(error, OSError) and error.strerror:
             raise InputFileError(f"{path}: {error.strerror}") from error
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
@@ -101,7 +112,7 @@ def too_much(path: Path) -> str:
 
 
 class _Child:
-    """The process that decodes, by its workers, and the socket to it."""
+    """The isolated process and the socket to it."""
 
     def __init__(self, limits: tuple[float, int]) -> None:
         self.limits = limits
@@ -116,10 +127,10 @@ class _Child:
                 [sys.executable, "-P", "-c", program],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,  # decoders chatter there
+                stderr=subprocess.DEVNULL,  # decoders print messages there
                 pass_fds=inherited,
                 env=os.environ | ONE_THREAD | {"MALLOC_ARENA_MAX": "2", TRUST: "1"},
-                process_group=0,  # Ctrl-C is for this process, which then ends its child
+                process_group=0,  # Ctrl-C reaches only this process, which then ends the other
             )
         self._open, self._ready = True, False
 
@@ -128,13 +139,13 @@ class _Child:
         return self._open and self.owner == os.getpid() and self._process.poll() is None
 
     def end(self) -> None:
-        """Kill it, whatever it does."""
+        """Kill the process and its workers immediately."""
         if not self._open:
             return
         self._open = False
         if self.owner == os.getpid():
             if self._process.poll() is None:
-                os.killpg(self._process.pid, signal.SIGKILL)  # and its workers
+                os.killpg(self._process.pid, signal.SIGKILL)  # includes the workers
             self._process.wait()
         self._socket.close()
         os.close(self._arrays)
@@ -154,7 +165,7 @@ class _Child:
         except L3Error:
             raise
         except BaseException as error:
-            self.end()  # what it would say next belongs to this file
+            self.end()  # a late reply to this request must not be taken for the reply to the next
             if isinstance(error, TimeoutError):
                 raise InputFileError(self._too_long(path)) from error
             if isinstance(error, EOFError | ConnectionError):
@@ -164,7 +175,7 @@ class _Child:
             raise
 
     def _await_beginning(self) -> None:
-        """Raise L3Error if the process ends before it has asked for work: no file is to blame."""
+        """Wait until the process is ready. Raises L3Error if it ends before that, since no file is to blame."""
         if self._ready:
             return
         try:
@@ -189,11 +200,11 @@ class _Child:
 
 
 _child: _Child | None = None
-_lock = ThreadLock()  # one file at a time
+_lock = ThreadLock()  # one request at a time
 
 
 def _the_child() -> _Child:
-    """Return the child of this process, a new one where there is none that lives and has the limits wanted now."""
+    """Return the isolated process. A new one is started if it has died or if the limits have changed."""
     global _child
     wanted = decode_seconds(), ROOM + COPIES * most_bytes()
     if _child is None or not _child.usable or _child.limits != wanted:
@@ -212,7 +223,10 @@ def _end_child() -> None:
 
 
 def arrays_back(answer: Any, file: int) -> Any:
-    """Return an answer with its arrays, copied from `file`. ValueError, TypeError or KeyError if no child gives such."""
+    """Return a reply with its arrays copied from `file`.
+
+    Raises ValueError, TypeError or KeyError if the reply is invalid.
+    """
     if not isinstance(answer, dict):
         return answer
     if "array" in answer:
@@ -225,7 +239,7 @@ def arrays_back(answer: Any, file: int) -> Any:
 
 
 def _array(description: list[Any], file: int) -> np.ndarray:
-    """Return the array that an answer describes."""
+    """Return the array that a reply describes."""
     kind, shape, order, offset = description
     dtype = np.dtype(kind)
     if dtype.kind not in "biuf" or order not in ("C", "F") or any(type(n) is not int or n < 0 for n in (*shape, offset)):
@@ -244,7 +258,7 @@ def _array(description: list[Any], file: int) -> np.ndarray:
 
 
 class ArrayWriter:
-    """Writer of arrays to a file, from its beginning."""
+    """Writes arrays to a file, from its beginning."""
 
     def __init__(self, file: int) -> None:
         self._file, self._end = file, 0
@@ -262,7 +276,7 @@ class ArrayWriter:
 
 
 def plain_of(value: Any, writer: ArrayWriter) -> Any:
-    """Return a value as JSON can hold it, its arrays given to `writer`."""
+    """Convert a value to JSON types. Its arrays are passed to `writer`."""
     if isinstance(value, np.ndarray):
         return writer.append(value)
     if isinstance(value, np.generic):
@@ -281,7 +295,7 @@ def send(connection: socket.socket, text: bytes) -> None:
 
 
 def receive(connection: socket.socket, until: float | None = None) -> bytes:
-    """Return a message; TimeoutError if it is not whole at the time `until` of time.monotonic()."""
+    """Return a message. Raises TimeoutError if it is not complete at the time `until` of time.monotonic()."""
     (length,) = LENGTH.unpack(_exactly(connection, LENGTH.size, until))
     if length > MOST_TALK:
         raise ValueError("an endless message")
@@ -302,20 +316,22 @@ def _exactly(connection: socket.socket, length: int, until: float | None) -> byt
 # ----------------------------------------------------------------------- names of files for libraries that take UTF-8 alone
 
 
-_links: dict[Path, str] = {}  # by absolute path: those of `linked`
+_links: dict[Path, str] = {}  # absolute path → link made by `linked`
 
 
 @contextlib.contextmanager
 def named_in_utf8(path: Path) -> Iterator[str]:
-    """Yield a name of the file: as given, or that of a link where it has bytes that are no UTF-8."""
+    """Yield a name of the file that is valid UTF-8: the given name, or that of a link."""
     with linked(path):
         yield _links.get(path.absolute(), str(path))
 
 
 @contextlib.contextmanager
 def linked(path: Path) -> Iterator[None]:
-    """Give a file whose name is no UTF-8, within the block and in processes forked there, the link that `named_in_utf8`
-    needs: a process that decodes may make none."""
+    """Make a link, within the block, to a file whose name is not UTF-8.
+
+    Processes forked in the block use it through `named_in_utf8`, because the decoding process cannot make links itself.
+    """
     try:
         os.fsencode(path.absolute()).decode()
         has_link = True

@@ -1,4 +1,4 @@
-"""All that is wrong with a measurement file, and with the files that it names, or what it means."""
+"""Check a measurement file and the files that it names, and summarise its contents."""
 
 import functools
 import os
@@ -28,7 +28,7 @@ from l3cli.system.text import array_lines, counted, seconds_text
 
 
 def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of the keys and of every file that is named; the rest `meaning` finds one by one."""
+    """Yield the faults of the keys and of every named file. `measurement_meaning` finds the remaining faults one by one."""
     yield from key_faults(recipe)
     for section, number, capture in captures_of(recipe):
         yield from _capture_faults(capture, (section, number), source)
@@ -44,7 +44,7 @@ def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Rec
 
 
 def _photo_faults(photo: PhotoRecipe, key: KeyPath, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of the files, the light and the chart of a photo."""
+    """Yield the faults of the files, light and chart of a photo."""
     for field in ("frames", "dark", "white"):
         yield from _missing(getattr(photo, field), (*key, field), source)
     named_chart = functools.partial(charts.chart, wavelength=spectra.SAMPLED)
@@ -55,7 +55,7 @@ def _photo_faults(photo: PhotoRecipe, key: KeyPath, source: RecipeSource) -> Ite
 
 
 def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of the frames and the spectra of a capture."""
+    """Yield the faults of the frames and spectra of a capture."""
     yield from _missing(capture.frames, (*key, "frames"), source)
     if isinstance(capture, MonoRecipe):
         wrong = list(source.attempt((*key, "spectrum"), _light, capture, source))
@@ -67,26 +67,26 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: RecipeSource) 
 
 
 def _light(step: MonoRecipe, source: RecipeSource) -> None:
-    """Raise InputFileError or RecipeError unless a table holds the light of a step."""
+    """Raise InputFileError or RecipeError unless the table contains the light of a step."""
     step_radiance(read_table(source.file(step.spectrum)), step, source.path)
 
 
 def _monitor(step: MonoRecipe, source: RecipeSource) -> None:
-    """Raise InputFileError unless a table holds the reading of a step."""
+    """Raise InputFileError unless the table contains the reading for a step."""
     light, radiance = step_radiance(read_table(source.file(step.spectrum)), step, source.path)
     assert isinstance(step.monitor, MonitorRecipe)
     monitor_at(step.monitor, float(light.wavelength[radiance.argmax()]), source.path)
 
 
 def _missing(names: Sequence[str], key: KeyPath, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of frames that do not exist."""
+    """Yield a fault for each frame that does not exist."""
     for number, name in enumerate(names):
         if not os.path.isfile(source.file(name)):
             yield fault(f"{source.file(name)} does not exist; it is named as a frame", (*key, number))
 
 
 def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Meaning:
-    """Return the sections with their captures, frames and exposures."""
+    """Return the sections of a measurement file with their captures, frames and exposures."""
     body = load_measurements(source.path).body
     sections = _captures(recipe)
     if isinstance(recipe, CorrectionRecipe):
@@ -112,7 +112,7 @@ def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: Re
 
 
 def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
-    """Return the numbers of captures and frames of each section, and their exposures."""
+    """Return the numbers of captures and frames of each section, and the range of exposures."""
     sections: dict[str, list[CaptureRecipe]] = {}
     for section, _, capture in captures_of(recipe):
         sections.setdefault(section, []).append(capture)
@@ -127,7 +127,7 @@ def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
 
 
 def measurement_lines(measured: dict[str, Any], width: int | None) -> list[str]:
-    """Return the sections as lines."""
+    """Format the sections as lines."""
     lines = [f"{measured['name']}: channels {', '.join(measured['channels'])}", "", *array_lines(measured["array"]), ""]
     for name, section in measured["sections"].items():
         texts = (

@@ -1,8 +1,9 @@
-"""Videos through PyAV (FFmpeg), new ones of pictures and y4m streams, and those of others, decoded frame by frame; who uses
-one of these lets that run isolated; and the times of a sequence's frames. Raw videos: raw/video.py.
+"""Write and read videos with PyAV (FFmpeg): videos and y4m streams of pictures, frame-by-frame decoding, and times of
+frames.
 
-Pictures are sRGB and every video says so: BT.709 primaries, sRGB transfer (ProRes, which cannot say it: BT.709), and, where
-colours are stored as luma and chroma, the BT.709 matrix in limited range.
+Callers that decode run isolated. Raw videos are read by raw/video.py. Pictures are sRGB, and every video is labelled
+accordingly: BT.709 primaries, sRGB transfer (BT.709 for ProRes, which cannot label sRGB), and the BT.709 matrix in limited
+range where colours are stored as luma and chroma.
 """
 
 import contextlib
@@ -25,22 +26,25 @@ from l3cli.system.files import atomic_output
 from l3cli.system.limits import require_picture
 
 INSTALL = 'videos need PyAV; install it with: pip install "l3cli[video]"'
-SLOWEST, FASTEST = Fraction(1, 1000), Fraction(1000)  # frames a second
-FINEST = 1_000_000  # denominator of rates and times: numerators stay within the 32 bits that containers have
+SLOWEST, FASTEST = Fraction(1, 1000), Fraction(1000)  # frames per second
+FINEST = 1_000_000  # largest denominator of rates and times, so that numerators fit into the 32 bits of containers
 
 
 def storable_rate(rate: Fraction) -> Fraction | None:
-    """Return the nearest rate that every container holds: of 29.97002997 a second 30000/1001. None if no film has it."""
+    """Return the nearest frame rate that every container can store, such as 30000/1001 for 29.97002997 per second.
+
+    Returns None if the rate is not that of a video.
+    """
     return rate.limit_denominator(FINEST) if SLOWEST <= rate <= FASTEST else None
 
 
 def pyav() -> Any:
-    """Return PyAV, imported when first needed."""
+    """Return PyAV, imported on first use."""
     try:
         import av
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
-    av.logging.set_level(av.logging.ERROR)  # for RawVideo; what goes wrong becomes one line, not FFmpeg's lines
+    av.logging.set_level(av.logging.ERROR)  # errors are reported as one line instead of FFmpeg's own lines
     log = logging.getLogger("libav")
     if not log.handlers:  # this is called for every frame
         log.addHandler(logging.NullHandler())
@@ -53,21 +57,21 @@ def pyav() -> Any:
 
 @dataclass(frozen=True)
 class Encoding:
-    """Encoding of pictures as a video: FFmpeg's encoder, its pixel format by bits a value, the suffixes that can hold it."""
+    """How pictures are encoded as a video: FFmpeg's encoder, its pixel format per bit depth, and the file suffixes."""
 
     encoder: str
     formats: dict[int, str]
     suffixes: tuple[str, ...]
-    presets: bool = False  # takes --preset and --crf
+    presets: bool = False  # whether --preset and --crf apply
     options: tuple[tuple[str, str], ...] = ()
     tag: str | None = None
     transfer: str = "IEC61966_2_1"
-    frames_at_once: int | None = None  # that the encoder works at, in threads; None: as it likes
+    frames_at_once: int | None = None  # frames that the encoder processes in parallel; None leaves it to the encoder
     reorders: int = 0  # frames after which x265 knows the decoding times of B-frames
 
 
-# What x264 makes depends on how it shares work out, of its own accord by the machine's cores, each a slice of every frame,
-# which takes up to a tenth more room: so many frames, always.
+# The output of x264 depends on how it divides the work. By default, it splits every frame into one slice per core, which
+# makes files up to a tenth larger. A fixed number of parallel frames gives the same bytes on every machine.
 ENCODINGS = {
     "h264": Encoding("libx264", {8: "yuv420p"}, (".mp4", ".mov", ".mkv"), presets=True, frames_at_once=4),
     "h265": Encoding(
@@ -85,36 +89,36 @@ ENCODINGS = {
         "prores_ks", {8: "yuv422p10le", 16: "yuv422p10le"}, (".mov",), options=(("profile", "hq"),), transfer="BT709"
     ),
 }
-USUAL = {".mp4": "h264", ".mov": "prores", ".mkv": "ffv1"}  # where no codec is asked for
-X265_UNIT = 64  # pixels, the side of x265's coding tree units
-READ_BEHIND = 64  # bytes: conversions may read 16 behind a picture (libavutil, frame.h)
-RGB_MATRIX = 0  # of ITU-T H.273: no matrix, the values are red, green and blue
+USUAL = {".mp4": "h264", ".mov": "prores", ".mkv": "ffv1"}  # default codecs
+X265_UNIT = 64  # pixels, side of x265's coding tree units
+READ_BEHIND = 64  # bytes of padding, because conversions may read 16 bytes past a picture (libavutil, frame.h)
+RGB_MATRIX = 0  # code of ITU-T H.273 for red, green and blue without a matrix
 Y4M = ".y4m"
 Y4M_FORMATS = {8: ("yuv420p", "C420jpeg"), 16: ("yuv420p10le", "C420p10 XYSCSS=420P10")}
 
 
-USUAL_RATE = Fraction(30)  # frames a second, where neither the caller nor the input gives it
+USUAL_RATE = Fraction(30)  # frames per second, if neither the caller nor the input states it
 
 
 @dataclass(frozen=True)
 class VideoChoice:
-    """Choices for a video; None: the default."""
+    """Settings of a video. None selects the default."""
 
-    rate: Fraction  # frames a second
-    bits: int  # a value of the pictures that come
+    rate: Fraction  # frames per second
+    bits: int  # bits per value of the pictures
     codec: str | None = None  # key of ENCODINGS
     crf: float | None = None
     preset: str = "veryfast"
-    tick: Fraction | None = None  # s, of the frames' times; None: that of a frame
+    tick: Fraction | None = None  # s, unit of the frames' times; None for the duration of a frame
 
 
 def is_video(path: Path) -> bool:
-    """Return whether a file of this name is a video."""
+    """Whether a file with this name is a video."""
     return path.suffix.lower() in (*USUAL, Y4M)
 
 
 def check_video(path: Path, choice: VideoChoice) -> None:
-    """Raise RecipeError if such a video cannot be; L3Error without PyAV."""
+    """Raise RecipeError if a video with these settings cannot be written, and L3Error without PyAV."""
     suffix = path.suffix.lower()
     if suffix == Y4M:
         if choice.codec or choice.crf is not None:
@@ -124,7 +128,7 @@ def check_video(path: Path, choice: VideoChoice) -> None:
         if suffix not in encoding.suffixes:
             raise RecipeError(f"{path}: {choice.codec} goes into {', '.join(encoding.suffixes)}; name such a file")
         if choice.bits not in encoding.formats:
-            raise RecipeError(f"{path}: h264 holds 8 bits a value; ask for ‹codec› h265 or leave ‹bits› out")
+            raise RecipeError(f"{path}: h264 has 8 bits per value; choose ‹codec› h265 or leave ‹bits› out")
         if choice.crf is not None and not encoding.presets:
             raise RecipeError(f"{path}: ‹crf› is for h264 and h265")
     pyav()
@@ -135,15 +139,15 @@ def _encoding(path: Path, choice: VideoChoice) -> Encoding:
 
 
 class _Converter:
-    """Pictures (row, col, 3) as FFmpeg's frames of a pixel format."""
+    """Converts pictures (row, col, 3) to FFmpeg frames of a pixel format."""
 
     def __init__(self, pixel_format: str) -> None:
-        self._reformatter = pyav().video.reformatter.VideoReformatter()  # kept: making one takes longer than using it
+        self._reformatter = pyav().video.reformatter.VideoReformatter()  # kept, since making one is slower than using it
         self.pixel_format = pixel_format
         self._bytes = np.empty(0, np.uint8)
 
     def even(self, picture: NDArray) -> NDArray:
-        """Return the picture with its last row or column doubled where the pixel format needs even numbers."""
+        """Repeat the last row or column if the pixel format needs even sizes."""
         if not self.pixel_format.startswith(("yuv420", "yuv422")):
             return picture
         rows, cols = picture.shape[:2]
@@ -153,13 +157,15 @@ class _Converter:
     def frame(self, picture: NDArray) -> Any:
         room, source = self._room_for(self.even(picture))
         frame = pyav().VideoFrame.from_numpy_buffer(room, format=source)
-        # One thread: rendering keeps the other cores busy, and sharing the work out costs a fifth of it.
+        # One thread, because rendering keeps the other cores busy, and dividing the work costs a fifth of it.
         coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.pixel_format.startswith("yuv") else {}
         return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
 
     def _room_for(self, picture: NDArray) -> tuple[NDArray, str]:
-        """Return a copy of the picture in memory that is used again for each, with what may be read behind it, and its
-        format: a new frame of FFmpeg's for each takes thrice the time."""
+        """Copy a picture into a padded buffer that is used again for each picture. Returns the buffer and its format.
+
+        Allocating a new FFmpeg frame for each picture takes three times as long.
+        """
         widened = picture.dtype == np.uint8 and self.pixel_format.startswith("yuv")
         rows, cols, count = *picture.shape[:2], 4 if widened else picture.shape[2]
         size = rows * cols * count * picture.itemsize
@@ -174,33 +180,46 @@ class _Converter:
 
 
 def _widen(picture: NDArray[np.uint8], room: NDArray[np.uint8]) -> None:
-    """Copy three bytes a pixel into four, of which FFmpeg makes luma and chroma in four fifths of the time, copy included.
-    The fourth, which is not read, is the next pixel's first: pixels are copied as whole numbers of four bytes."""
+    """Copy pixels of three bytes into pixels of four.
+
+    FFmpeg converts these to luma and chroma in four fifths of the time, copy included. The fourth byte is ignored; it is the
+    first byte of the next pixel, because pixels are copied as 32-bit integers.
+    """
     pixels = picture.size // 3
     room.reshape(-1).view("<u4")[: pixels - 1] = np.ndarray(pixels - 1, "<u4", picture.data, strides=(3,))
     room[-1, -1, :3] = picture[-1, -1]
 
 
 def _x265_parameters(rows: int, cols: int, is_short: bool) -> str:
-    """Return parameters of x265 that avoid two of its faults. Videos of one or two frames have no B-frames, whose decoding
-    times x265 would never set. Frames smaller than a coding tree unit, beyond which its assembly code writes, are encoded
-    without assembly."""
+    """Return x265 parameters that avoid two of its faults.
+
+    Videos of one or two frames get no B-frames, whose decoding times x265 would never set. Frames smaller than a coding tree
+    unit are encoded without assembly code, which would write beyond them.
+    """
     return "log-level=none" + ":bframes=0" * is_short + ":asm=0" * (min(rows, cols) < X265_UNIT)
 
 
 class VideoWriter:
-    """A video open for writing; `write` takes pictures (row, col, 3) of one size, uint8 or uint16."""
+    """A video open for writing. `write` takes pictures (row, col, 3) of one size, uint8 or uint16."""
 
     def __init__(self, path: Path, container: Any, choice: VideoChoice) -> None:
         self._container, self._choice = container, choice
         self._encoding = _encoding(path, choice)
         self._converter = _Converter(self._encoding.formats[choice.bits])
         self._stream: Any = None
-        self._waiting: list[Any] = []  # the first frames, until their number decides on the encoder's options
+        self._waiting: list[Any] = []  # first frames, kept until their number determines the encoder's options
         self._tick, self._time = choice.tick or 1 / choice.rate, -1
 
     def write(self, picture: NDArray, time: int | None = None) -> None:
-        """Add a picture that is shown at a time in ticks, later than the one before; None: one later."""
+        """Add a picture.
+
+        Parameters
+        ----------
+        picture : ndarray, (row, col, 3)
+            uint8 or uint16.
+        time : int, optional
+            Time in ticks, later than the previous one. [default: one tick later]
+        """
         frame = self._converter.frame(picture)
         self._tag(frame)
         self._time = self._time + 1 if time is None else time
@@ -210,7 +229,7 @@ class VideoWriter:
             self._encode_waiting()
 
     def finish(self) -> None:
-        """Write what waits here or in the encoder."""
+        """Write the pictures that are still waiting here or in the encoder."""
         if self._waiting:
             self._encode_waiting()
         if self._stream is not None:
@@ -244,7 +263,7 @@ class VideoWriter:
         return stream
 
     def _tag(self, where: Any) -> None:
-        """Declare, in a frame or for the whole video, what the values mean."""
+        """Label the colours of a frame or of the whole video."""
         names = pyav().video.reformatter
         where.color_primaries = names.ColorPrimaries.BT709
         where.color_trc = names.ColorTrc[self._encoding.transfer]
@@ -255,12 +274,12 @@ class VideoWriter:
 
 @contextlib.contextmanager
 def new_video(path: Path, choice: VideoChoice) -> Iterator[VideoWriter]:
-    """Yield a video open for writing, that appears whole or not at all."""
+    """Yield a video open for writing. The file appears atomically."""
     av = pyav()
     form = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska"}[path.suffix.lower()]
     with atomic_output(path) as temporary:
         try:
-            # bitexact: no version, clock or random number in the file
+            # bitexact keeps versions, times and random numbers out of the file
             with av.open(str(temporary), "w", format=form, container_options={"fflags": "+bitexact"}) as container:
                 writer = VideoWriter(path, container, choice)
                 yield writer
@@ -270,7 +289,7 @@ def new_video(path: Path, choice: VideoChoice) -> Iterator[VideoWriter]:
 
 
 class Y4mWriter:
-    """Pictures as a y4m stream: luma and chroma of 4:2:0, limited range."""
+    """Writes pictures as a y4m stream in 4:2:0, limited range."""
 
     def __init__(self, stream: BinaryIO, choice: VideoChoice) -> None:
         pixels, self._colours = Y4M_FORMATS[choice.bits]
@@ -292,7 +311,7 @@ class Y4mWriter:
 
 
 def _write_all(stream: BinaryIO, content: Any) -> None:
-    """Write all of it, to an unbuffered stream too."""
+    """Write all bytes, even to an unbuffered stream."""
     rest = memoryview(content).cast("B")
     while len(rest):
         rest = rest[stream.write(rest) :]
@@ -300,9 +319,9 @@ def _write_all(stream: BinaryIO, content: Any) -> None:
 
 @contextlib.contextmanager
 def new_y4m(path: Path | None, choice: VideoChoice) -> Iterator[Y4mWriter]:
-    """Yield a y4m file that appears whole or not at all; None: stdout."""
+    """Yield a y4m file that appears atomically, or stdout if `path` is None."""
     if path is None:
-        # Unbuffered: a thread that waits in a buffered stream would keep the interpreter from ending.
+        # Unbuffered, because a thread that waits in a buffered stream would keep the interpreter from exiting.
         with open(1, "wb", buffering=0, closefd=False) as stream:
             yield Y4mWriter(stream, choice)
         return
@@ -316,13 +335,29 @@ CONTAINERS = "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi"
 
 
 class DecodedVideo:
-    """The video stream of a file."""
+    """The video stream of a file, decoded frame by frame.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    what : str
+        What to give instead, for messages.
+    require : callable
+        Checks path and FFmpeg's codec context, and raises InputFileError.
+    formats : str
+        FFmpeg's names of the accepted container formats.
+
+    Raises
+    ------
+    InputFileError
+        If the file is not such a video.
+    """
 
     def __init__(self, path: Path, what: str, require: Callable[[Path, Any], None], formats: str = CONTAINERS) -> None:
-        """Raise InputFileError if it is none of `formats`, or by `require`, of FFmpeg's codec context; `what` to give."""
         av = pyav()
         self.path = path
-        # A playlist under the name of a video would have FFmpeg read other files and addresses.
+        # Without these options, a playlist with the name of a video would make FFmpeg read other files and URLs.
         options = {"protocol_whitelist": "file", "format_whitelist": formats}
         try:
             self._container = av.open(str(path), options=options)
@@ -342,20 +377,22 @@ class DecodedVideo:
         self.tick: Fraction = stream.time_base  # s
         self._packets = self._container.demux(stream)
         self._decoded: Iterator[Any] = iter(())
-        self._damaged = False  # since the last key frame
-        self.position = 0  # number of the frame that comes next
+        self._damaged = False  # whether a frame since the last key frame is damaged
+        self.position = 0  # number of the next frame
 
     def close(self) -> None:
         self._container.close()
 
     def following(self) -> Any | None:
-        """Return the next frame, FFmpeg's; None after the last. InputFileError if it is damaged; the call after goes on."""
+        """Return FFmpeg's next frame, or None after the last. Raises InputFileError if it is damaged; later frames may be
+        intact.
+        """
         av = pyav()
         self.position += 1
         try:
             while (frame := next(self._decoded, None)) is None:
                 packet = next(self._packets)
-                # A slice with a wrong checksum is concealed and only logged, in the thread that decodes: this one.
+                # FFmpeg conceals a slice with a wrong checksum and only logs it, in the decoding thread (this one).
                 with av.logging.Capture() as complaints:
                     self._decoded = iter(packet.decode())
                 self._damaged = bool(complaints) or (self._damaged and not packet.is_keyframe)
@@ -369,7 +406,9 @@ class DecodedVideo:
         return frame
 
     def times(self, most: int) -> list[int | None]:
-        """Return the times of the next frames, `most` at most, in ticks and the file's order; None where it states none."""
+        """Return the times of the next frames, at most `most`, in ticks and in file order. None where the file states no
+        time.
+        """
         try:
             packets = list(itertools.islice((packet for packet in self._packets if packet.size), most))
         except (pyav().error.FFmpegError, OSError) as error:
@@ -379,19 +418,20 @@ class DecodedVideo:
 
 
 class InTurn:
-    """Frames asked for one after the other, from 0, of the one video that is being read."""
+    """Reads the frames of one video after the other, from 0."""
 
     def __init__(self, opened: Callable[[Path], DecodedVideo]) -> None:
         self._opened = opened
         self._video: DecodedVideo | None = None
 
     def frame(self, path: Path, number: int) -> Any | None:
-        """Return the frame `number`, FFmpeg's; None after the last. InputFileError if it is damaged; the next may be
-        whole."""
+        """Return FFmpeg's frame `number`, or None after the last. Raises InputFileError if it is damaged; later ones may
+        be intact.
+        """
         return self.video(path, number).following()
 
     def video(self, path: Path, number: int) -> DecodedVideo:
-        """Return the video before that frame."""
+        """Return the video, positioned before frame `number`."""
         if number == 0:
             if self._video is not None:
                 self._video.close()
@@ -404,7 +444,7 @@ class InTurn:
 
 # --------------------------------------------------------------------------------------------------------- times of frames
 
-JITTER = Fraction(1, 1000)  # s, to which Matroska rounds times
+JITTER = Fraction(1, 1000)  # s, resolution to which Matroska rounds times
 
 
 @dataclass(frozen=True)
@@ -412,23 +452,26 @@ class StatedTimes:
     """Times of all frames of a video, as its file states them."""
 
     tick: Fraction  # s
-    ticks: NDArray[np.int64]  # of each frame, in the order in which they are shown
+    ticks: NDArray[np.int64]  # (frame) in display order
 
     @property
     def are_even(self) -> bool:
-        """Return whether all frames follow one another after the same time, but for rounding."""
+        """Whether all frames have the same duration, except for rounding."""
         steps = np.diff(self.ticks)
         return steps.size == 0 or int(steps.max() - steps.min()) * self.tick <= JITTER
 
     def range(self) -> str:
-        """Return the shortest and the longest time between two frames, in s."""
+        """Return the shortest and longest time between two frames, in s."""
         steps = np.diff(self.ticks) * float(self.tick)
         return f"{steps.min():.3g}–{steps.max():.3g} s"
 
 
 def unit_of(numbers: Sequence[int]) -> int | None:
-    """Return by how much the numbers of files grow from frame to frame: that by which most of them do, of which every gap is
-    a multiple. None where there is none, so that they do not count frames."""
+    """Return the step of the numbers of consecutive frames.
+
+    It is the most common step, and every gap must be a multiple of it. None if there is no such step, so that the numbers do
+    not count frames.
+    """
     steps = Counter(after - before for before, after in pairwise(numbers))
     unit = min(steps, default=1)
     usual = unit > 0 and 2 * steps[unit] >= steps.total() and all(step % unit == 0 for step in steps)
@@ -436,21 +479,31 @@ def unit_of(numbers: Sequence[int]) -> int | None:
 
 
 class Pacing:
-    """Times of frames that are asked for in order, in ticks from the first. `unit`: by how much frame numbers grow, None:
-    they do not count frames, which follow evenly; `stated`: times in their place, of frames of which every `step`th is
-    taken, and shown as if it were every one."""
+    """Assigns times to frames in order, in ticks from the first frame.
+
+    Parameters
+    ----------
+    unit : int or None
+        Step of the frame numbers. None if they do not count frames; frames are then evenly spaced.
+    stated : StatedTimes, optional
+        Times to use instead.
+    step : int
+        Every `step`-th frame is used, and shown for the duration of one frame.
+    """
 
     def __init__(self, unit: int | None, stated: StatedTimes | None = None, step: int = 1) -> None:
         self._unit, self.stated = unit, stated
-        self.tick = None if stated is None else max(stated.tick / step, Fraction(1, FINEST))  # s; None: the time of a frame
+        self.tick = (
+            None if stated is None else max(stated.tick / step, Fraction(1, FINEST))
+        )  # s; None for the duration of a frame
         self._scale = Fraction(0) if stated is None or self.tick is None else stated.tick / step / self.tick
         self._first, self._last = 0, -1
-        self.gaps = 0  # so far, in numbers
-        self.first_gap: tuple[int, int] | None = None  # numbers before and after it
-        self._number = 0  # of the frame before
+        self.gaps = 0  # number of gaps in the frame numbers so far
+        self.first_gap: tuple[int, int] | None = None  # frame numbers before and after the first gap
+        self._number = 0  # number of the previous frame
 
     def time(self, number: int) -> int:
-        """Return the time of the next frame, of that number."""
+        """Return the time of the next frame, which has the given number."""
         time = self._time(number)
         if self._last < 0:
             self._first = time
@@ -468,4 +521,4 @@ class Pacing:
         return self._last + 1 if self._unit is None else number // self._unit
 
 
-Stated = Callable[[], StatedTimes | None]  # reads them, which takes a while; None: the file states none
+Stated = Callable[[], StatedTimes | None]  # reads the times, which may be slow; None if the file states none

@@ -1,10 +1,10 @@
-"""DNG 1.4 files that raw developers open.
+"""Write DNG 1.4 files for raw converters.
 
-Rendered frames are linear, and taken for a camera's own: three channels at every pixel, or one of them at each in a Bayer
-mosaic (docs/method.md#display). The channels are those of Rec. 2020, in which the scene's white is equal in all three.
-Exposure is left to the developer: the file states what ours would be.
+Rendered frames become linear files that pass as a camera's own: three channels per pixel, or one channel per pixel in a
+Bayer mosaic (docs/method.md#display). The channels are those of Rec. 2020, in which the scene's white has equal values.
+The exposure is left to the raw converter; the file states the exposure that l3 would use.
 
-Raw mosaics have any colour filter array, and matrices of any number of channels.
+Raw mosaics may have any colour filter array and matrices with any number of channels.
 """
 
 import io
@@ -43,12 +43,12 @@ from l3cli.system.files import write_whole
 
 
 def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: str) -> bytes:
-    """Return the file of a mosaic (row, col) or of three channels (row, col, 3), with the tags that every one has."""
+    """Return the file of a mosaic (row, col) or of three channels (row, col, 3), with the tags that are common to both."""
     import tifffile
 
     rows, cols, *channels = values.shape
     tags = [
-        entry("NewSubfileType", LONG, [0]),  # the full picture
+        entry("NewSubfileType", LONG, [0]),  # full-size image
         entry("Orientation", SHORT, [UPRIGHT]),
         entry("BlackLevelRepeatDim", SHORT, [1, 1]),
         entry("DefaultScale", RATIONAL, [1, 1]),
@@ -61,7 +61,7 @@ def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: 
         text_entry("UniqueCameraModel", camera),
         *tags,
     ]
-    content = io.BytesIO()  # not the file: tifffile leaves the reason out where a disk is full
+    content = io.BytesIO()  # in memory, because tifffile omits the reason if a disk is full
     tifffile.imwrite(
         content,
         values,
@@ -77,7 +77,7 @@ def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: 
 
 
 def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[Entry]:
-    """Return the tags of a colour filter array: (row, col) codes, and those of the colour planes."""
+    """Return the tags of a colour filter array, from its codes (row, col) and the codes of the colour planes."""
     return [
         entry("CFARepeatPatternDim", SHORT, pattern.shape),
         entry("CFAPattern", BYTE, pattern.ravel()),
@@ -90,21 +90,21 @@ def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[En
 
 MOSAICS = ("bayer",)
 RGGB = np.array([[0, 1], [1, 2]])
-BLACK_LEVEL, WHITE_LEVEL = 0, 65535  # DN; LibRaw takes another black level off pixels of three channels, but not off white
-HEADROOM = 2.0  # value at white level: clipped areas are estimated to be brighter than 1, which is full scale of the sensor
-D65_CODE = 21  # of CalibrationIlluminant
+BLACK_LEVEL, WHITE_LEVEL = 0, 65535  # DN; LibRaw would subtract another black level from three channels, not from white
+HEADROOM = 2.0  # value at white level; clipped areas are estimated to be brighter than 1, the sensor's full scale
+D65_CODE = 21  # value of CalibrationIlluminant
 CAMERA = "linear Rec. 2020"
 
 
 def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.uint16]:
-    """Return DN (row, col, 3) of linear Rec. 2020 values (row, col, 3), or (row, col) of a `mosaic` of them."""
+    """Convert linear Rec. 2020 values (row, col, 3) to DN (row, col, 3), or to a `mosaic` (row, col)."""
     if mosaic is not None:
         linear = np.take_along_axis(linear, tiled(RGGB, linear.shape)[..., None], axis=2)[..., 0]
     return np.clip(np.rint(linear * (WHITE_LEVEL / HEADROOM)), BLACK_LEVEL, WHITE_LEVEL).astype(np.uint16)
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Return the file of `raw_values`."""
+    """Return the file of a picture of `raw_values`."""
     values = picture.pixels
     channels = 1 if values.ndim == 2 else values.shape[2]
     to_connection_space = adaptation_matrix(REC2020.neutral_xyz, D50) @ REC2020.to_xyz
@@ -123,7 +123,10 @@ def encode(path: Path, picture: Picture) -> bytes:
 
 
 def _label_tags(label: Label) -> list[Entry]:
-    """Return the tags of the shot. The camera is another one: developers would use its matrices for these channels."""
+    """Return the tags of the shot.
+
+    The camera gets another name, because raw converters would use the original camera's matrices for these channels.
+    """
     shot = label.shot
     description = ", ".join(filter(None, (" ".join(filter(None, (shot.make, shot.model))), label.description)))
     tags = [text_entry("Model", CAMERA), *shot_entries(replace(shot, make="", model=""), label.exposure)]
@@ -132,7 +135,7 @@ def _label_tags(label: Label) -> list[Entry]:
 
 # --------------------------------------------------------------------------------------------------- raw mosaics
 
-LIGHT_CODES = {"A": 17, "D65": 21}  # of CalibrationIlluminant (EXIF LightSource), in the order of the matrices
+LIGHT_CODES = {"A": 17, "D65": 21}  # values of CalibrationIlluminant (EXIF LightSource), in the order of the matrices
 
 
 def write_dng(
@@ -143,15 +146,27 @@ def write_dng(
     neutral: NDArray[np.floating] | None,
     exposure: float,
 ) -> None:
-    """Write a mosaic (row, col) in DN, CFA phase (0, 0), exposed for `exposure` s. `matrices` (channel, 3) lead from XYZ to
-    channels under each of LIGHT_CODES; `neutral` (channel): what grey gives, if known.
+    """Write a raw mosaic as a DNG file, atomically.
 
-    The file appears whole or not at all.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    values : ndarray, (row, col)
+        DN, beginning at CFA phase (0, 0).
+    camera : CameraModel
+        The camera.
+    matrices : mapping of str to ndarray, (channel, 3)
+        Colour matrix from XYZ to channels under each of LIGHT_CODES.
+    neutral : ndarray, (channel), or None
+        Signals of a grey, if known.
+    exposure : float
+        Exposure time in s.
     """
     name, planes, codes = camera.name, _planes(camera), channel_codes(camera.channels)
     full_scale = camera.white_level - camera.black_level
     constant, linear, _ = camera.noise_terms()
-    noise = (linear / full_scale, constant / full_scale**2)  # variance = S · x + O of values x between black and white level
+    noise = (linear / full_scale, constant / full_scale**2)  # variance = S · x + O for x from 0 (black) to 1 (white level)
     iso = camera.gains.iso if camera.gains else 0.0
     shot = Shot(model=name, f_number=camera.optics.f_number, focal_length=camera.optics.focal_length * 1e3, iso=iso)
     tags = [
@@ -170,8 +185,11 @@ def write_dng(
 
 
 def _planes(camera: CameraModel) -> list[int]:
-    """Return the channels in the order of the colour planes: of three, what most pixels have in the middle, for most
-    developers interpolate the second plane on the quincunx that green has in a Bayer array."""
+    """Return the channels in the order of the colour planes.
+
+    Of three channels, the one with most pixels is the second, because most raw converters interpolate the second plane on a
+    quincunx, where a Bayer array has green.
+    """
     planes = list(range(len(camera.channels)))
     if len(planes) == 3:
         commonest = int(np.bincount(camera.cfa.ravel(), minlength=3).argmax())

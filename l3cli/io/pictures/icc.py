@@ -1,4 +1,7 @@
-"""ICC profiles of colour spaces, by formula: version 4, matrix and curve (ICC.1:2022); a space has the same bytes always."""
+"""ICC profiles of colour spaces, computed from formulas: version 4, matrix and curve (ICC.1:2022).
+
+The profile of a space always has the same bytes.
+"""
 
 import functools
 import hashlib
@@ -11,15 +14,15 @@ from l3cli.physics.spaces import Curve, Space, adaptation_matrix
 
 D50 = np.array([0.9642, 1.0, 0.8249])  # XYZ of the profile connection space, as ICC.1 rounds it
 VERSION = 0x04400000
-DATE = (2000, 1, 1, 0, 0, 0)  # a profile must have one; it is no clock's
+DATE = (2000, 1, 1, 0, 0, 0)  # profiles need a date; a constant keeps their bytes the same
 POWER, SRGB_LIKE = 0, 3  # types of parametric curves
-ID = slice(84, 100)  # of a header, the digest
-NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # flags, rendering intent
+ID = slice(84, 100)  # place of the digest in the header
+NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # flags, rendering intent and the digest itself
 
 
 @functools.cache
 def icc_profile(space: Space) -> bytes:
-    """Return the profile of a space: equal values are white, by relative colorimetry."""
+    """Return the profile of a space. Equal values are white under relative colorimetry."""
     adapted = adaptation_matrix(space.neutral_xyz, D50)
     colorants = (adapted @ space.to_xyz).T
     tags = {
@@ -30,7 +33,7 @@ def icc_profile(space: Space) -> bytes:
         **{name: _xyz(colorant) for name, colorant in zip((b"rXYZ", b"gXYZ", b"bXYZ"), colorants, strict=True)},
         **dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), _curve(space.curve)),
     }
-    places: dict[bytes, int] = {}  # of each content, which tags may share
+    places: dict[bytes, int] = {}  # content → offset; tags with equal content share it
     table, body, start = struct.pack(">I", len(tags)), b"", 128 + 4 + 12 * len(tags)
     for name, content in tags.items():
         if content not in places:
@@ -47,7 +50,7 @@ def icc_profile(space: Space) -> bytes:
 
 def _header(size: int) -> bytes:
     fields = struct.pack(">I4sI4s4s4s6H4s", size, bytes(4), VERSION, b"mntr", b"RGB ", b"XYZ ", *DATE, b"acsp")
-    intent = bytes(28) + _fixed(D50)  # platform, flags, device and attributes: none; perceptual
+    intent = bytes(28) + _fixed(D50)  # no platform, flags, device and attributes; perceptual intent
     return (fields + intent).ljust(128, b"\0")
 
 
@@ -56,7 +59,7 @@ def _tag(kind: bytes, content: bytes) -> bytes:
 
 
 def _fixed(numbers: NDArray[np.floating]) -> bytes:
-    """Return the numbers with 16 bits behind the point."""
+    """Return numbers in fixed point with 16 fractional bits."""
     return np.rint(np.asarray(numbers) * 65536).astype(">i4").tobytes()
 
 
@@ -70,7 +73,7 @@ def _text(text: str) -> bytes:
 
 
 def _curve(curve: Curve | None) -> bytes:
-    """Return the curve from values to linear ones: ((value + offset) / gain)^(1 / exponent) above the knee."""
+    """Return the decoding curve: ((value + offset) / gain)^(1 / exponent) above the knee."""
     if curve is None:
         return _tag(b"para", struct.pack(">HH", POWER, 0) + _fixed(np.ones(1)))
     parts = [1 / curve.exponent, 1 / curve.gain, curve.offset / curve.gain, 1 / curve.slope, curve.slope * curve.knee]

@@ -1,4 +1,4 @@
-"""Pictures (PNG, TIFF, JPEG, JPEG XL) and linear values (EXR, TIFF) as OpenImageIO writes them."""
+"""Write pictures (PNG, TIFF, JPEG, JPEG XL) and linear values (EXR, TIFF) with OpenImageIO."""
 
 import contextlib
 import errno
@@ -24,9 +24,10 @@ from l3cli.system.files import atomic_output, write_whole
 from l3cli.system.signals import uninterrupted
 
 EXR, PNG, JPEG_XL = ".exr", ".png", ".jxl"
-# Noise hardly shrinks: what packs tightest takes seven times as long for a tenth of the size.
+# Noise hardly compresses. The strongest compression takes seven times as long and saves a tenth of the size.
 COMPRESSION: dict[str, dict[str, str | int]] = {
-    # Differences to the mean of two neighbours: hardly any of their strings come again, and to look for them takes long.
+    # The filter predicts from the mean of two neighbours. Run lengths suffice: longer strings rarely repeat, and searching
+    # for them is slow.
     PNG: {"compression": "rle", "png:compressionLevel": 1, "png:filter": 64},
     ".jpg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
     ".jpeg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
@@ -42,7 +43,7 @@ XMP = (
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Return the file of a picture, which carries the profile of its space and its label."""
+    """Return the file of a picture, with the profile of its colour space and its label."""
     pixels, space, suffix = picture.pixels, picture.space, path.suffix.lower()
     spec = _spec(pixels)
     if pixels.dtype.kind == "f":
@@ -55,8 +56,8 @@ def encode(path: Path, picture: Picture) -> bytes:
         if space.neutral:
             spec.attribute("adoptedNeutral", oiio.TypeDesc("float[2]"), space.neutral)
     elif space is not None:
-        is_named = space == SRGB and suffix != PNG  # a PNG file has a profile or a name
-        spec.attribute("oiio:ColorSpace", "sRGB" if is_named else "data")  # else it is taken for sRGB
+        is_named = space == SRGB and suffix != PNG  # a PNG file has either a profile or a name
+        spec.attribute("oiio:ColorSpace", "sRGB" if is_named else "data")  # without a value it would count as sRGB
         spec.attribute("Exif:ColorSpace", EXIF_SRGB if space == SRGB else EXIF_OTHER)
         profile = np.frombuffer(icc_profile(space), np.uint8)
         spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{profile.size}]"), profile)
@@ -66,7 +67,7 @@ def encode(path: Path, picture: Picture) -> bytes:
     content = encoded(path.name, spec, pixels)
     if suffix != JPEG_XL or picture.label == NOTHING:
         return content
-    packet = _xmp(picture.label).encode()  # OpenImageIO writes no Exif into JPEG XL: the label is a box like the others
+    packet = _xmp(picture.label).encode()  # OpenImageIO writes no Exif to JPEG XL, so the label is an XMP box
     return content + struct.pack(">I4s", 8 + len(packet), b"xml ") + packet
 
 
@@ -83,8 +84,8 @@ def _add_label(spec: Any, label: Label) -> None:
         if value:
             spec.attribute(name, value)
     if iso := round(label.shot.iso):
-        spec.attribute("Exif:PhotographicSensitivity", min(iso, 65535))  # of 16 bits, as Exif has it
-        spec.attribute("Exif:ISOSpeed", iso)  # OpenImageIO writes the other one into no TIFF
+        spec.attribute("Exif:PhotographicSensitivity", min(iso, 65535))  # 16 bits in Exif
+        spec.attribute("Exif:ISOSpeed", iso)  # for TIFF, to which OpenImageIO does not write the other attribute
 
 
 def _xmp(label: Label) -> str:
@@ -117,7 +118,7 @@ def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None 
 
 
 def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
-    """Return the bytes of a JPEG file of sRGB codes (row, col, 3), `quality` 1…100, colour at full resolution."""
+    """Return a JPEG file of sRGB codes (row, col, 3) with full-resolution colour; `quality` is 1…100."""
     spec = _spec(picture)
     spec.attribute("oiio:ColorSpace", "sRGB")
     spec.attribute("Compression", f"jpeg:{quality}")
@@ -127,14 +128,14 @@ def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
 
 @uninterrupted
 def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
-    """Return the bytes of a file of this name; L3Error if it cannot be encoded.
+    """Return the bytes of a file. Raises L3Error if it cannot be encoded.
 
-    They are made in memory: on a full disk the JPEG library ends the whole program, and the PNG library says nothing. Left
-    half through by a signal, that one complains on stderr.
+    The file is encoded in memory. On a full disk, the JPEG library would end the whole program, and the PNG library would
+    report nothing. If a signal interrupted it, the PNG library would write to stderr.
     """
-    spec.attribute("DateTime", "")  # else the clock is written into the file: the same input must give the same bytes
+    spec.attribute("DateTime", "")  # prevents a timestamp, since the same input must give the same bytes
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
-        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # names need not be text
+        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # the real name may not be valid text
         if sink is None:
             raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}")
         written = sink.open(f"/proc/self/fd/{memory.fileno()}", spec) and sink.write_image(np.ascontiguousarray(pixels))
@@ -144,14 +145,21 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
 
 
 PAGED = (".tif", ".tiff")
-ROOM = 4_000_000_000  # bytes of pixels in a file of 32-bit offsets
+ROOM = 4_000_000_000  # bytes of pixels that fit into a file with 32-bit offsets
 
 
 class Pages:
-    """The pages of a file that is being written."""
+    """Writes the pages of a TIFF file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    count : int or None
+        Number of pages, if known.
+    """
 
     def __init__(self, path: Path, count: int | None) -> None:
-        """Take the file, and the `count` of pages that there will be, None: unknown."""
         self._path, self._count = path, count
         self._file: Any = None
 
@@ -178,7 +186,7 @@ class Pages:
                 contiguous=False,
             )
         except OSError as error:
-            # Of an array that does not fit numpy says only how much of it has been written.
+            # If an array does not fit, numpy only says how much of it was written.
             raise OSError(error.errno or errno.ENOSPC, os.strerror(error.errno or errno.ENOSPC)) from error
 
     def close(self) -> None:
@@ -188,6 +196,6 @@ class Pages:
 
 @contextlib.contextmanager
 def new_pages(path: Path, count: int | None) -> Iterator[Pages]:
-    """Yield the pages of a new file, which appears whole or not at all."""
+    """Yield the pages of a new file, which is written atomically."""
     with atomic_output(path) as temporary, contextlib.closing(Pages(temporary, count)) as pages:
         yield pages

@@ -1,8 +1,7 @@
-"""Picture formats that are written: which suffixes there are, what they hold and what writes them. A new one is a module of
-this folder and a line here.
+"""Picture formats that l3 writes: their suffixes, contents and modules.
 
-A format's module has `encode`; it is imported when the first picture is written. Nothing in a file depends on when or where
-it was made.
+A new format is a module in this folder and a line in FORMATS. The module has `encode` and is imported when the first
+picture is written. The bytes of a file do not depend on time or place.
 """
 
 import importlib
@@ -24,12 +23,12 @@ XYZ_AS_IT_IS = replace(XYZ, title="CIE XYZ", neutral=None)
 
 @dataclass(frozen=True)
 class Label:
-    """Metadata of a rendered frame's file: settings of the shot, and the files that its picture was made from."""
+    """Metadata for the file of a rendered frame: settings of the shot, and the files that the picture was made from."""
 
     shot: Shot = Shot()
     exposure: float | None = None  # s
     table: str = ""  # SHA-256 of the transform table's file
-    frame: str = ""  # SHA-256 of what: see `file_identity`, `values_identity`
+    frame: str = ""  # identity of the frame: `file_identity` or `values_identity`
 
     @property
     def software(self) -> str:
@@ -44,42 +43,42 @@ NOTHING = Label()
 
 
 def file_identity(digest: str) -> str:
-    """Return the frame that a raw file holds alone, by the file's SHA-256."""
+    """Describe the frame of a raw file that contains no other, by the file's SHA-256."""
     return f"raw file SHA-256 {digest}"
 
 
 def values_identity(digest: str) -> str:
-    """Return a frame of a stack or stream, by the SHA-256 of its values, row by row, 16 bits, lower byte first."""
+    """Describe a frame of a stack or stream, by the SHA-256 of its values: rows in order, 16 bits, little-endian."""
     return f"raw values SHA-256 {digest}"
 
 
 @dataclass(frozen=True)
 class Picture:
-    """Content of a picture's file, upright."""
+    """Contents of a picture file, upright."""
 
-    pixels: NDArray[Any]  # (row, col, value): codes, uint8 or uint16; linear values, float32; of a raw mosaic (row, col) DN
-    space: Space | None = SRGB  # of the values; None: they are no colours
+    pixels: NDArray[Any]  # (row, col, value): codes (uint8, uint16) or linear values (float32); or a mosaic (row, col) in DN
+    space: Space | None = SRGB  # colour space of the values; None if they are not colours
     label: Label = NOTHING
-    names: tuple[str, ...] = ()  # of linear values
-    exposure_scale: float = 1.0  # factor of a raw picture's values for what should be shown with 1 as white
+    names: tuple[str, ...] = ()  # names of linear values
+    exposure_scale: float = 1.0  # factor that scales a raw picture for display, with white at 1
 
 
 @dataclass(frozen=True)
 class PictureFormat:
-    """Writer of files of some suffixes."""
+    """A picture format that l3 writes."""
 
     suffixes: tuple[str, ...]  # in lower case
-    module: str  # of this folder
-    bits: tuple[int, ...] = ()  # that a code may have; FLOAT_BITS: it may hold linear values, too
-    holds: str = "codes"  # "linear": always linear values; "raw": DN of a linear mosaic or picture, for raw developers
+    module: str  # module in this folder
+    bits: tuple[int, ...] = ()  # possible bits per code; FLOAT_BITS if linear values are possible too
+    holds: str = "codes"  # or "linear" for linear values only, or "raw" for DN of a mosaic or picture for raw converters
 
     def encode(self, path: Path, picture: Picture) -> bytes:
-        """Return the bytes of a file; L3Error if the picture cannot be encoded."""
+        """Return the bytes of a file. Raises L3Error if the picture cannot be encoded."""
         content: bytes = self._writer.encode(path, picture)
         return content
 
     def make_ready(self) -> None:
-        """Import what writes files."""
+        """Import the module that writes files."""
         self._writer  # noqa: B018
 
     @property
@@ -99,42 +98,51 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def suffixes(holds: str) -> tuple[str, ...]:
-    """Return the suffixes of files that hold "codes", "linear" values or "raw" ones."""
+    """Return the suffixes of files with "codes", "linear" or "raw" values."""
     return tuple(suffix for suffix, each in BY_SUFFIX.items() if each.holds == holds)
 
 
 def format_of(path: Path, bits: int) -> PictureFormat:
-    """Return the format of a file of this name; RecipeError if none can be written, or not with `bits` bits a value."""
+    """Return the format for a file name. Raises RecipeError if it cannot be written, or not with `bits` bits per value."""
     kind = BY_SUFFIX.get(path.suffix.lower())
     if kind is None:
         codes, linear, raw = (", ".join(suffixes(holds)) for holds in ("codes", "linear", "raw"))
         raise RecipeError(f"{path}: pictures are written as {codes}, linear outputs as {linear}, raw ones as {raw}")
     if kind.holds == "raw" and bits == FLOAT_BITS:
-        raise RecipeError(f"{path}: a {path.suffix[1:].upper()} file holds 16 bits a value; leave ‹bits› out")
+        raise RecipeError(f"{path}: a {path.suffix[1:].upper()} file has 16 bits per value; leave ‹bits› out")
     if kind.holds == "codes" and bits not in kind.bits:
         held, cure = " or ".join(map(str, kind.bits)), ".tif or .exr" if bits == FLOAT_BITS else ".png or .tif"
-        raise RecipeError(f"{path}: {path.suffix} holds {held} bits a value, not {bits}; use {cure}")
+        raise RecipeError(f"{path}: {path.suffix} has {held} bits per value, not {bits}; use {cure}")
     return kind
 
 
 def holds_linear(path: Path, bits: int = 8) -> bool:
-    """Return whether a file of this name and depth holds linear values rather than the codes of a picture."""
+    """Whether a file with this name and depth contains linear values instead of the codes of a picture."""
     return bits == FLOAT_BITS or path.suffix.lower() in suffixes("linear")
 
 
 def holds_raw(path: Path) -> bool:
-    """Return whether a file of this name is for raw developers."""
+    """Whether a file with this name is for raw converters."""
     return path.suffix.lower() in suffixes("raw")
 
 
 def picture_file(path: Path, picture: Picture) -> bytes:
-    """Return the bytes of a picture's file, of the format of its suffix."""
+    """Return the bytes of a picture's file in the format of its suffix."""
     dtype = picture.pixels.dtype
     return format_of(path, FLOAT_BITS if dtype.kind == "f" else 8 * dtype.itemsize).encode(path, picture)
 
 
 def write_picture(path: Path, pixels: NDArray[Any], names: tuple[str, ...] = ()) -> None:
-    """Write codes of sRGB (row, col, 3), uint8 or uint16, to a file of the format of its suffix; or linear values (row, col,
-    value), float32, that are called `names`."""
+    """Write a picture to a file in the format of its suffix.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    pixels : ndarray
+        sRGB codes (row, col, 3), uint8 or uint16, or linear values (row, col, value), float32.
+    names : tuple of str
+        Names of linear values.
+    """
     space = None if pixels.dtype.kind == "f" else SRGB
     write_whole(path, picture_file(path, Picture(pixels, XYZ_AS_IT_IS if names == ("X", "Y", "Z") else space, names=names)))

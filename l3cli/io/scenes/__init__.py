@@ -1,7 +1,7 @@
-"""The formats of scene files: what reads the files of which `source` of a recipe, and of which suffix. A new one is a module
-of this folder and a line here; a new source also has its keys in simulation/sources.py.
+"""Formats of scene files: which module reads the files of which `source` of a recipe, by suffix.
 
-A format's module has `read` and `size`, and `files` where its line says so; it is imported when the first scene is read.
+A new format is a module in this folder and a line in FORMATS; a new source also has its keys in simulation/sources.py. A
+format's module has `read` and `size`, and `files` if its line says so. It is imported when the first scene is read.
 """
 
 import importlib
@@ -17,30 +17,41 @@ from l3cli.frames.scene import Scene, SpectralCube
 
 @dataclass(frozen=True)
 class SceneFormat:
-    """Reader of a source's files."""
+    """A file format of scenes."""
 
-    source: str  # of a recipe
-    module: str  # of this folder
-    suffixes: tuple[str, ...] = ()  # in lower case; none: all that no line above has
-    keys: tuple[str, ...] = ()  # of the recipe, that the reader takes
-    is_folder: bool = False  # a scene is a folder, not a file
-    has_files: bool = False  # a scene is in several files
-    names_unknown: bool = False  # headers may hold fields that l3 does not know, which the module's `unknown` names
-    holds: str = ""  # what the files are and where they state wavelengths, for the documentation
-    states: str = ""  # what else the files state that l3 reads
+    source: str  # value of `source` in a recipe
+    module: str  # module in this folder
+    suffixes: tuple[str, ...] = ()  # in lower case; empty for all suffixes that no earlier format has
+    keys: tuple[str, ...] = ()  # keys of the recipe that the reader takes
+    is_folder: bool = False  # whether a scene is a folder, not a file
+    has_files: bool = False  # whether a scene consists of several files
+    names_unknown: bool = False  # whether the module's `unknown` returns header fields that l3 does not know
+    holds: str = ""  # contents of the files, for the documentation
+    states: str = ""  # where the files state wavelengths and other values that l3 reads, for the documentation
 
     def read(self, path: Path, **keys: Any) -> Scene | SpectralCube | NDArray[np.float32]:
-        """Return a scene, a cube of bands, or a linear picture (row, col, 3); InputFileError if the file is none."""
+        """Read a scene.
+
+        Returns
+        -------
+        Scene, SpectralCube or ndarray
+            A scene, a cube of bands, or a linear picture (row, col, 3).
+
+        Raises
+        ------
+        InputFileError
+            If the file is not of the format.
+        """
         content: Scene | SpectralCube | NDArray[np.float32] = self._reader.read(path, **keys)
         return content
 
     def size(self, path: Path, **keys: Any) -> tuple[int, int]:
-        """Return (rows, cols) of what `read` reads, from headers where they hold it."""
+        """Return rows and columns of a scene, from headers if they state the size."""
         rows, cols = self._reader.size(path, **keys)
         return rows, cols
 
     def files(self, path: Path) -> list[Path]:
-        """Return all that is read of a scene."""
+        """Return all files of a scene."""
         return self._reader.files(path) if self.has_files else [path]
 
     def unknown(self, path: Path) -> list[str]:
@@ -85,5 +96,5 @@ def format_of(source: str, path: Path) -> SceneFormat:
 
 
 def is_folder(source: str) -> bool:
-    """Return whether scenes of a source are folders."""
+    """Whether scenes of a source are folders."""
     return any(each.is_folder for each in FORMATS if each.source == source)

@@ -1,5 +1,6 @@
-"""Bands as pictures: a folder with one picture per band; one picture of many channels, such as EXR, with one per band; a
-TIFF with one page per band."""
+"""Read bands from pictures: a folder with one picture per band, a picture with one channel per band (such as EXR), or a TIFF
+with one page per band.
+"""
 
 import re
 from pathlib import Path
@@ -23,11 +24,11 @@ ITEM = re.compile(r'<Item name="(\w+)"([^>]*)>([^<]*)</Item>')
 
 
 def read(path: Path) -> SpectralCube:
-    """Return the cube of a folder of pictures, of a picture of several channels, or of the pages of a TIFF.
+    """Read the cube of a folder of pictures, of a picture with several channels, or of the pages of a TIFF.
 
-    The pictures of a folder are in the order of the numbers in their names, and of each the first channel is read. Names of
-    files, channels or pages may give the wavelengths ("450nm", "S0.450,5nm"); those that give none among others that do are
-    left out. InputFileError if there are no pictures or they differ in size.
+    The pictures of a folder are ordered by the numbers in their names, and their first channels are used. Names of files,
+    channels or pages may state wavelengths ("450nm", "S0.450,5nm"). If some of them do, the others are ignored. Raises
+    InputFileError if there are no pictures, or if their sizes differ.
     """
     if path.is_dir():
         pictures = _pictures(path)
@@ -41,7 +42,7 @@ def read(path: Path) -> SpectralCube:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Return (rows, cols) of the first picture; InputFileError if there is none."""
+    """Return rows and columns of the first picture. Raises InputFileError if there is none."""
     if path.suffix.lower() in TIFF and not path.is_dir():
         rows, cols = _tiff_size(path)
         return rows, cols
@@ -49,7 +50,7 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def files(path: Path) -> list[Path]:
-    """Return the pictures in a folder, those with numbers in their names by the last of these numbers; or the file."""
+    """Return the pictures in a folder, ordered by the last number in their names, or the file itself."""
 
     def order(path: Path) -> tuple[str, int]:
         numbers = re.findall(r"\d+", path.stem)
@@ -68,8 +69,10 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def _named(names: list[str] | tuple[str, ...]) -> tuple[list[int], NDArray[np.float64] | None]:
-    """Return the indices of the bands among what has these names, and their wavelengths in nm: all and None where no name
-    states one, else those that do."""
+    """Return the indices of the bands and their wavelengths in nm, from the names of candidates.
+
+    If no name states a wavelength, all are bands and the wavelengths are None.
+    """
     stated = of_names(names)
     wanted = [index for index, each in enumerate(stated) if each is not None]
     if not wanted:
@@ -78,7 +81,7 @@ def _named(names: list[str] | tuple[str, ...]) -> tuple[list[int], NDArray[np.fl
 
 
 def _stacked(pictures: list[Path]) -> NDArray:
-    """Return the first channel of each picture (row, col, band)."""
+    """Return the first channel of each picture: (row, col, band)."""
     cube: NDArray | None = None
     for band, picture in enumerate(pictures):
         pixels = read_image(picture)[0][..., 0]
@@ -97,7 +100,7 @@ def _stacked(pictures: list[Path]) -> NDArray:
 
 
 def _of_tiff(values: NDArray, names: list[str], said: dict[str, Any]) -> SpectralCube:
-    """Return the cube of what `_read_tiff` returns."""
+    """Return the cube from the result of `_read_tiff`."""
     if said["wavelengths"]:
         wanted, wavelength = list(range(values.shape[2])), in_nm(said["wavelengths"], "")
     else:
@@ -113,7 +116,7 @@ def _of_tiff(values: NDArray, names: list[str], said: dict[str, Any]) -> Spectra
 
 @isolated("tifffile")
 def _tiff_size(path: Path) -> tuple[int, int]:
-    """Return (rows, cols) of the bands of a TIFF."""
+    """Return rows and columns of the bands of a TIFF."""
     import tifffile
 
     with tifffile.TiffFile(path) as file:
@@ -123,8 +126,10 @@ def _tiff_size(path: Path) -> tuple[int, int]:
 
 @isolated("OpenImageIO", "tifffile")
 def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
-    """Return the bands (row, col, band) of a TIFF, their names, and what its tags say of them: wavelengths, the value that
-    marks pixels without data, GDAL's scales and offsets."""
+    """Return the bands of a TIFF (row, col, band), their names, and what its tags say about values.
+
+    The tags may state wavelengths, the value of pixels without data, and GDAL's scales and offsets.
+    """
     import tifffile
 
     with tifffile.TiffFile(path) as file:
@@ -133,7 +138,7 @@ def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         bands = int(np.prod(series.shape)) // (page.imagelength * page.imagewidth)
         said, names = _said(file, page, bands), _page_names(file, series, bands)
         pages = [each.index for each in series.pages if each is not None]
-        has_all_pages = len(pages) * page.samplesperpixel == bands  # else ImageJ or tifffile stored frames behind the page
+        has_all_pages = len(pages) * page.samplesperpixel == bands  # otherwise frames follow the only page (ImageJ)
         values = None if has_all_pages else series.asarray()
         axes = series.axes
     if values is not None:
@@ -149,7 +154,7 @@ def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
             require_bearable(path, spec)
             pixels = pixels_of(path, source, spec)
             depth = 8 * pixels.dtype.itemsize
-            if pixels.dtype.kind == "u":  # OpenImageIO stretches depths such as 12 bits: the upper bits are what is stored
+            if pixels.dtype.kind == "u":  # OpenImageIO scales depths such as 12 bits up, so that the stored bits are on top
                 pixels = pixels >> pixels.dtype.type(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
             planes.append(pixels)
             names = names or list(spec.channelnames)
@@ -158,8 +163,10 @@ def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
 
 
 def _bands_of(path: Path, file: Any) -> Any:
-    """Return the series of pages that are the bands; InputFileError if there are several such series, or axes beside rows,
-    columns and bands."""
+    """Return the series of pages that contains the bands.
+
+    Raises InputFileError if there are several series, or axes other than rows, columns and bands.
+    """
     series = file.series[0]
     page = series.keyframe
     if any(each.shape == series.shape and each is not series for each in file.series[1:]):
@@ -175,7 +182,7 @@ def _bands_of(path: Path, file: Any) -> Any:
 
 
 def _said(file: Any, page: Any, bands: int) -> dict[str, Any]:
-    """Return what the tags say of the values of the bands."""
+    """Return what the tags say about the values of the bands."""
     said: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": [], "DESCRIPTION": []}
     for metadata in file.shaped_metadata or ():
         for name, value in metadata.items():
@@ -199,7 +206,9 @@ def _said(file: Any, page: Any, bands: int) -> dict[str, Any]:
 
 
 def _page_names(file: Any, series: Any, bands: int) -> list[str]:
-    """Return the names of the bands: labels of ImageJ, channels of OME, names or descriptions of pages; empty if none."""
+    """Return the names of the bands: labels of ImageJ, channels of OME, or names or descriptions of pages. Empty if there
+    are none.
+    """
     if file.is_imagej and len(labels := (file.imagej_metadata or {}).get("Labels") or ()) == bands:
         return [str(label) for label in labels]
     if file.is_ome and len(channels := re.findall(r'<Channel [^>]*?Name="([^"]*)"', file.ome_metadata or "")) == bands:

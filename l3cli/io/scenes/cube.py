@@ -1,8 +1,8 @@
-"""Spectral cubes as arrays of MATLAB, HDF5 and .npy files, of which the last name no wavelengths; and files of MATLAB and
-HDF5 as nested dictionaries of arrays, whatever their version.
+"""Spectral cubes as arrays in MATLAB, HDF5 and .npy files. (A .npy file cannot state wavelengths.)
 
-Attributes of HDF5 datasets say how values are stored: those of the CF conventions (scale_factor, add_offset, _FillValue,
-missing_value), and those of NEON (Scale_Factor, by which values are divided, and Data_Ignore_Value).
+MATLAB and HDF5 files of any version are read as nested dictionaries of arrays. Attributes of HDF5 datasets describe how
+values are stored: the CF conventions (scale_factor, add_offset, _FillValue, missing_value) and NEON's (Scale_Factor, by
+which values are divided, and Data_Ignore_Value).
 """
 
 from collections.abc import Iterator
@@ -22,18 +22,31 @@ from l3cli.io.scenes.wavelengths import GOOD_NAMES, NAMES, in_nm, is_named, unit
 from l3cli.system.limits import require_values
 
 Content = dict[str, Any]
-SCALE, OFFSET, WHITE = "scale_factor", "add_offset", "Scale_Factor"  # attributes: multiply, add, a perfect white
+SCALE, OFFSET, WHITE = "scale_factor", "add_offset", "Scale_Factor"  # attributes: factor, offset, value of a perfect white
 MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attributes of pixels without data
 MATLAB, NPY = ".mat", ".npy"
-DEEPEST = 16  # groups or structs within one another
+DEEPEST = 16  # deepest nesting of groups or structs
 
 
 def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
-    """Return the cube `variable` (None: the only one) of a file whose axes are those named by `axes`.
+    """Read a cube from a file.
 
-    Wavelengths are a list of as many numbers as there are bands under one of the usual names: an attribute of the cube, else
-    a list or attribute beside it, in the groups or structs about it, or anywhere else if only one is there. InputFileError
-    if there is no such cube, or several lists differ.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    variable : str or None
+        Name of the cube, or None for the only one.
+    axes : str
+        Names of its axes in order, such as "row col band".
+
+    Raises
+    ------
+    InputFileError
+        If there is no such cube, or if several lists of wavelengths differ.
+
+    Notes ----- Wavelengths are a list with one number per band under a usual name. It is searched as an attribute of the
+    cube, then beside the cube, in the enclosing groups or structs, and finally anywhere if there is only one.
     """
     content = {"values": map_array(path)} if path.suffix.lower() == NPY else read_content(path)
     arrays = dict(_arrays(content))
@@ -58,7 +71,7 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
 def _as_stored(
     values: NDArray, wavelength: NDArray[np.float64] | None, good: NDArray[np.bool_] | None, attributes: dict[str, Any]
 ) -> SpectralCube:
-    """Return the cube of stored values (row, col, band), whose dataset's attributes may scale them and mark missing data."""
+    """Return the cube of stored values (row, col, band), scaled and masked according to the attributes of its dataset."""
     ignored = None
     for mark in (attributes[name] for name in MISSING if name in attributes):
         found = missing(values, float(np.ravel(mark)[0]), good)
@@ -70,29 +83,30 @@ def _as_stored(
 
 
 def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
-    """Return (rows, cols) of what `read` reads, from headers where they hold it; InputFileError as there."""
+    """Return rows and columns of what `read` reads, from headers if they state the size."""
     shapes = {"values": map_array(path).shape} if path.suffix.lower() == NPY else array_shapes(path)
     wanted = [
         shape for name, shape in shapes.items() if len(shape) == 3 and (variable is None or name == _path_of(variable))
     ]
     if len(wanted) != 1:
-        rows, cols, _ = read(path, variable, axes).values.shape  # which says what is wrong
+        rows, cols, _ = read(path, variable, axes).values.shape  # also raises if something is wrong
         return rows, cols
     order = axes.split()
     return wanted[0][order.index("row")], wanted[0][order.index("col")]
 
 
 def _path_of(variable: str) -> str:
-    """Return the path of a variable that is named "a", "a/b" or "a.b"."""
+    """Return the path of a variable given as "a", "a/b" or "a.b"."""
     return variable.replace(".", "/").strip("/")
 
 
-Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) of lists of numbers, of one length
+Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of numbers; all have the same length
 
 
 def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], length: int) -> Lists:
-    """Return the lists of `length` numbers in a file: arrays by the group that they are in, attributes by the group or
-    array that they are of."""
+    """Return the lists of `length` numbers in a file: arrays by their group, attributes by the group or array that has
+    them.
+    """
     found: Lists = {}
     for path, values in arrays.items():
         if values.size == length and length > 1 and max(values.shape) == length:
@@ -107,8 +121,10 @@ def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], le
 
 
 def _nearest(cube: str, lists: Lists, names: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return the lists under one of the usual names that are nearest to a cube: its attributes, what lies beside it, in the
-    groups about it, or anywhere."""
+    """Return the lists under a usual name that are nearest to a cube.
+
+    Attributes of the cube are nearest, then lists beside it, in enclosing groups, and anywhere.
+    """
     usual = [key for key in lists if is_named(key[1], names)]
     places = [cube]
     while places[-1]:
@@ -120,7 +136,7 @@ def _nearest(cube: str, lists: Lists, names: tuple[str, ...]) -> list[tuple[str,
 
 
 def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict[str, Any]]) -> NDArray[np.float64] | None:
-    """Return the wavelengths in nm; their unit is in the list's name, its attribute "units", or told by their size."""
+    """Return the wavelengths in nm. The unit is in the list's name or attribute "units", or inferred from the values."""
     found = []
     for group, name in _nearest(cube, lists, NAMES):
         about = attributes.get(f"{group}/{name}".strip("/"), {})
@@ -135,7 +151,7 @@ def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict
 
 
 def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
-    """Return the bands (band) that a list of 0 and 1 calls good; None if there is none."""
+    """Return which bands (band) a list of 0 and 1 marks as good, or None if there is no list."""
     for key in _nearest(cube, lists, GOOD_NAMES):
         if np.isin(lists[key], (0, 1)).all() and lists[key].any():
             return np.asarray(lists[key] == 1)
@@ -146,17 +162,20 @@ def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
 
 
 def read_content(path: Path) -> Content:
-    """Return all numbers and texts of a file, MATLAB's by its suffix, HDF5's by any other: groups and structs as
-    dictionaries; what MATLAB wrote in its axis order, axes of length 1 dropped. InputFileError if the file is none."""
+    """Read all numbers and texts of a MATLAB file (by its suffix) or an HDF5 file (any other).
+
+    Groups and structs become dictionaries. Arrays from MATLAB have their axes in MATLAB's order, without axes of length 1.
+    Raises InputFileError if the file is neither.
+    """
     return read_matlab(path) if path.suffix.lower() == MATLAB else _read_hdf5(path)
 
 
 @isolated("h5py", "scipy.io")
 def read_matlab(path: Path) -> Content:
-    """Return the content of a .mat file."""
+    """Read the content of a .mat file."""
     import h5py
 
-    return _stored(path, reverse=True) if h5py.is_hdf5(path) else _loaded(path)  # -v7.3: HDF5 with its axes reversed
+    return _stored(path, reverse=True) if h5py.is_hdf5(path) else _loaded(path)  # -v7.3 is HDF5 with reversed axes
 
 
 @isolated("h5py")
@@ -166,8 +185,10 @@ def _read_hdf5(path: Path) -> Content:
 
 @isolated("h5py", "scipy.io")
 def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return shapes of the arrays of numbers in a .mat or HDF5 file by their names ("a", "a/b"), as reading gives them.
-    They are taken from headers; only structs of MATLAB files before 7.3 must be read for theirs."""
+    """Return the shapes of all numeric arrays in a .mat or HDF5 file by name ("a", "a/b").
+
+    Shapes come from headers, except for structs in MATLAB files before 7.3, which must be read.
+    """
     import h5py
 
     if path.suffix.lower() != MATLAB or h5py.is_hdf5(path):
@@ -188,7 +209,7 @@ def _squeezed(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _arrays(content: Content, prefix: str = "") -> Iterator[tuple[str, NDArray]]:
-    """Yield the path and values of every array of numbers."""
+    """Yield the path and values of every numeric array."""
     for name, value in content.items():
         if isinstance(value, dict):
             yield from _arrays(value, f"{prefix}{name}/")
@@ -197,7 +218,7 @@ def _arrays(content: Content, prefix: str = "") -> Iterator[tuple[str, NDArray]]
 
 
 def _loaded(path: Path, names: list[str] | None = None) -> Content:
-    """Return the variables called `names` (None: all) of a .mat file before 7.3."""
+    """Read the variables `names`, None for all, of a .mat file before 7.3."""
     from scipy.io import loadmat, whosmat
 
     for name, shape, _ in whosmat(path):
@@ -218,15 +239,17 @@ def _plain(content: Content, depth: int = 0) -> Content:
 
 
 def _is_matlab(path: Path) -> bool:
-    """Return whether MATLAB (-v7.3) wrote an HDF5 file."""
+    """Whether MATLAB (-v7.3) wrote an HDF5 file."""
     with open(path, "rb") as stream:
         return stream.read(10) == b"MATLAB 7.3"
 
 
 @isolated("h5py")
 def _attributes(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the attributes, numbers and texts, of every group and dataset of an HDF5 file by its path; the root's is "".
-    Empty of any other file."""
+    """Return the numeric and text attributes of every group and dataset of an HDF5 file by path; the path of the root is "".
+
+    Other files have none.
+    """
     import h5py
 
     found: dict[str, dict[str, Any]] = {}
@@ -246,7 +269,7 @@ def _attributes(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _plain_attribute(attributes: Any, key: str) -> Any:
-    """Return an attribute that is text or a list of up to a million numbers; None of any other kind."""
+    """Return an attribute that is text or a list of at most a million numbers, otherwise None."""
     kind, shape = attributes.get_id(key).dtype, attributes.get_id(key).shape
     if kind.kind in "fiu" and np.prod(shape, dtype=float) <= 1e6:
         return np.asarray(attributes[key])

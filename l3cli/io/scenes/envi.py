@@ -1,8 +1,7 @@
-"""ENVI cubes: a header in text, the data beside it.
+"""Read ENVI cubes: a text header with a data file beside it.
 
-FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) and what
-becomes of it. Fields that are not listed are those of a maker. They are passed over; `unknown` names those that may change
-values.
+FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) with
+its treatment. Other fields are manufacturers' own and are ignored.
 """
 
 import math
@@ -24,7 +23,7 @@ from l3cli.system.limits import read_bounded, require_picture
 TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
 COMPLEX = (6, 9)
 AXES = {"bsq": ("bands", "lines", "samples"), "bil": ("lines", "bands", "samples"), "bip": ("lines", "samples", "bands")}
-STANDARD = ("envi standard", "envi", "standard", *UNSTATED)  # file types of a cube without compression
+STANDARD = ("envi standard", "envi", "standard", *UNSTATED)  # file types of uncompressed cubes
 DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube", ".hyspex")
 CURE = "give a whole ENVI header"
 
@@ -42,7 +41,7 @@ class HeaderField:
     """A field of an ENVI header."""
 
     name: str
-    fate: str  # READ, REFUSED unless it says nothing that matters, or HARMLESS: no value of the cube depends on it
+    fate: str  # READ, REFUSED (unless its value is harmless), or HARMLESS (it does not affect the cube's values)
     meaning: str
 
 
@@ -111,14 +110,14 @@ FIELDS = (
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the values lie in the data file."""
+    """Layout of the values in the data file."""
 
-    shape: tuple[int, int, int]  # in the order of `axes`, the last one varying fastest
+    shape: tuple[int, int, int]  # in the order of `axes`, the last axis varying fastest
     axes: tuple[str, str, str]
     dtype: np.dtype
     offset: int  # bytes before the first value
     strides: tuple[int, int, int]  # bytes
-    end: int  # bytes that the file must have
+    end: int  # smallest size of the file in bytes
 
     @property
     def size(self) -> tuple[int, int]:
@@ -126,7 +125,7 @@ class Layout:
 
 
 class Header:
-    """Text of an ENVI header by its fields, in lower case."""
+    """The fields of an ENVI header, names in lower case."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.fields = path, _fields(path)
@@ -138,18 +137,18 @@ class Header:
         return self.fields.get(name, "")
 
     def whole(self, name: str, least: int = 0, default: int | None = None) -> int:
-        """Return a whole number; without a default the field must be there."""
+        """Return a field that is an integer. Without a default, the field must exist."""
         text = self.text(name)
         if not text and default is not None:
             return default
         if not text:
             raise self.wrong(name, "is missing")
         if not text.isdecimal() or int(text) < least:
-            raise self.wrong(name, f'is "{text[:40]}", no whole number from {least}')
+            raise self.wrong(name, f'is "{text[:40]}", not an integer of at least {least}')
         return int(text)
 
     def numbers(self, name: str, count: int) -> NDArray[np.float64] | None:
-        """Return one number for each of `count` bands, or None if the field is missing; one number stands for all bands."""
+        """Return one number per band, or None if the field is missing. A single number applies to all bands."""
         if not self.text(name):
             return None
         words = [word for word in re.split(r"[,\s]+", self.text(name)) if word]
@@ -163,20 +162,20 @@ class Header:
 
 
 def read(path: Path, holds: str = "reflectance") -> SpectralCube:
-    """Return the cube of an ENVI header (.hdr), whose data lie beside it.
+    """Read the cube of an ENVI header (.hdr), whose data file lies beside it.
 
     Parameters
     ----------
     path : Path
         The header.
     holds : str
-        What the recipe says the cube holds: "reflectance", "radiance" or "photons". It decides between the gains to
-        reflectance and those to radiance.
+        Content of the cube according to the recipe: "reflectance", "radiance" or "photons". It selects the gains to
+        reflectance or the gains to radiance.
 
     Raises
     ------
     InputFileError
-        If the header and its data do not fit each other, or a field asks for what l3 does not do.
+        If header and data do not match, or if a field requires something that l3 does not support.
     """
     header = Header(path)
     layout = _layout(header)
@@ -196,7 +195,7 @@ def read(path: Path, holds: str = "reflectance") -> SpectralCube:
 
 
 def size(path: Path, holds: str = "reflectance") -> tuple[int, int]:
-    """Return (rows, cols) by the header; InputFileError as `read`."""
+    """Return rows and columns from the header. Raises InputFileError like `read`."""
     header = Header(path)
     layout = _layout(header)
     _wavelengths(header), _good_bands(header), _scale(header, holds), _whole_data(path, layout)
@@ -204,19 +203,19 @@ def size(path: Path, holds: str = "reflectance") -> tuple[int, int]:
 
 
 def files(path: Path) -> list[Path]:
-    """Return an ENVI header and its data; InputFileError unless both are there."""
+    """Return an ENVI header and its data file. Raises InputFileError if one is missing."""
     _fields(path)
     return [path, _data(path)]
 
 
 def unknown(path: Path) -> list[str]:
-    """Return the fields of a header that are not of the format and may change values by their names."""
+    """Return the fields of a header that are not part of the format and whose names suggest that they change values."""
     known = {field.name for field in FIELDS}
     return [name for name, text in _fields(path).items() if name not in known and text and CHANGING.search(name)]
 
 
 def _fields(path: Path) -> dict[str, str]:
-    """Return the names in lower case and the values, without braces and comments."""
+    """Return the fields by name in lower case, values without braces and comments."""
     with open_regular(path, "give the .hdr file") as stream:  # data may be larger than a text may be
         if b"ENVI" not in stream.read(64):
             raise InputFileError(f"{path} is not an ENVI header; give the .hdr file")
@@ -257,7 +256,7 @@ def _data(path: Path) -> Path:
 
 
 def _whole_data(path: Path, layout: Layout) -> Path:
-    """Return the data file; InputFileError if there is none or it is too short."""
+    """Return the data file. Raises InputFileError if it is missing or too short."""
     data = _data(path)
     held = data.stat().st_size
     if held < layout.end:
@@ -266,7 +265,7 @@ def _whole_data(path: Path, layout: Layout) -> Path:
 
 
 def _layout(header: Header) -> Layout:
-    """Return where the values lie; InputFileError names the field that is missing or says what cannot be read."""
+    """Return the layout of the values. Raises InputFileError that names a missing or unsupported field."""
     sizes = {name: header.whole(name, 1) for name in ("lines", "samples", "bands")}
     kind = header.text("file type")
     if kind.lower() not in STANDARD:
@@ -305,7 +304,7 @@ def _frame_offsets(header: Header, name: str) -> tuple[int, int]:
 
 
 def _wavelengths(header: Header) -> NDArray[np.float64] | None:
-    """Return the wavelengths (band) in nm, from their own field or else the bands' names."""
+    """Return the wavelengths (band) in nm from their field, or otherwise from the names of the bands."""
     bands = header.whole("bands", 1)
     if (listed := header.numbers("wavelength", bands)) is not None:
         try:
@@ -332,7 +331,7 @@ def _good_bands(header: Header) -> NDArray[np.bool_] | None:
 
 
 def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
-    """Return gain and offset (band) of the stored values, and what then is a perfect white, None if nothing states it."""
+    """Return gain and offset (band) of the stored values, and the scaled value of a perfect white, None if unknown."""
     bands = header.whole("bands", 1)
     white = None
     if text := header.text("reflectance scale factor"):
@@ -363,7 +362,7 @@ def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def _linear(header: Header, kind: str, bands: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the gains and offsets (band) of a kind; None if there are none, or they change nothing."""
+    """Return gains and offsets (band) of a kind, or None if there are none or they change nothing."""
     gain, offset = (header.numbers(f"{kind} {what} values", bands) for what in ("gain", "offset"))
     gain, offset = np.ones(bands) if gain is None else gain, np.zeros(bands) if offset is None else offset
     if not (np.isfinite(gain).all() and np.isfinite(offset).all() and gain.all()):

@@ -1,4 +1,4 @@
-"""ISET scene files (.mat)."""
+"""Read ISET scene files (.mat)."""
 
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,23 @@ Curve = tuple[NDArray[np.floating], NDArray[np.floating]]
 
 
 def read(path: Path, light: Curve | None = None) -> Scene:
-    """Return an ISET scene: photons (row, col, wave) in photons/s/sr/m²/nm with its illuminant, in any of ISET's storages:
-    a scene struct with floats or integers between dmin and dmax; photons and wave; coefficients (mcCOEF) of a basis about a
-    mean (imgMean). Small negatives are noise and become zero, speculars stay (docs/method.md#simulation).
+    """Read an ISET scene and its illuminant.
 
-    `light` (wavelength in nm, photons) stands for an illuminant that the file lacks. InputFileError if the file is no such
-    scene.
+    All storage forms of ISET are read: a scene struct with floats, or integers between dmin and dmax; photons and wave;
+    coefficients (mcCOEF) of a basis about a mean (imgMean). Small negative values are noise and become zero. Specular
+    highlights remain (docs/method.md#simulation).
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    light : tuple of ndarray, optional
+        Wavelength in nm, and photons, of an illuminant, if the file has none.
+
+    Raises
+    ------
+    InputFileError
+        If the file is not such a scene.
     """
     content = read_matlab(path)
     content = content["scene"] if isinstance(content.get("scene"), dict) else content
@@ -51,17 +62,17 @@ def read(path: Path, light: Curve | None = None) -> Scene:
 
 
 def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
-    """Return (rows, cols) of an ISET scene, from headers where they hold it; InputFileError as `read`."""
+    """Return rows and columns of an ISET scene, from headers if they state the size."""
     shapes = array_shapes(path)
     for name in (f"{scene}{array}" for scene in ("scene/", "") for array in ("mcCOEF", "photons", "data/photons")):
         if len(shapes.get(name, ())) in (2, 3):
             return shapes[name][0], shapes[name][1]
-    rows, cols, _ = read(path, light).reflectance.shape  # which says what is wrong
+    rows, cols, _ = read(path, light).reflectance.shape  # also raises if something is wrong
     return rows, cols
 
 
 def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Return the wavelengths in nm and photons (row, col, wave); KeyError names what is missing."""
+    """Return wavelengths in nm and photons (row, col, wave). Raises KeyError that names a missing variable."""
     if "mcCOEF" in content:
         basis = content["basis"]
         functions = np.asarray(basis["basis"], np.float32).reshape(np.size(basis["wave"]), -1)
@@ -78,8 +89,9 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
 
 
 def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
-    """Return the photons of a perfect white at `wavelength`, from ISET's new struct (photons), old one (energy) or
-    `light`."""
+    """Return the photons from a perfect white at `wavelength`: from ISET's new struct (photons), its old one (energy) or
+    `light`.
+    """
     if not isinstance(stored, dict):
         if light is None:
             raise KeyError('illuminant (or give "light" in the recipe)')
@@ -101,7 +113,7 @@ def _numbers(values: Any) -> NDArray[np.float64]:
 
 
 def _decoded(values: Any, holder: Content, low: str, high: str) -> NDArray[np.float32]:
-    """Return floats as they are; integers as ISET codes them: the type's range from `low` to `high`."""
+    """Return floats unchanged, and decode integers as ISET codes them: their range from `low` to `high`."""
     array = np.asarray(values)
     decoded = array.astype(np.float32)
     if array.dtype.kind in "iu":

@@ -1,4 +1,4 @@
-"""RGB pictures: colours to be raised to spectra, or codes that are channel signals."""
+"""RGB pictures as scenes: colours that are converted to spectra, or codes that are channel signals."""
 
 from pathlib import Path
 
@@ -11,15 +11,15 @@ from l3cli.physics.display import srgb_decoded
 
 
 def size(path: Path, holds: str = "sRGB") -> tuple[int, int]:
-    """Return (rows, cols) of a picture."""
+    """Return rows and columns of a picture."""
     return picture_size(path)
 
 
 def read(path: Path, holds: str = "sRGB") -> NDArray[np.float32]:
-    """Return a picture (row, col, 3), 1 being white: linear sRGB, integers being decoded from it, floats linear already; or
-    where it `holds` "codes" these as shares of the integer type's largest.
+    """Read a picture (row, col, 3) as linear values, where 1 is white.
 
-    InputFileError if the file is no colour picture.
+    Integers are decoded from sRGB, floats are linear already. If the picture `holds` "codes", integers are divided by their
+    type's maximum instead. Raises InputFileError if the file is not a colour picture.
     """
     pixels, names = read_image(path)
     if len(names) < 3:

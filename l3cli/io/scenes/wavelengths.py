@@ -1,4 +1,4 @@
-"""Wavelengths of bands as scene files state them: lists in any unit, names of bands, pages and files, names of arrays."""
+"""Wavelengths as scene files state them: lists in any unit, or names of bands, pages, files and arrays."""
 
 import re
 from collections.abc import Sequence
@@ -12,15 +12,15 @@ NAMES = (
     "wave", "wavelength", "wavelengths", "lambda", "wl", "wvl", "bands", "wlens", "wavelengthlist", "bandwavelengths",
     "centerwavelength", "centerwavelengths", "centrewavelength", "centrewavelengths", "bandcenters", "bandcentres",
 )  # fmt: skip
-GOOD_NAMES = ("bbl", "goodwavelengths", "goodbands")  # of a list of 0 (a bad band) and 1
+GOOD_NAMES = ("bbl", "goodwavelengths", "goodbands")  # names of lists of 0 (bad band) and 1 (good band)
 UNSTATED = ("", "unknown", "none", "n/a")
 INVERSE_CM = ("wavenumber", "wavenumbers", "cm-1", "1/cm", "cm^-1", "cm⁻¹")
 HERTZ = {"thz": 1e12, "ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0}
 METRIC = {"millimeter": 1e6, "millimetre": 1e6, "centimeter": 1e7, "centimetre": 1e7, "meter": 1e9, "metre": 1e9}
 LIGHT_SPEED_NM = 299792458e9  # nm/s
-MICROMETRES = 100.0  # wavelengths without a unit that are all smaller are in µm
+MICROMETRES = 100.0  # wavelengths without a unit are in µm if all of them are smaller
 UNIT_WORDS = "Nanometers, Micrometers, Millimeters, Centimeters, Meters, Angstroms, Wavenumber, GHz, MHz, Index"
-SHORTEST, LONGEST = 300.0, 2600.0  # nm, of numbers that are taken for wavelengths though nothing says so
+SHORTEST, LONGEST = 300.0, 2600.0  # nm, range of unlabelled numbers that count as wavelengths
 IN_NAME = re.compile(r"(\d+(?:[.,]\d+)?)[\s_]*(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)(?![A-Za-z])", re.IGNORECASE)
 
 
@@ -58,14 +58,15 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
         return LIGHT_SPEED_NM / (numbers * HERTZ[word.lower()])
     scale = length_nm(word) or length_nm(word.lower()) or METRIC.get(word.lower().rstrip("s"))
     if scale is None:
-        raise ValueError(f'"{word[:40]}" is no unit of wavelength; give one of {UNIT_WORDS}')
+        raise ValueError(f'"{word[:40]}" is not a unit of wavelength; give one of {UNIT_WORDS}')
     return numbers * scale
 
 
 def in_name(name: str) -> float | None:
-    """Return the wavelength in nm that a name of a band or file states with its unit, such as "red (650.5 nm)" or
-    "S0.450,5nm"; None if it states none. A comma is a decimal point. So is a point, unless the number then were below
-    100 nm, as in "S0.450nm"."""
+    """Return the wavelength in nm in the name of a band or file, such as "red (650.5 nm)" or "S0.450,5nm", or None.
+
+    A comma is a decimal point. A point is one too, unless the number would be below 100 nm, as in "S0.450nm".
+    """
     found = IN_NAME.search(name)
     if found is None:
         return None
@@ -76,8 +77,11 @@ def in_name(name: str) -> float | None:
 
 
 def of_names(names: Sequence[str]) -> list[float | None]:
-    """Return the wavelength (band) in nm that each name states, None where it states none. Numbers without a unit count if
-    every name ends in one, all are 300…2600 and no two are closer than 2: else they are indices."""
+    """Return the wavelength (band) in nm in each name, or None where a name states none.
+
+    Numbers without a unit count if every name ends in one, if all are within 300…2600, and if no two are closer than 2.
+    Otherwise they are indices.
+    """
     stated = [in_name(name) for name in names]
     if any(stated):
         return stated
@@ -93,12 +97,12 @@ def of_names(names: Sequence[str]) -> list[float | None]:
 
 
 def is_named(name: str, names: Sequence[str] = NAMES) -> bool:
-    """Return whether an array's name is one of `names`, whatever its case, punctuation and unit."""
+    """Whether the name of an array is one of `names`, ignoring case, punctuation and unit."""
     return _plain(name) in names
 
 
 def unit_in(name: str) -> str:
-    """Return the unit in the name of an array, such as "wavelength_um" or "Wavelength (nm)"; nothing where there is none."""
+    """Return the unit in the name of an array, such as "wavelength_um" or "Wavelength (nm)", or an empty string."""
     words = [word for word in re.split(r"[\s_()\[\]/]+", name) if word]
     return words[-1] if len(words) > 1 and length_nm(words[-1]) is not None else ""
 
