@@ -493,9 +493,8 @@ class Pacing:
 
     def __init__(self, unit: int | None, stated: StatedTimes | None = None, step: int = 1) -> None:
         self._unit, self.stated = unit, stated
-        self.tick = (
-            None if stated is None else max(stated.tick / step, Fraction(1, FINEST))
-        )  # s; None for the duration of a frame
+        # s; None for the duration of a frame
+        self.tick = None if stated is None else max(stated.tick / step, Fraction(1, FINEST))
         self._scale = Fraction(0) if stated is None or self.tick is None else stated.tick / step / self.tick
         self._first, self._last = 0, -1
         self.gaps = 0  # number of gaps in the frame numbers so far

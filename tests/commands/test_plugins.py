@@ -147,7 +147,7 @@ def test_pictures_that_are_not_of_the_frames_are_refused(pipeline: Path, refused
     shutil.copytree(pipeline / "unseen", mine)
     assert "two rivals have one name" in refused(2, *files, mine, "--rival", mine)
     shutil.copytree(mine, tmp_path / "basic")
-    assert 'rename "basic"' in refused(2, *files, tmp_path / "basic")
+    assert '"basic" is already in use' in refused(2, *files, tmp_path / "basic")
     first, *_ = sorted(mine.glob("*_ideal.png"))
     write_picture(first, read_image(first)[0][2:])
     assert "give pictures of the whole frames" in refused(3, *files, mine)
