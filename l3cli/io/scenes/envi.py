@@ -1,7 +1,7 @@
 """Read ENVI cubes: a text header with a data file beside it.
 
 FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) with
-its treatment. Other fields are manufacturers' own and are ignored.
+its treatment. Other fields are manufacturers' own and are ignored; `unknown` returns those that may change values.
 """
 
 import math
@@ -27,7 +27,7 @@ STANDARD = ("envi standard", "envi", "standard", *UNSTATED)  # file types of unc
 DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube", ".hyspex")
 CURE = "give a whole ENVI header"
 
-# Words in the names of a maker's fields that may say how values are to be changed, such as "radiance gain" or "dark level".
+# Words in the names of manufacturers' fields that suggest a change of values, such as "radiance gain" or "dark level".
 CHANGING = re.compile(
     r"gain|offset|scal|factor|calib|coeff|multipl|slope|intercept|bias|dark|black|white|ceiling|gamma|linear|"
     r"no ?data|ignore|mask|bad|invalid|fill|unit|quantity|radiance|reflectance|responsivity|sensitivity"
