@@ -607,8 +607,8 @@ FORMATS = (
     SpectrumFormat(
         "text table",
         (".csv", ".tsv", ".txt", ".dat", ".asc", ".spd", ".irr", ".trm", ".trt", ".ttt", ".jaz", ".jazirrad"),
-        "one row per wavelength, or one row per spectrum: spreadsheets, CIE data, WebPlotDigitizer, Ocean Optics (SpectraSuite, "
-        "OceanView, Jaz), Avantes, StellarNet, Konica Minolta, Photo Research",
+        "one row per wavelength, or one row per spectrum: spreadsheets, CIE data, WebPlotDigitizer, Ocean Optics "
+        "(SpectraSuite, OceanView, Jaz), Avantes, StellarNet, Konica Minolta, Photo Research",
         lambda _: True,
         _text_curves,
     ),
