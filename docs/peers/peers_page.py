@@ -12,50 +12,58 @@ LOWER = ("delta_e", "angle")
 METHOD = "method.md"  # beside the page
 HEAD = """# Beside other methods
 
-What `l3` makes of mosaics beside what others make of the same: demosaicking methods of PyPI's packages, of LibRaw and of
-RawTherapee, a network, and CBM3D. `make peers` measures all of it in one run and writes this page; a method that is not
-installed is named. Ours learned from none of the pictures that are shown here.
+This page is for readers who want to know how l3 compares with other demosaicking methods. All methods get the same
+mosaics. They come from packages on PyPI, from LibRaw and from RawTherapee, and include a neural network and the denoiser
+CBM3D. `make peers` measures everything in one run and writes this page. If a program is not installed, the page says so. The
+tables of l3 were not trained on any picture of this page.
 
-Where a rival has several settings, each of its figures is that of the setting which is best on these very pictures; ours has
-one. LibRaw and RawTherapee are given DNG files whose white balance and colour matrix are exact. Figures are means over
-pictures, without 10 pixels at each edge. Seconds are processor time a megapixel, all cores summed, in the same run: what a
-picture of 1512² pixels takes more than one of 504², so that no start-up counts (CBM3D: the one of 504² alone); of LibRaw and
-RawTherapee the DNG file, too.
+* **Settings.** If a method has several settings, each number is that of the setting that is best on these pictures. l3
+  has one setting.
+* **Raw files.** LibRaw and RawTherapee get DNG files with the exact white balance and colour matrix.
+* **Numbers** are means over pictures, without 10 pixels at each edge. Bold numbers are the best of their column.
+* **Time** (core-s/MP) is CPU seconds per megapixel, summed over all cores, measured in the same run. To exclude
+  start-up, the time for a picture of 504² pixels is subtracted from the time for 1512² pixels. CBM3D is timed on the
+  small picture alone. Times of LibRaw and RawTherapee include writing and reading the DNG file.
 """
 TEXTS = {
     "bayer": f"""## Bayer, as published
 
-The codes of RGB pictures are sampled as they are and compared with themselves (CPSNR, all three channels). Ours is the table
-of `l3 init benchmark-bayer`, learned from a hundred others. **The last two columns were not measured here**: they are
-published figures, on more pictures than the twelve of odd number that ours are of
-({published.SOURCE}).
-McMaster's eighteen pictures are sampled, too, where they lie in `demosaicking/mcmaster` of the data. LibRaw and RawTherapee
-take the codes for light, as every method here does. The network is that of Gharbi and others (2016): no other was found on
-PyPI that demosaicks and brings its weights.
+The usual benchmark samples the codes of RGB pictures as they are and compares the result with the same codes (CPSNR
+over all three channels). The table of l3 comes from `l3 init benchmark-bayer` and was trained on a hundred other
+pictures. **The last two columns were not measured here.** They are published values, for more pictures than the twelve
+with odd numbers on which l3 is measured ({published.SOURCE}).
+
+The eighteen pictures of McMaster are measured, too, if they are in `demosaicking/mcmaster` of the data. LibRaw and
+RawTherapee interpret the codes as linear light, as all methods here do. The network is that of Gharbi et al. (2016). We
+found no other network on PyPI that demosaicks and includes its weights.
 """,
     "xtrans": """## X-Trans
 
-The same pictures and the same recipe, sampled through the 6×6 array of X-Trans. LibRaw's *1 pass* and *3 passes*, and those
-of RawTherapee, are Markesteijn's method. *bilinear* stands for a Gaussian-weighted mean of each channel's samples.
-The network is that of the first table, with the weights for X-Trans that its package brings.
+The same pictures and the same recipe, sampled through the 6×6 array of X-Trans. *1 pass*, *3 passes* and *4 passes* of
+LibRaw and RawTherapee are Markesteijn's method. *bilinear* is a Gaussian-weighted mean of the samples of each channel.
+The network is that of the first table, with the weights for X-Trans that its package includes.
 """,
     "bands": f"""## Sixteen bands
 
-A snapshot camera of 16 narrow bands with its noise sees three multispectral scenes and five hyperspectral faces; ours
-(`bands`) learned from dead leaves alone. PSNR of 8-bit codes and SSIM are means over the bands, SAM is the mean spectral
-angle. How the others work: [Method]({METHOD}#baselines-for-bands).
+A snapshot camera with 16 narrow bands and noise sees three multispectral scenes and five hyperspectral faces. The table
+of l3 (`bands`) was trained on dead-leaves scenes only. PSNR of 8-bit codes and SSIM are means over the bands. SAM is
+the mean spectral angle. The other methods are described in [Method]({METHOD}#baselines-for-bands).
 """,
     "noise": """## Bayer with noise, as raw files
 
-A small sensor (`bayer`, 2.2 µm, 6 000 e⁻) takes a composition of leaves, charts and fine patterns, five faces and four
-photographs, none of which training has seen, at a mean signal of 0.2, 0.02 and 0.01 of full scale. Every rival has the true
-white balance, the black and dark level, and the matrix that is fitted for camera and light; those that have denoising are
-tried without it and at several strengths (but for LibRaw's wavelets, which end the process in rawpy 0.28). The network was
-trained without noise; it is shown light as well as sRGB codes. The recipes of ours have been studied on these frames, too.
-CBM3D is given the noise of the camera: light is made of one variance before Menon's demosaicking and brought back without
-bias, and the spectrum that the noise of a plain frame has after demosaicking is known to it. It takes four minutes a
-megapixel, and the licence of its package allows no commercial use. PSNR is that of sRGB as displayed, ΔE00 the mean
-CIEDE2000, both against the ideal picture.
+A small sensor (`bayer`, 2.2 µm, 6 000 e⁻) takes a composition of dead leaves, charts and fine patterns, five faces and
+four photographs, at mean signals of 0.2, 0.02 and 0.01 of full scale. None of these was used in training. PSNR is that
+of displayed sRGB and ΔE00 the mean CIEDE2000, both against the ideal picture.
+
+* **All other methods** get the true white balance, the black and dark level, and a matrix that is fitted for camera and
+  illuminant. Methods that can reduce noise are tried without and with several strengths. LibRaw's wavelets are left
+  out, because they crash rawpy 0.28. Settings of RawTherapee name the strengths of its noise reduction for luminance
+  and for colour, and its median filter.
+* **The network** was trained without noise. It is tried on linear light and on sRGB codes.
+* **CBM3D** gets the camera's noise. A transform makes the variance uniform before Menon's demosaicking, and its
+  unbiased inverse restores the light. CBM3D also knows the spectrum that noise has after demosaicking. It takes four
+  minutes per megapixel, and the licence of its package does not allow commercial use.
+* **l3.** The recipes of l3 were studied on these frames, too.
 """,
 }
 COLUMNS = {
@@ -84,7 +92,7 @@ def page(parts: dict[str, Part]) -> str:
 def common_run(parts: dict[str, Part]) -> str:
     """The run that all parts are of, if they are of one."""
     runs = {_run(part[key]) for part in parts.values() for key in ("run", "rivals", "timed") if key in part}
-    every = f"All of it is of one run: {runs.pop()}." if len(runs) == 1 else "Parts are of several runs; each says of which."
+    every = f"All results come from one run: {runs.pop()}." if len(runs) == 1 else "The sections come from several runs."
     return f"\n{every} *Source* is a digest of `l3cli/`, `opencl/` and `configs/`.\n"
 
 
@@ -92,12 +100,12 @@ def origin(part: Part) -> str:
     """The run that a part is of, and those of tables that were trained before it."""
     text = f"Measured: {_run(part['run'])}."
     if "rivals" in part:
-        text += f" The others than ours: {_run(part['rivals'])}."
+        text += f" Other methods: {_run(part['rivals'])}."
     if "timed" in part:
-        text += f" Seconds: {_run(part['timed'])}."
+        text += f" Times: {_run(part['timed'])}."
     for name, trained in part["trained"].items():
         if trained is None:
-            text += f" The table of {name} was trained by a run that was not noted."
+            text += f" The table of {name} was trained in a run that was not recorded."
         elif trained["source"] != part["run"]["source"]:
             text += f" The table of {name} was trained on {trained['date']}, source `{trained['source']}`."
     return f"{text}\n"
@@ -113,12 +121,16 @@ def section(name: str, part: Part) -> str:
     lines = [TEXTS[name], table(name, columns, part["rows"]), verdict(columns, part["rows"])]
     chosen = [settings(row, columns) for row in part["rows"] if row["settings"]]
     if chosen:
-        lines.append(f"Settings other than the plain one: {'; '.join(chosen)}.\n")
-    lines += [frame_by_frame(columns, part["frames"], *pair) for pair in _compared(part["rows"])]
+        heads = ["method", "program", "setting", "used for"]
+        rows = [_line(heads), _line(["---"] * len(heads)), *(line for each in chosen for line in each)]
+        lines.append(folded("Settings that were best, where they are not the default", "\n".join(rows) + "\n"))
+    for ours, rival in _compared(part["rows"]):
+        title = f"{ours['name']} and {rival['name']} on each frame"
+        lines.append(folded(title, frame_by_frame(columns, part["frames"], ours, rival)))
     if any("seconds" not in row for row in part["rows"]):
-        lines.append("Seconds were not measured of all; `make help` says how they are.\n")
+        lines.append("Times were not measured for all methods; `make help` says how to measure them.\n")
     lines += [f"Not installed: {each}.\n" for each in part["missing"]]
-    lines += [f"Not measured, since the pictures are not there: {each}.\n" for each in part["absent"]]
+    lines += [f"Not measured, because the pictures are missing: {each}.\n" for each in part["absent"]]
     lines.append(origin(part))
     return "\n".join(lines)
 
@@ -175,17 +187,22 @@ def verdict(columns: Sequence[tuple[str, str]], rows: Sequence[Row]) -> str:
             by = abs(row["figures"][key] - ours)
             text.append(f"{row['name']} of {row['program']} in {title}, by {by:.{_digits(key)}f}")
     if text:
-        return f"Better than ours: {'; '.join(text)}.\n"
-    return "Nothing measured here is better than ours, in any of these figures.\n"
+        return f"Better than l3: {'; '.join(text)}.\n"
+    return "Nothing measured here is better than l3 in any of these columns.\n"
 
 
-def settings(row: Row, columns: Sequence[tuple[str, str]]) -> str:
-    """With which settings the figures of a row were reached."""
+def settings(row: Row, columns: Sequence[tuple[str, str]]) -> list[str]:
+    """Rows of a table: with which setting each of a method's numbers was reached."""
     titles = dict(columns)
     chosen: dict[str, list[str]] = {}
     for key, setting in row["settings"].items():
         chosen.setdefault(setting, []).append(titles[key])
-    return f"{row['name']} of {row['program']}: " + ", ".join(f"{each} ({', '.join(of)})" for each, of in chosen.items())
+    return [_line([row["name"], row["program"], each, ", ".join(of)]) for each, of in chosen.items()]
+
+
+def folded(title: str, text: str) -> str:
+    """A part of the page that opens when its title is clicked."""
+    return f"<details>\n<summary>{title}</summary>\n\n{text}\n</details>\n"
 
 
 def _best(key: str) -> Callable[..., float]:

@@ -63,9 +63,9 @@ def test_the_page_states_where_ours_is_beaten_what_is_missing_and_of_which_run_i
 ) -> None:
     page, ours = peers("peers_page"), row("o", 40, ours=True)
     lost = page.section("bands", PLAIN | {"rows": [row("x", 41.5), ours], "missing": ["y"], "absent": ["z"]})
-    assert "Better than ours: x of p in PSNR (dB), by 1.50; x of p in SAM (°), by 1.50." in lost
+    assert "Better than l3: x of p in PSNR (dB), by 1.50; x of p in SAM (°), by 1.50." in lost
     assert "Not installed: y." in lost
-    assert "are not there: z." in lost
+    assert "are missing: z." in lost
     won = page.section("bands", PLAIN | {"rows": [ours, row("x", 39)]})
     assert "Nothing measured here is better" in won
     assert "| **o** | p | **40.00** | **0.9000** | **10.00** | 0.1 |" in won
@@ -73,13 +73,13 @@ def test_the_page_states_where_ours_is_beaten_what_is_missing_and_of_which_run_i
     assert "**Not measured for this page**: Bayer, as published (`make peers PARTS=bayer`), X-Trans (" in one
     assert "## Sixteen bands" in one
     assert "## X-Trans" not in one
-    assert "All of it is of one run: 2026-01-02, source `abc`, a processor, 2 cores." in one
+    assert "All results come from one run: 2026-01-02, source `abc`, a processor, 2 cores." in one
     noise = {"rows": [row("o", 40, ours=True, figures=dict.fromkeys(NOISE, 1.0))], "run": RUN | {"date": "2026-01-03"}}
     trained = {"trained": {"o": RUN | {"source": "def"}, "p": None}}
     several = page.page({"bands": PLAIN | {"rows": [ours]} | trained, "noise": PLAIN | noise})
-    assert "Parts are of several runs" in several
+    assert "The sections come from several runs" in several
     assert "The table of o was trained on 2026-01-02, source `def`." in several
-    assert "The table of p was trained by a run that was not noted." in several
+    assert "The table of p was trained in a run that was not recorded." in several
     published = page.section("bayer", PLAIN | {"rows": [row("o", 0, ours=True, figures={"Kodak psnr": 41.0})]})
     assert "| CDM-CNN (Tan and others 2017) | published | — | — | *42.04* | *38.98* |" in published.splitlines()
 
@@ -106,7 +106,7 @@ def test_ours_is_measured_again_beside_rivals_as_they_were(
     renewed = {"run": RUN | {"date": "2026-01-05"}} | script.Comparison({}, {}, [], None).renewed(part)
     assert [(each["name"], each["figures"]["bands psnr"]) for each in renewed["rows"]] == [("o", 43), ("x", 42), ("y", 40)]
     assert renewed["rows"][0]["seconds"] == 0.1
-    assert "The others than ours: 2026-01-02," in peers("peers_page").section("bands", renewed)
+    assert "Other methods: 2026-01-02," in peers("peers_page").section("bands", renewed)
     assert "Not installed: z." in peers("peers_page").section("bands", renewed)
     with pytest.raises(SystemExit, match="other frames"):
         script.Comparison({}, {}, [], None).renewed(part | {"digest": "2"})
