@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import OpenImageIO as oiio
 from page import page
-from pictures import Picture, drawing, enlarged, grid, raw_picture
+from pictures import Picture, drawing, enlarged, grid, labelled, raw_picture
 
 import l3cli
 from l3cli.artifacts.table import TransformTable
@@ -40,8 +40,9 @@ FRONT, FRONT_FILE = "fiveband", "front.jpg"  # the array of README's picture
 SHOWN = ("raw", "ideal", "ours", "basic")
 FACTOR = 4
 CROP, CROP_SIZE = (10, 215), (45, 80)  # pixels: corner and size (row, col) of what is enlarged; as large as the picture
-FRONT_SIZE = (180, 208)  # pixels (row, col) of a picture of README's, at 1× and FACTOR×
-QUALITY = 80  # of JPEG
+FRONT_CORNER, FRONT_SIZE, FRONT_FACTOR = (15, 106), (156, 210), 2  # what README's picture shows of the frame, enlarged
+LABELS = {"raw": "raw frame", "ideal": "ideal", "ours": "l3", "basic": "basic pipeline"}
+QUALITY, FRONT_QUALITY = 80, 90  # of JPEG
 PNG_UP = 0x20  # a row as its difference from the row above: nothing, where it is enlarged
 
 
@@ -96,12 +97,17 @@ def make(array: Array) -> tuple[dict[str, Any], float]:
     write_whole(FOLDER / f"{name}.jpg", jpeg(grid([shown[:2], shown[2:]]), QUALITY))
     write_whole(FOLDER / f"{name}_crop.png", png(grid([crops[:2], crops[2:]])))
     if name == FRONT:
-        rows, cols = FRONT_SIZE
-        whole = [picture[-rows:, :cols] for picture in shown]
-        crops = [enlarged(picture, CROP, (rows // FACTOR, cols // FACTOR), FACTOR) for picture in shown]
-        write_whole(FOLDER / FRONT_FILE, jpeg(grid([whole, crops]), QUALITY))
+        write_whole(FOLDER / FRONT_FILE, jpeg(front(pictures), FRONT_QUALITY))
     about = {"title": head.camera.name, "summary": summary(path), "classes": classes_of(path), "twins": twins}
     return about | {"figures": figures}, time.process_time() - begin
+
+
+def front(pictures: dict[str, Picture]) -> Picture:
+    """README's picture: two by two, each panel with its label above it."""
+    panels = [
+        labelled(enlarged(pictures[name], FRONT_CORNER, FRONT_SIZE, FRONT_FACTOR), label) for name, label in LABELS.items()
+    ]
+    return grid([panels[:2], panels[2:]])
 
 
 def judged(table: Path, unseen: Path) -> tuple[TrainingSet, dict[str, Picture], dict[str, dict[str, float]]]:

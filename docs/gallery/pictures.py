@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import OpenImageIO as oiio
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
@@ -15,6 +16,7 @@ from l3cli.report.parts import Key
 
 Picture = NDArray[np.uint8]  # (row, col, 3) encoded sRGB
 GAP = 4  # white pixels between pictures
+LABEL_HEIGHT, LABEL_SIZE = 26, 17  # px of the white strip above a labelled picture, and of its letters
 
 SIDE, KEY, MARGIN = 300, 150, 10  # px of a drawing: the array's box, the legend, around both
 CELL_SIDE = 90  # px of a filter, at most
@@ -39,6 +41,16 @@ def enlarged(picture: Picture, corner: tuple[int, int], size: tuple[int, int], f
     """The crop of `size` (rows, cols) at `corner`, each pixel a square of `factor`."""
     crop = picture[corner[0] : corner[0] + size[0], corner[1] : corner[1] + size[1]]
     return crop.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+def labelled(picture: Picture, label: str) -> Picture:
+    """The picture below a white strip that names it."""
+    strip = oiio.ImageBuf(oiio.ImageSpec(picture.shape[1], LABEL_HEIGHT, 3, "uint8"))
+    oiio.ImageBufAlgo.fill(strip, (1.0, 1.0, 1.0))
+    baseline = LABEL_HEIGHT - 8
+    if not oiio.ImageBufAlgo.render_text(strip, 2, baseline, label, LABEL_SIZE, textcolor=(0.1, 0.1, 0.1)):
+        raise OSError(strip.geterror())
+    return np.concatenate([strip.get_pixels("uint8"), picture])
 
 
 def grid(pictures: list[list[Picture]]) -> Picture:
