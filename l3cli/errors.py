@@ -1,4 +1,4 @@
-"""Errors, and the exit code of each kind of failure (docs/limits.md#exit-codes).
+"""Errors, and the exit code of each kind of failure (docs/guarantees.md#exit-codes).
 
 A message that names a parameter marks it ‹force›, by its name in Python; the command line writes its option there, --force.
 """

@@ -3,8 +3,8 @@
 python docs/figures/figures.py                        # pipeline.svg
 python docs/figures/figures.py table.h5 frame.tif     # the same, and neighbourhood.svg and filters.svg
 
-The table is learned from `l3 simulate default --camera bayer` with the class recipe `default`. The frame is the raw frame that
-`l3 simulate docs/gallery/scene.toml --camera bayer --pictures` writes.
+The table is learned from `l3 simulate default --camera bayer` with the class recipe `default`. The frame is the raw frame
+that `l3 simulate docs/gallery/scene.toml --camera bayer --pictures` writes.
 """
 
 import sys
@@ -28,7 +28,7 @@ STYLE = (
     "text{font:13px system-ui,'Segoe UI',Roboto,'DejaVu Sans',sans-serif;fill:#1b1f24}.small{font-size:11.5px;fill:#57606a}"
     ".head{font-weight:600}.code{font-family:ui-monospace,'DejaVu Sans Mono',monospace;font-size:12px;fill:#0969da}"
 )
-CENTRE = (60, 212)  # row and column of the pixel whose neighbourhood is drawn: a slanted edge runs beside it
+CENTRE = (60, 250)  # row and column of the pixel whose neighbourhood is drawn: the edge of a bright bar runs beside it
 FILTER_LEVELS = (1, 4, 8)  # levels whose filters are drawn: dark, middle, bright
 CELL = 24  # px, side of a pixel of the neighbourhood
 
@@ -92,7 +92,8 @@ def pipeline() -> str:
         arrow(middle + x_gap, upper + half, right - 4, upper + half),
         arrow(right + BOX_WIDTH / 2, upper + BOX_HEIGHT + 4, right + BOX_WIDTH / 2, lower - 4),
         arrow(right - 4, lower + half, middle + x_gap, lower + half),
-        f'<path d="M{left + BOX_WIDTH / 2:g},{lower + BOX_HEIGHT + 4:g}v24H{(middle + x_gap + right) / 2:g}V{lower + half + 5:g}" '
+        f'<path d="M{left + BOX_WIDTH / 2:g},{lower + BOX_HEIGHT + 4:g}v24'
+        f'H{(middle + x_gap + right) / 2:g}V{lower + half + 5:g}" '
         f'stroke="{PALE}" stroke-width="1.5" fill="none" marker-end="url(#tip)"/>',
     )
     between = BOX_WIDTH + (middle - left - BOX_WIDTH) / 2
@@ -138,13 +139,15 @@ def neighbourhood(table: TransformTable, frame: RawFrame, renderer: l3.Renderer)
             parts.append(text(x + CELL * 0.75, y + CELL * 0.8, str(int(frame.values[at_row, at_col])), "small", "middle"))
     x, y = 20 + radius * CELL * 1.5, 44 + radius * CELL * 1.25
     parts.append(
-        f'<rect x="{x:g}" y="{y:g}" width="{CELL * 1.5:g}" height="{CELL * 1.25:g}" fill="none" stroke="{INK}" stroke-width="2.5"/>'
+        f'<rect x="{x:g}" y="{y:g}" width="{CELL * 1.5:g}" height="{CELL * 1.25:g}" fill="none" stroke="{INK}" '
+        'stroke-width="2.5"/>'
     )
     index = int(renderer.labels(frame)[row, col])
     site_row, site_col = row % table.cfa.shape[0], col % table.cfa.shape[1]
     words = class_words(table, index)
     features = [("site", f"({site_row}, {site_col}), a {table.channels[channel_at(table, row, col)]} filter")]
     features += [(name, value) for name, value in words.items() if value != "not distinguished"]
+    features = [(name, f"values change {value}" if name == "direction" else value) for name, value in features]
     left = 20 + side * CELL * 1.5 + 34
     parts.append(text(20, 28, f"x: {side}×{side} raw values (DN)", "head"))
     parts.append(text(left, 28, "features", "head"))
@@ -193,11 +196,13 @@ def filters(table: TransformTable) -> str:
             for i, j in np.ndindex(weights.shape):
                 fill = diverging(float(shares[i, j]))
                 parts.append(
-                    f'<rect x="{x + j * cell:g}" y="{y + i * cell:g}" width="{cell}" height="{cell}" fill="{fill}" stroke="#eaeef2"/>'
+                    f'<rect x="{x + j * cell:g}" y="{y + i * cell:g}" width="{cell}" height="{cell}" fill="{fill}" '
+                    'stroke="#eaeef2"/>'
                 )
             middle = (side // 2) * cell
             parts.append(
-                f'<rect x="{x + middle:g}" y="{y + middle:g}" width="{cell}" height="{cell}" fill="none" stroke="{INK}" stroke-width="2"/>'
+                f'<rect x="{x + middle:g}" y="{y + middle:g}" width="{cell}" height="{cell}" fill="none" stroke="{INK}" '
+                'stroke-width="2"/>'
             )
     foot = top + len(FILTER_LEVELS) * (size + gap)
     count = len(table.first.weights)

@@ -22,7 +22,7 @@ def command_pages() -> dict[str, str]:
     return {"commands.md": page("# Command reference", intro, *map(section, COMMANDS), "## Exit codes", codes, EXIT)}
 
 
-EXIT = "[Limits](../limits.md#exit-codes) says when; a plain failure may also mean one frame of many (`--skip-bad`)."
+EXIT = "[Exit codes and guarantees](../guarantees.md) says more."
 
 
 def section(name: str) -> str:

@@ -12,7 +12,7 @@ from l3cli import __version__
 project = "l3cli"
 author = "the l3cli authors"
 release = version = __version__
-extensions = ["myst_parser"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown"}
 root_doc = "index"
 
@@ -21,6 +21,10 @@ myst_fence_as_directive = ["math"]
 html_math_renderer = "mathml"  # what browsers show themselves: the pages of the site fetch nothing from elsewhere
 myst_heading_anchors = 4  # links to the headings of a page, as on the sites that show Markdown
 nitpicky = True
+nitpick_ignore_regex = [("py:.*", ".*")]  # types in docstrings, most of which are numpy's and have no page here
+napoleon_google_docstring = False
+autodoc_typehints = "none"  # docstrings name types, shapes and units
+autodoc_member_order = "bysource"
 smartquotes = False  # a pair of hyphens begins an option
 
 html_theme = "furo"

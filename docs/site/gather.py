@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
+from api_pages import api_pages
 from artifact_pages import artifact_pages
 from command_pages import command_pages
 from licence_pages import licence_pages
@@ -18,12 +19,18 @@ NOTEBOOKS = "python.md"  # whose table lists them
 FRONT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "SECURITY.md": "security.md"}
 AS_THEY_ARE = ("LICENSE", "CITATION.cff")
 CONTENTS = {
-    "Start": ["tutorial", "own-lab", "arrays"],
-    "Use": ["raw-files", "spectral-scenes", "video", "python", "programs"],
-    "Reference": ["commands", "reference/commands", "reference/recipes", "artifacts", "reference/artifacts"],
-    "What to expect": ["gallery", "benchmarks", "measurement", "peers", "limits", "method", "notebook"],
-    "Project": ["architecture", "contributing", "changelog", "security", "reference/licences"],
-}
+    "Start": ["install", "how-l3-works", "tutorial", "glossary"],
+    "How-to": [
+        "own-lab", "raw-files", "video", "spectral-scenes", "arrays", "class-recipes", "measurement", "evaluate", "programs",
+    ],
+    "Reference": [
+        "commands", "reference/commands", "reference/recipes", "artifacts", "reference/artifacts", "python",
+        "reference/python", "metrics", "guarantees", "troubleshooting",
+    ],
+    "Results": ["gallery", "benchmarks", "peers", "limits"],
+    "Background": ["method", "implementation"],
+    "Project": ["architecture", "contributing", "notebook", "changelog", "security", "reference/licences"],
+}  # fmt: skip
 
 
 def gather(folder: Path) -> None:
@@ -36,7 +43,7 @@ def gather(folder: Path) -> None:
     for name in AS_THEY_ARE:
         shutil.copy(ROOT / name, folder)
     (folder / "reference").mkdir()
-    for name, text in (command_pages() | recipe_pages() | artifact_pages() | licence_pages()).items():
+    for name, text in (api_pages() | command_pages() | recipe_pages() | artifact_pages() | licence_pages()).items():
         (folder / "reference" / name).write_text(text, encoding="utf-8")
     if not EXECUTED.is_dir():
         raise SystemExit(f"{EXECUTED} is missing; make notebooks makes it")
@@ -68,7 +75,7 @@ def with_demo(readme: str) -> str:
     if not (DEMO / "demo.html").is_file():
         return readme
     words = '<a href="demo.html">Render a raw file in this browser</a>: a Bayer DNG, <a href="demo.dng">this one</a>'
-    head, after, rest = readme.partition("\n\nOne frame of")
+    head, after, rest = readme.partition("\n\n*Part of a simulated frame")
     return f"{head}\n\n{words} or yours; it is sent nowhere ([how](programs.md#a-browser)).{after}{rest}"
 
 
