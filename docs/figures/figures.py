@@ -28,7 +28,7 @@ STYLE = (
     "text{font:13px system-ui,'Segoe UI',Roboto,'DejaVu Sans',sans-serif;fill:#1b1f24}.small{font-size:11.5px;fill:#57606a}"
     ".head{font-weight:600}.code{font-family:ui-monospace,'DejaVu Sans Mono',monospace;font-size:12px;fill:#0969da}"
 )
-CENTRE = (60, 250)  # row and column of the pixel whose neighbourhood is drawn: the edge of a bright bar runs beside it
+CENTRE = (60, 250)  # row and column of the pixel whose neighbourhood is drawn, at the edge of a bright bar
 FILTER_LEVELS = (1, 4, 8)  # levels whose filters are drawn: dark, middle, bright
 CELL = 24  # px, side of a pixel of the neighbourhood
 
