@@ -101,7 +101,7 @@ def l3(context: click.Context) -> None:
 
 
 def main() -> None:
-    """Run the command line. Every failure prints one line on stderr and sets an exit code (docs/guarantees.md#exit-codes)."""
+    """Run the command line. Each failure prints one line on stderr and sets an exit code (docs/guarantees.md#exit-codes)."""
     prepare()
     heed()
     one_blas_thread()
