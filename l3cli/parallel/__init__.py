@@ -1,5 +1,8 @@
-"""The one door to processes (processes), other machines (cluster) and threads (threads): the same results in the same order
-whatever the workers. What starts processes is imported when there are some to start: a single frame needs none."""
+"""Processes, threads and workers on other machines, all used through this package.
+
+Results come in the order of the items, and are the same whatever the workers. What starts processes is imported only when
+processes are needed.
+"""
 
 import contextlib
 import os
@@ -18,24 +21,27 @@ R = TypeVar("R")
 
 
 def one_blas_thread() -> None:
-    """Keep BLAS to one thread in this process and its children, whatever the user has set: small products are faster so,
-    threads that wait for them take no time of encoders, and the number of cores does not change how they are rounded. To be
-    called before numpy is first imported."""
+    """Limit BLAS to one thread in this process and its children. Call it before numpy is first imported.
+
+    Small products are faster with one thread, waiting threads take no time from encoders, and the rounding of results does
+    not depend on the number of cores.
+    """
     os.environ.update(ONE_BLAS_THREAD)
 
 
 def without_plots() -> None:
-    """Hide from colour-science, in a process of our own, what it draws plots and makes tables with: nothing here asks for
-    it, and it takes half of the time that the import needs."""
+    """Keep colour-science from importing matplotlib and pandas, which l3 does not use and which double the time of the
+    import.
+    """
     for name in ("matplotlib", "pandas"):
-        sys.modules.setdefault(name, None)  # type: ignore[arg-type] # as Python notes that there is none
+        sys.modules.setdefault(name, None)  # type: ignore[arg-type] # None makes imports fail
 
 
 def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
-    """Yield function(item) of every item, in order, by `jobs` processes (1: in this one).
+    """Yield function(item) for each item, in order, computed by `jobs` processes (1: this process).
 
-    Processes are spawned, not forked: a fork after an OpenCL context exists hangs. Their BLAS is kept to one thread each.
-    At most 2·jobs results wait, so memory is bounded by the workers, not by the number of items.
+    At most 2·jobs results wait, so memory does not grow with the number of items. Processes are spawned rather than forked,
+    because a fork hangs once an OpenCL context exists, and each uses one BLAS thread.
     """
     with workers(jobs) as pool:
         yield from pool(function, items)
@@ -43,9 +49,9 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
 
 @dataclass(frozen=True)
 class WorkerPool:
-    """Workers that are handed items: pool(function, items) gives function(item) of every item, in order."""
+    """Workers that compute function(item) for each item: pool(function, items) yields the results in order."""
 
-    size: int  # that work at a time
+    size: int  # number of workers
     _map: Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
@@ -54,7 +60,7 @@ class WorkerPool:
 
 @contextlib.contextmanager
 def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[WorkerPool]:
-    """Offer `ordered_map` for several calls by the same processes, or by the workers of a scheduler."""
+    """Yield a pool of `jobs` processes, or of the workers of a scheduler, for several calls."""
     if scheduler is not None:
         from l3cli.parallel.cluster import workers_of
 

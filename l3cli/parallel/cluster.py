@@ -1,4 +1,4 @@
-"""The workers of a dask scheduler, on other machines, as a pool."""
+"""Workers of a dask scheduler, on other machines, as a pool."""
 
 import asyncio
 import collections
@@ -28,35 +28,42 @@ from l3cli.system.limits import ONE_BLAS_THREAD
 T = TypeVar("T")
 R = TypeVar("R")
 
-ANSWER = 10.0  # seconds in which a scheduler must answer
-PATIENCE = 60.0  # seconds without any worker after which a run is given up
-PULSE = 1.0  # seconds between checks of the workers
+ANSWER_SECONDS = 10.0  # time within which a scheduler must answer
+WORKERLESS_SECONDS = 60.0  # time without any worker after which a run ends with an error
+CHECK_SECONDS = 1.0  # time between checks of the number of workers
 INSTALL = '‹scheduler› needs dask; install it with: pip install "l3cli[cluster]"'
-WITHOUT_TLS = "the scheduler listens beyond this machine without TLS: who reaches it can run programs as you; see ‹tls_ca›"
+WITHOUT_TLS = "the scheduler accepts other machines without TLS, so they can run programs as you; use tls:// and ‹tls_ca›"
 _one_at_a_time = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Scheduler:
-    """A scheduler of dask.distributed, and the PEM files with which one that speaks TLS is met."""
+    """Address of a dask.distributed scheduler, with PEM files if it uses TLS.
+
+    Raises
+    ------
+    RecipeError
+        If the address is invalid, or if PEM files are missing or not needed.
+    InputFileError
+        If a PEM file does not exist.
+    """
 
     address: str  # tcp://HOST:PORT or tls://HOST:PORT
-    ca: Path | None = None  # the authority that both sides trust
-    certificate: Path | None = None  # ours, and its key
-    key: Path | None = None
-    warn: Callable[[str], None] = lambda message: None  # called if the scheduler is open to others
+    ca: Path | None = None  # certificate of the authority that both sides trust
+    certificate: Path | None = None  # of this machine
+    key: Path | None = None  # of this certificate
+    warn: Callable[[str], None] = lambda message: None  # called if other machines can reach the scheduler without TLS
 
     def __post_init__(self) -> None:
-        """Raise RecipeError if that is no address, or files are missing or given in vain."""
         match = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)
         if not match or not 0 < int(match[2]) < 65536:
             raise RecipeError(f'"{self.address}" is not a scheduler\'s address; give tcp://HOST:PORT or tls://HOST:PORT')
         files = (self.ca, self.certificate, self.key)
         if match[1] == "tls" and None in files:
-            raise RecipeError(f"{self.address} needs ‹tls_ca›, ‹tls_cert› and ‹tls_key›")
+            raise RecipeError(f"{self.address} needs ‹tls_ca›, ‹tls_cert› and ‹tls_key›; give all three")
         if match[1] == "tcp" and files != (None, None, None):
             raise RecipeError(
-                f"{self.address} speaks no TLS; give tls://HOST:PORT, or leave ‹tls_ca›, ‹tls_cert›, ‹tls_key› out"
+                f"{self.address} does not use TLS; give tls://HOST:PORT, or leave ‹tls_ca›, ‹tls_cert›, ‹tls_key› out"
             )
         for path in filter(None, files):
             if not path.is_file():
@@ -65,9 +72,14 @@ class Scheduler:
 
 @contextlib.contextmanager
 def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
-    """Yield the workers of a scheduler. L3Error if dask is missing, or the scheduler or every worker stays away.
+    """Yield the workers of a scheduler as a pool.
 
-    What is being done when the block fails is dropped; a worker ends the item it is at.
+    If the block fails, waiting items are dropped, and each worker finishes its current item.
+
+    Raises
+    ------
+    L3Error
+        If dask is not installed, or if the scheduler or all workers are unreachable.
     """
     try:
         import dask
@@ -75,10 +87,10 @@ def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     for name in ("distributed", "tornado", "asyncio"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong becomes one line
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # errors become one line of l3's
     settings = {
-        "distributed.comm.timeouts.connect": f"{ANSWER} s",
-        # An item holds what its worker needs; sent ahead, as dask advises, it would be lost with the worker that has it.
+        "distributed.comm.timeouts.connect": f"{ANSWER_SECONDS} s",
+        # dask advises to scatter large data, but then they would be lost if their worker died.
         "distributed.admin.large-graph-warning-threshold": "1 GiB",
     }
     with dask.config.set(settings):
@@ -90,7 +102,7 @@ def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
             workers = _Workers(client)
             yield WorkerPool(workers.first(), functools.partial(_sent_out, client, workers))
         finally:
-            client.close(timeout=ANSWER)
+            client.close(timeout=ANSWER_SECONDS)
 
 
 def _connected(distributed: Any, scheduler: Scheduler) -> Any:
@@ -103,9 +115,9 @@ def _connected(distributed: Any, scheduler: Scheduler) -> Any:
         except OSError as error:
             raise InputFileError(f"‹tls_ca›, ‹tls_cert› or ‹tls_key› cannot be used ({error}); give PEM files") from error
     try:
-        return distributed.Client(scheduler.address, security=security, timeout=ANSWER, set_as_default=False)
+        return distributed.Client(scheduler.address, security=security, timeout=ANSWER_SECONDS, set_as_default=False)
     except OSError as error:
-        cure = "check its certificates and these" if security else "start one with: dask scheduler"
+        cure = "check the certificates on both sides" if security else "start one with: dask scheduler"
         raise L3Error(f"no scheduler answers at {scheduler.address}; {cure}") from error
 
 
@@ -118,23 +130,25 @@ def _is_loopback(address: str) -> bool:
 
 
 class _Workers:
-    """Number of a scheduler's workers, checked once a PULSE."""
+    """Number of workers of a scheduler, checked every CHECK_SECONDS."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._checked = -PULSE
-        self._seen = time.monotonic()  # when there was a worker
+        self._checked = -CHECK_SECONDS
+        self._seen = time.monotonic()  # when there was last a worker
         self._count = 0
 
     def first(self) -> int:
-        """Return their number, as soon as there is one."""
+        """Wait for the first worker, and return the number of workers."""
         while not self.count():
-            time.sleep(PULSE / 10)
+            time.sleep(CHECK_SECONDS / 10)
         return self._count
 
     def count(self) -> int:
-        """Return their number. L3Error if there has been none for longer than PATIENCE, or the scheduler is gone."""
-        if time.monotonic() - self._checked >= PULSE:
+        """Return the number of workers. Raise L3Error if there has been none for WORKERLESS_SECONDS, or if the scheduler is
+        gone.
+        """
+        if time.monotonic() - self._checked >= CHECK_SECONDS:
             try:
                 self._count = len(self._client.nthreads())
             except (OSError, RuntimeError, CancelledError) as error:
@@ -142,22 +156,23 @@ class _Workers:
             self._checked = time.monotonic()
         if self._count:
             self._seen = self._checked
-        elif time.monotonic() - self._seen > PATIENCE:
+        elif time.monotonic() - self._seen > WORKERLESS_SECONDS:
             raise L3Error(
-                f"the scheduler has had no worker for {PATIENCE:.0f} s; start some with: dask worker ADDRESS --nthreads 1"
+                f"the scheduler has had no worker for {WORKERLESS_SECONDS:.0f} s; start some with: "
+                "dask worker ADDRESS --nthreads 1"
             )
         return self._count
 
 
-_GONE = "the scheduler has gone; start it and its workers again"
+_GONE = "the scheduler has stopped; start it and its workers again"
 
 
 def _sent_out(client: Any, workers: _Workers, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """Send items out, at most two a worker at a time; results stay with the workers until their turn comes."""
+    """Send items to the workers, at most two per worker at a time. Results stay with the workers until their turn comes."""
 
     def work(versions: dict[str, str], content: bytes) -> R:
-        # Local, it travels by value and not by name, so that a worker without this l3cli can say so. It and the bytes are
-        # passed on by the scheduler, which needs no l3cli.
+        # A local function is sent by value, not by name, so that a worker without l3cli can report that. The scheduler only
+        # passes bytes on, so it needs no l3cli.
         from l3cli.parallel.cluster import work_elsewhere
 
         return work_elsewhere(versions, content)
@@ -176,7 +191,7 @@ def _sent_out(client: Any, workers: _Workers, function: Callable[[T], R], items:
 
 
 def _result(client: Any, workers: _Workers, future: Any) -> Any:
-    """Return a future's result, worked out again by dask where its worker has died; what `function` raised is raised."""
+    """Return the result of a future, or raise the error of `function`. dask repeats an item if its worker died."""
     from distributed import KilledWorker
     from distributed.comm import CommClosedError
 
@@ -184,7 +199,7 @@ def _result(client: Any, workers: _Workers, future: Any) -> Any:
     try:
         while not answer.done():
             with contextlib.suppress(TimeoutError):
-                answer.exception(PULSE)
+                answer.exception(CHECK_SECONDS)
             workers.count()
         return answer.result()
     except (CancelledError, asyncio.CancelledError, CommClosedError) as error:
@@ -192,25 +207,25 @@ def _result(client: Any, workers: _Workers, future: Any) -> Any:
     except ImportError as error:
         raise L3Error(f"a worker cannot import what it needs ({error}); install l3cli {__version__} there") from error
     except KilledWorker as error:
-        raise L3Error("several workers died of the same item, perhaps for lack of memory; give them more") from error
+        raise L3Error("several workers died at the same item, perhaps for lack of memory; give them more memory") from error
     finally:
         answer.cancel()
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions that must be equal here and there for the same bytes."""
+    """Return the versions that must agree on all machines, so that results have the same bytes."""
     python = platform.python_version().rpartition(".")[0]
     return {"l3cli": __version__, "numpy": importlib.metadata.version("numpy"), "Python": python}
 
 
 def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
-    """Return, in a worker, function(item). One at a time, since not all that is called is safe in several threads."""
+    """Compute function(item) in a worker, one at a time, because not all functions are thread-safe."""
     for name, theirs in versions.items():
         if (ours := _versions()[name]) != theirs:
-            raise L3Error(f"a worker has {name} {ours}, this machine {theirs}; install the same version on both")
+            raise L3Error(f"a worker has {name} {ours}, but this machine has {theirs}; install the same version on both")
     if any(os.environ.get(name) != number for name, number in ONE_BLAS_THREAD.items()):
         names = " ".join(f"{name}={number}" for name, number in ONE_BLAS_THREAD.items())
-        raise L3Error(f"a worker computes in several threads, which may round otherwise; start it with {names}")
+        raise L3Error(f"a worker uses several BLAS threads, which may round differently; start it with {names}")
     function, item = pickle.loads(content)
     with _one_at_a_time:
         return function(item)
@@ -218,7 +233,7 @@ def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Yield, in a worker elsewhere, a folder for the block, among those that dask clears away after a killed worker."""
+    """Yield a temporary folder in a worker, among those that dask removes if the worker is killed."""
     from distributed import get_worker
 
     with tempfile.TemporaryDirectory(dir=get_worker().local_directory) as folder:

@@ -1,4 +1,4 @@
-"""Worker processes of this machine, and what they are handed."""
+"""Worker processes on this machine."""
 
 import collections
 import contextlib
@@ -25,8 +25,10 @@ R = TypeVar("R")
 
 @contextlib.contextmanager
 def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]]:
-    """Offer `map` by so many processes, whose memory nothing else has used; at most two results for each wait. They end with
-    the block: at once where it fails or is interrupted."""
+    """Yield a `map` that computes in `jobs` new processes, with at most two waiting results for each.
+
+    The processes end with the block, or immediately if the block fails or is interrupted.
+    """
     with environment(ONE_BLAS_THREAD):
         pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _begin)
         before = multiprocessing.active_children()
@@ -36,9 +38,9 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
             for child in multiprocessing.active_children():
                 if child not in before:
                     child.terminate()
-            # One that ends while it sends a result leaves half of it. The pool's thread waits for the rest as long as
-            # anybody could send it, and so do we, who hold that end of the pipe, too. So does the thread that hands out an
-            # item as long as anybody could take it; later Pythons know (python/cpython#94777).
+            # A process that ends while it sends a result leaves half of it in the pipe. The thread of the pool waits for
+            # the rest until every writing end is closed, so this process closes its own. The thread that sends items waits
+            # in the same way for readers; later Pythons handle that (python/cpython#94777).
             pool._result_queue._writer.close()  # type: ignore[attr-defined]
             if sys.version_info < (3, 11, 5):
                 pool._call_queue._reader.close()  # type: ignore[attr-defined]
@@ -47,10 +49,13 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
             pool.shutdown(cancel_futures=True)
 
 
-@uninterrupted  # a process that is only half started would wait for its beginning, and we for its end
+@uninterrupted  # a half-started process would wait for its initial data, and the parent for the process
 def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "Future[R]":
-    """Give an item to the pool, which may start a process for it: one that leaves Ctrl-C, which reaches the whole group, to
-    its parent. A blocked signal is inherited from the first instruction on, and still reaches the parent afterwards."""
+    """Submit an item to the pool, which may start a process.
+
+    SIGINT is blocked while the process starts and stays blocked in it, so that only the parent reacts to Ctrl-C, which goes
+    to the whole process group.
+    """
     old = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         with _script_left_alone(function):
@@ -61,8 +66,11 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "
 
 @contextlib.contextmanager
 def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
-    """Keep a process that is started from importing the script that is run: one that calls `l3cli` on its top
-    level would begin all its work anew in each of them. Only functions of the script itself need it."""
+    """Keep a new process from importing the script that is running.
+
+    If a script calls `l3cli` at its top level, every process that imports it would start all the work again. Only functions
+    that the script defines need the import.
+    """
     script = sys.modules["__main__"]
     if getattr(function, "__module__", None) == "__main__":
         yield
@@ -76,13 +84,13 @@ def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
 
 
 def _begin() -> None:
-    """Prepare a worker, before its first item."""
+    """Set up a worker process."""
     without_plots()
     _end_with_parent()
 
 
 def _end_with_parent() -> None:
-    """End a worker when the parent has, even if it was killed; nobody would take the results."""
+    """End the worker as soon as its parent has ended, even if the parent was killed."""
     parent: Any = multiprocessing.parent_process()
 
     def watch() -> None:
@@ -102,4 +110,4 @@ def _pooled(pool: ProcessPoolExecutor, most: int, function: Callable[[T], R], it
         while waiting:
             yield waiting.popleft().result()
     except BrokenProcessPool as error:
-        raise L3Error("a worker process was ended from outside, perhaps for lack of memory; use fewer ‹jobs›") from error
+        raise L3Error("a worker process was killed, perhaps for lack of memory; use fewer ‹jobs›") from error

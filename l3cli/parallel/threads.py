@@ -1,4 +1,4 @@
-"""Threads that prefetch items, write behind whoever asks for it, or do a task in the background."""
+"""Threads that read ahead, write behind, or work in the background."""
 
 import contextlib
 import os
@@ -11,28 +11,28 @@ from l3cli.system.signals import is_wanted, raise_pending, uninterrupted
 
 T = TypeVar("T")
 R = TypeVar("R")
-READING, WRITING = 1.0, 25.0  # seconds after an interrupt in which an item that is being read, or written, is finished
-STEP = 0.5  # seconds
+READ_SECONDS, WRITE_SECONDS = 1.0, 25.0  # time to finish the current item after an interrupt
+STEP_SECONDS = 0.5  # time between checks for an interrupt
 
 
 class _End(Exception):
-    """Mark behind the last item of a queue."""
+    """Marks the end of a queue."""
 
 
 @contextlib.contextmanager
 def threaded(count: int) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], Iterable[R]]]:
-    """Yield a `map` that works in `count` threads, of no more than there are cores; results keep their order."""
+    """Yield a `map` that computes in up to `count` threads, but no more than there are cores. Results keep their order."""
     if (count := min(count, os.cpu_count() or 1)) < 2:
         yield map
         return
-    from concurrent.futures import ThreadPoolExecutor  # which no frame needs
+    from concurrent.futures import ThreadPoolExecutor  # imported here because rendering does not need it
 
     with ThreadPoolExecutor(count) as pool:
         yield pool.map
 
 
 def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
-    """Yield the same items, made by another thread at most `depth` ahead of who takes them."""
+    """Yield the items of an iterable, which another thread computes up to `depth` items ahead."""
     ready: queue.Queue[Any] = queue.Queue()
     room = threading.Semaphore(depth)
     stopped = threading.Event()
@@ -45,7 +45,7 @@ def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
         except BaseException as error:
             ready.put((None, error))
 
-    # A daemon: one that waits for a stream that never comes must not keep the program from ending.
+    # A daemon, because a thread that waits for input must not keep the program from ending.
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
     try:
@@ -61,13 +61,13 @@ def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
         stopped.set()
         room.release()
         with contextlib.suppress(RuntimeError):  # when Python itself ends, 3.14 waits for no thread any more
-            thread.join(READING)  # as in WriteBehind
+            thread.join(READ_SECONDS)  # as in WriteBehind
 
 
 def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
     iterator = iter(items)
     while True:
-        room.acquire()  # before an item is made: `depth` counts those in the making
+        room.acquire()  # before computing an item, because `depth` includes unfinished items
         if stopped.is_set():
             return
         try:
@@ -78,8 +78,10 @@ def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threadin
 
 
 class BackgroundTask:
-    """Execution of `work` in another thread while the block runs, which waits for its end. What goes wrong in it is left to
-    whoever does the same later: the work only makes something ready."""
+    """Context manager that runs `work` in another thread during the block.
+
+    Errors are ignored: `work` only prepares what the main thread does later, and the error will occur there again.
+    """
 
     def __init__(self, work: Callable[[], object]) -> None:
         self._work = work
@@ -98,11 +100,11 @@ class BackgroundTask:
 
 
 class WriteBehind:
-    """Calls of function(item) in other threads, at most `depth` items behind; in order if there is one thread.
+    """Calls function(item) in other threads, at most `depth` items behind. With one thread, the order is kept.
 
-    As a context manager it waits for the last item, also when the block fails. What goes wrong is raised by the next
-    `put`, or at the end; after that, or after an interrupt, what waits is dropped, but what is being done is done: for up to
-    WRITING seconds after an interrupt, without a limit otherwise.
+    As a context manager, it waits for the last item, even if the block fails. An error is raised by the next `put` or at the
+    end, and waiting items are dropped. The current item is always finished, but after an interrupt only for up to
+    WRITE_SECONDS.
     """
 
     def __init__(self, function: Callable[[T], object], depth: int, threads: int = 1) -> None:
@@ -122,34 +124,34 @@ class WriteBehind:
             raise self._error
         self._items.put(item)
 
-    @uninterrupted  # a thread that is still at work in a library when the program ends aborts it
+    @uninterrupted  # if the program ends while a thread is inside a C library, it aborts
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         interrupted = error is not None and not isinstance(error, Exception)
         if interrupted:
             self._error = self._error or error
         self._complete = True
         self._wake_one()
-        left = WRITING
+        left = WRITE_SECONDS
         for thread in self._threads:
-            while thread.is_alive() and left > 0:  # a pipe that nobody reads would take for ever
-                thread.join(STEP)
-                left -= STEP if interrupted or is_wanted() else 0
+            while thread.is_alive() and left > 0:  # writing to a pipe that nobody reads would never end
+                thread.join(STEP_SECONDS)
+                left -= STEP_SECONDS if interrupted or is_wanted() else 0
         if error is None:
-            raise_pending()  # what waited has been dropped: nobody may take what is written for all
+            raise_pending()  # waiting items were dropped, so the output must not look complete
             if self._error is not None:
                 raise self._error
 
     def _wake_one(self) -> None:
-        with contextlib.suppress(queue.Full):  # whoever takes the last item will see
+        with contextlib.suppress(queue.Full):  # a thread that takes the last item sees `_complete`
             self._items.put_nowait(_End)
 
     def _work(self) -> None:
         while not (self._complete and self._items.empty()):
             item = self._items.get()
             if item is _End or self._error is not None or is_wanted():
-                continue  # emptied, so that nobody waits to put
+                continue  # empty the queue, so that `put` does not block
             try:
                 self._function(item)
             except BaseException as error:
                 self._error = error
-        self._wake_one()  # it may wait for items, too
+        self._wake_one()  # another thread may be waiting for items

@@ -1,5 +1,4 @@
-"""The calibration stage: lab measurements → camera model; and its draft: a folder of captures, or of tables alone → a
-measurement file with what is missing marked."""
+"""Calibration stage: lab measurements → camera model, and a folder of captures or tables → draft of a measurement file."""
 
 import itertools
 import os
@@ -47,23 +46,43 @@ from l3cli.system.text import counted
 
 
 def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions) -> tuple[CameraModel, dict[str, Any]]:
-    """Write the camera model of a measurement file, or of raw photos of a chart; the model, and its figures, ready for JSON.
+    """Calibrate a camera from a measurement file, or from raw photos of a ColorChecker, and write its model.
 
-    InputFileError or RecipeError if the measurements cannot be used, L3Error if they give a model that predicts its charts
-    badly and is not accepted, or if an output cannot be written.
+    Parameters
+    ----------
+    measurements : Path or None
+        Measurement file; None if the options name photos.
+    output : Path
+        Camera model to write.
+    options : CalibrateOptions
+        Options of `l3 calibrate`.
+
+    Returns
+    -------
+    CameraModel
+        The model.
+    dict
+        Its figures, as `l3 calibrate --json` prints them.
+
+    Raises
+    ------
+    InputFileError, RecipeError
+        If the measurements cannot be used.
+    L3Error
+        If the model predicts its charts badly and `accept` is not set, or if an output cannot be written.
     """
     photos, light, truth, export = options.photos, options.light, options.truth, options.export
     console, force = options.console, options.force
     if (measurements is None) == (not photos):
         raise RecipeError("give either a measurement file or raw photos of a chart, as ‹photo›")
     if light is not None and measurements is not None:
-        raise RecipeError("a measurement file names the light of its photos itself, as light; leave ‹light› out")
+        raise RecipeError("‹light› is for photos, and a measurement file names its lights itself; leave ‹light› out")
     with OutputGuard(console) as guard:
         guard.protect(*photos, *filter(None, [measurements, truth]))
         exports = [export / name for name in ALWAYS] if export else []
         sheet = options.sheet
         if sheet is not None and sheet.suffix != ".html":
-            raise RecipeError(f"{sheet}: a data sheet is a page; name a file that ends in .html")
+            raise RecipeError(f"{sheet}: a data sheet is an HTML page; name a file that ends in .html")
         for path in (output, *exports, *([sheet] if sheet else [])):
             guard.guard_file(path, force)
         inputs = inputs_of_photos(photos) if measurements is None else inputs_of(measurements)
@@ -71,7 +90,7 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
         true = load_camera(truth) if truth else None
         measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
         if sheet is not None and not (measured.darks and measured.whites):
-            raise RecipeError("a data sheet is of dark and white frames; give them, or leave ‹sheet› out")
+            raise RecipeError("a data sheet needs dark and white frames; add them to the measurements, or leave ‹sheet› out")
         if export:
             exports = [export / name for name in file_names(measured.body.channels, measured.body.cfa)]
             exports += offset_paths(export, measured.photos)
@@ -114,7 +133,9 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
         if shortfall:
             console.info(f"accepted although {shortfall.partition(';')[0]}")
         if result["saturation reached"] is False:
-            console.info("no white frame saturates: the converter's last value is taken for it; add one exposed longer")
+            console.info(
+                "no white frame saturates, so the highest code of the converter counts as white level; add a longer exposure"
+            )
         if isinstance(measured.curve, FinishedCurves) and measured.curve.note:
             console.info(measured.curve.note)
         if measured.curve is not None and not camera.responsivity_band.any():
@@ -126,15 +147,36 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
 
 
 SHEET_LEAD = "In the terms of EMVA 1288, release 4.0, from dark and white frames."
-MOST_LINES = 8  # assumptions and missing things of which each gets a line on the console
+MOST_LINES = 8  # assumptions, and missing entries, that are each printed on a line of their own
 
 
 def draft(folder: Path, output: Path, options: DraftOptions) -> str:
-    """Write the draft of a measurement file of the captures in a folder, or of its tables if it has no frames; its text.
+    """Write a draft of a measurement file for the captures in a folder, or for its tables if it has no frames.
 
-    Sensor, array and optics are those of the options' camera, since frames do not state them. InputFileError if
-    the folder holds neither raw frames nor responsivities, RecipeError if the camera is another one, L3Error if the output
-    cannot be written.
+    Frames do not state the sensor, array and optics, so these come from the camera in the options.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of captures or tables.
+    output : Path
+        Measurement file to write (.toml).
+    options : DraftOptions
+        Options of `l3 calibrate`.
+
+    Returns
+    -------
+    str
+        Text of the draft.
+
+    Raises
+    ------
+    InputFileError
+        If the folder holds neither raw frames nor responsivities.
+    RecipeError
+        If the frames are not those of the camera.
+    L3Error
+        If the output cannot be written.
     """
     if output.suffix != ".toml":
         raise RecipeError(f"{output}: a measurement file ends in .toml; name it MEASUREMENTS.toml")
@@ -172,15 +214,14 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> str:
         written = f"{output}: {contents}"
         problem = "" if text.missing else _problem(str(text), output)
         if problem:
-            console.warn(f"l3 calibrate will not take it yet: {problem}")
+            console.warn(f"l3 calibrate cannot use it yet: {problem}")
         then = "fill in what is marked TODO, then" if text.missing else "next"
         console.info(written if problem else f"{written}; {then}: l3 calibrate {output} -o camera.h5")
         return str(text)
 
 
 def _problem(text: str, output: Path) -> str:
-    """Return why calibration would refuse a draft in which nothing seems to be missing; "" if it would not, before any
-    frame."""
+    """Return the error with which calibration would refuse a complete draft, or ""."""
     try:
         measurements_of(parse_recipe(text, MeasurementRecipe, str(output)), output)
     except L3Error as error:
@@ -192,13 +233,13 @@ def _problem(text: str, output: Path) -> str:
 
 
 def named_from(path: Path, output: Path) -> str:
-    """Return the name of a path in a measurement file: relative to its folder, whole where that leads out of it."""
+    """Return how a measurement file names a path: relative to its folder, or absolute if the path lies outside."""
     relative = os.path.relpath(path, output.parent)
     return str(path.absolute()) if relative.startswith("..") else Path(relative).as_posix()
 
 
 def spectra_of(listing: CaptureFolder, output: Path, notes: list[str]) -> list[Spectra]:
-    """Return the tables of spectra of a folder in the natural order of their names; `notes` gets what is left out."""
+    """Return the tables of spectra of a folder, sorted by name in natural order. Append what is skipped to `notes`."""
     tables = read_spectra(listing, notes)
     spectra = [Spectra(named_from(listing.folder / name, output), read_name(name), table) for name, table in tables]
     return sorted(spectra, key=lambda each: natural(each.name.path))

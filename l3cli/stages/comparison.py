@@ -1,4 +1,4 @@
-"""The comparison stage: evaluations of several cameras → figures over the light, and where the better camera changes."""
+"""Comparison stage: evaluations of several cameras → metrics over luminance, and where the better camera changes."""
 
 import itertools
 import json
@@ -16,11 +16,25 @@ GIVE = 'give what "l3 evaluate --json" prints'
 
 
 def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOptions) -> Comparison:
-    """Compare cameras by figures of their evaluations (what `l3 evaluate --json` prints) at each luminance.
+    """Compare the metrics of several cameras at each luminance.
 
-    `page`: HTML file to write with the curves. InputFileError if a file is not an evaluation or
-    has other luminances than the others, RecipeError for a figure that there is none of, L3Error if the page cannot be
-    written.
+    Parameters
+    ----------
+    evaluations : tuple of Path
+        Files of what `l3 evaluate --json` prints.
+    page : Path or None
+        HTML page with the curves to write.
+    options : CompareOptions
+        Options of `l3 compare`.
+
+    Raises
+    ------
+    InputFileError
+        If a file is not an evaluation, or if its luminances differ from those of the others.
+    RecipeError
+        If the evaluations lack a metric.
+    L3Error
+        If the page cannot be written.
     """
     if page is not None and page.suffix != ".html":
         raise RecipeError(f"{page}: curves are drawn on a page; name a file that ends in .html")
@@ -56,7 +70,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _write_page(comparison: Comparison, page: Path) -> None:
-    from l3cli.report.evaluation import luminance_section  # only where a page is wanted: drawing takes long to load
+    from l3cli.report.evaluation import luminance_section  # imported here because plotting is slow to import
     from l3cli.report.parts import render_page
 
     names = " and ".join(curve.name for curve in comparison.cameras)

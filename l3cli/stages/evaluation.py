@@ -1,5 +1,4 @@
-"""The evaluation stage: a table and frames with known targets → figures, and pictures if they are wanted; or a rendered
-sequence, beside the ideal one or without it → figures over time."""
+"""Evaluation stage: metrics of a table on frames with known targets, or of a rendered sequence over time."""
 
 import contextlib
 import dataclasses
@@ -51,10 +50,10 @@ from l3cli.system.console import Console, Silent
 from l3cli.system.files import sha256
 from l3cli.system.outputs import Made, OutputGuard, before_work
 
-PlanesOf = Callable[[TrainingFrame], dict[str, NDArray[np.floating]]]  # of every pipeline
-BRIGHT = 1e4  # cd/m² of a white behind edges, for exposures in which dark current does not count
-LUX = 1e-9, 1e9  # within which a camera may need light
-BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm: diffraction differs between them
+PlanesOf = Callable[[TrainingFrame], dict[str, NDArray[np.floating]]]  # frame → outputs of each pipeline
+BRIGHT = 1e4  # cd/m² of a white in charts: exposures are so short that dark current is negligible
+LUX = 1e-9, 1e9  # lux, range of plausible illuminances
+BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm, of scenes: fine enough for diffraction
 
 
 def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
@@ -91,8 +90,7 @@ def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
 
 
 def edge_frame(camera: CameraModel, light: Light, across: str, target: Target) -> TrainingFrame:
-    """Return the frame, without noise, of an edge that is nearly vertical, to be read across "rows", or else nearly
-    horizontal."""
+    """Return a noise-free frame of a slanted edge, nearly vertical if `across` is "rows" and nearly horizontal otherwise."""
     size = standards.SIDE, standards.SIDE
     cube = slanted_edge(size, BANDS, standards.ANGLE, standards.DARK_SIDE, standards.BRIGHT_SIDE)
     scene = Scene("edge", BANDS, cube if across == "rows" else cube.swapaxes(0, 1), NO_ILLUMINANT)
@@ -101,8 +99,11 @@ def edge_frame(camera: CameraModel, light: Light, across: str, target: Target) -
 
 
 def _chart(camera: CameraModel, light: Light, target: Target, planes: PlanesOf) -> dict[str, Any]:
-    """Return the mean ΔE00 between pictures of a chart, without noise, by cameras that the band of the curves allows and by
-    `camera`, all through the pipelines of `camera`."""
+    """Return the mean colour difference that the uncertainty of the camera's curves causes, for each pipeline.
+
+    Cameras drawn within the confidence band of the curves photograph a chart without noise. Their pictures, rendered for
+    `camera`, are compared with that of `camera` itself.
+    """
     size = standards.SIDE, standards.SIDE
     cube = surface_patches(np.random.default_rng(0), standards.PATCHES, size, BANDS)
     scene, seconds = Scene("chart", BANDS, cube, NO_ILLUMINANT), automatic_exposure(camera, light, standards.EXPOSED)
@@ -121,8 +122,8 @@ def _chart(camera: CameraModel, light: Light, target: Target, planes: PlanesOf) 
 def _greys(
     camera: CameraModel, light: Light, target: Target, outputs: tuple[str, ...], planes: PlanesOf
 ) -> dict[str, Any] | None:
-    """Return signal over noise of greys; None if no channel ever reaches the ratio that is asked for,
-    or dark current alone fills its pixels."""
+    """Return the signal-to-noise ratio of grey patches, or None if no channel reaches the reference ratio or dark current
+    alone saturates the pixels."""
     side, part = (standards.RAW_SIDE,) * 2, np.s_[: standards.GREY_SIDE, : standards.GREY_SIDE]
     camera, channel = dataclasses.replace(camera, rows=side[0], cols=side[1]), camera.channel_map(side)
     cube = np.full((standards.GREY_SIDE, standards.GREY_SIDE, 2), standards.GREY, np.float32)
@@ -147,25 +148,41 @@ def _greys(
     return standards.grey_document(camera, noise, lux, raw, snr)
 
 
-FEW = 2  # frames under each light, that are judged at every gain
-MOST_KEPT = 8  # renderers: frames of one scene under several lights follow one another
-DECIDES = "mean_delta_e"
-OTHER_LIGHT = 0.005  # distance in CIE 1960 uv of whites from which on they are of two lights
-ONE_LIGHT = 0.001  # spread of the lights of a training that are one
-UNLIKE = 1.05  # times as bright: figures of lightness would compare two exposures
+FRAMES_PER_LIGHT = 2  # frames under each light that are evaluated at every gain
+MOST_KEPT = 8  # renderers in the cache: consecutive frames show one scene under several lights
+DECIDES = "mean_delta_e"  # metric by which a baseline counts as better
+OTHER_LIGHT = 0.005  # distance of two whites in CIE 1960 uv from which they count as two lights
+ONE_LIGHT = 0.001  # spread in CIE 1960 uv up to which the lights of a training count as one
+UNLIKE = 1.05  # ratio of brightness from which metrics of lightness would compare exposures
 
 
 def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, Any]:
-    """Return the document of `l3 evaluate` on the frames of a training set: figures of the table, its baselines and its
-    rivals.
+    """Evaluate a table on the frames of a training set, beside its baselines and its rivals.
 
-    InputFileError or RecipeError if table, frames and rivals cannot be compared, L3Error if the folder cannot be written.
+    Parameters
+    ----------
+    table, frames : Path
+        Transform table and training set.
+    options : EvaluateOptions
+        Options of `l3 evaluate`.
+
+    Returns
+    -------
+    dict
+        The document of `l3 evaluate --json`.
+
+    Raises
+    ------
+    InputFileError, RecipeError
+        If table, frames and rivals cannot be compared.
+    L3Error
+        If the folder of pictures cannot be written.
     """
     pictures, rivals, console = options.pictures, options.rivals, options.console
     transforms = load(TransformTable, table)
     others = {_name_of(path): (path, picture_files(path)) for path in rivals}
     if len(others) < len(rivals):
-        raise RecipeError("two rivals have one name, that of their folder; rename one")
+        raise RecipeError("the folders of two ‹rival› have the same name, by which results are listed; rename one")
     with OutputGuard(console) as guard:
         if pictures is not None:
             require_xyz(transforms.outputs)
@@ -179,7 +196,7 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
             for path, files in others.values():
                 if len(files) != len(reader):
                     raise InputFileError(
-                        f"{path} holds {len(files)} pictures, {frames} {len(reader)} frames; give one of each"
+                        f"{path} holds {len(files)} pictures, but {frames} holds {len(reader)} frames; give one per frame"
                     )
             made = []
             if pictures is not None:
@@ -191,7 +208,7 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
             if pictures is not None:
                 unfinished.enter_context(incomplete_folder(pictures, key, options.force))
             if any(sha256(frames) in digests for stage in transforms.history for digests in stage.inputs.values()):
-                text = "figures flatter it; simulate other scenes, or the same ones with another ‹seed›"
+                text = "its metrics are too good; simulate other scenes, or the same ones with another ‹seed›"
                 console.warn(f"{table} was trained on {frames}: {text}")
             renderers = FrameRenderers(options.backend, at_own, console)
             for index in console.progress(range(len(reader)), len(reader), "frames"):
@@ -212,7 +229,7 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
 def document_of(
     evaluation: Evaluation, renderers: "FrameRenderers", head: TrainingSet, by_gain: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the document of all frames counted, with figures of standards for their camera."""
+    """Return the document of all evaluated frames, with the metrics of standards for their camera."""
 
     def planes(frame: TrainingPair) -> dict[str, NDArray]:
         return evaluation.developed(frame, renderers.of(frame).outputs(raw_of(frame, 0, head.camera)))
@@ -255,21 +272,24 @@ def warn_of_other_lights(
         )
 
 
-GAINS = (1.0, 4.0, 16.0, 64.0)  # analog gains that a table is judged at
+GAINS = (1.0, 4.0, 16.0, 64.0)  # analog gains at which a table is evaluated
 
 
 def for_frames(
     table: tuple[object, TransformTable], frames: tuple[object, CameraModel], console: Console
 ) -> tuple[TransformTable, str]:
-    """Return a table at the analog gain of the frames that it is judged on; both are given with the name of their file. Warn
-    if these are of another camera than it was trained for, and return the warning, too, else ""."""
+    """Return a table at the analog gain of the frames on which it is evaluated.
+
+    Table and camera are given with the names of their files. If the frames are of another camera than the table, a warning
+    is printed and returned as the second result, which is "" otherwise.
+    """
     (name, transforms), (other, camera) = table, frames
     made = at_gain(transforms, gain_of_frames(transforms, camera))
     if not (differences := unlike(made, camera)):
         return made, ""
     text = (
-        f"{name} was trained for another camera ({transforms.camera_name}) than took the frames of {other} ({camera.name}): "
-        f"they differ in {differences}; judge it on frames of its own camera"
+        f"{name} was trained for another camera ({transforms.camera_name}) than that of the frames in {other} "
+        f"({camera.name}): they differ in {differences}; evaluate it on frames of its own camera"
     )
     console.warn(text)
     return made, text
@@ -283,13 +303,19 @@ def figures_by_gain(
     viewing: float = VIEWING,
     border: int | None = None,
 ) -> list[dict[str, Any]]:
-    """Return the figures of a few simulated frames under each light at each of GAINS for which the noise of a table's camera
-    is known, as `Evaluation.document` has them; none if that is one gain, or all frames are real."""
+    """Evaluate a few simulated frames under each light at each of GAINS at which the noise of the table's camera is known.
+
+    Returns
+    -------
+    list of dict
+        Metrics for each gain and illuminant, as in `Evaluation.document`. Empty if only one gain is known, or if all frames
+        are real.
+    """
     least, most = known_gains(table)
     gains, lights = [gain for gain in GAINS if least <= gain <= most], dict[str, list[int]]()
     for index in range(reader.simulated if len(gains) > 1 else 0):
         lights.setdefault(reader.light(index).illuminant, []).append(index)
-    chosen = [index for indices in lights.values() for index in indices[:: -(-len(indices) // FEW)]]
+    chosen = [index for indices in lights.values() for index in indices[:: -(-len(indices) // FRAMES_PER_LIGHT)]]
     entries: list[dict[str, Any]] = []
     for gain in console.progress(gains, len(gains), "gains") if chosen else ():
         again = AtGain(reader, gain / gain_of_frames(table, reader.head.camera))
@@ -303,8 +329,10 @@ def figures_by_gain(
 
 
 class FrameRenderers:
-    """Renderers of a backend for a training set's frames: a table, mixed for the light of each frame where it has several
-    (docs/method.md#several-lights). The last ones are cached."""
+    """Renderers for the frames of a training set, the last of which are cached.
+
+    A table with several lights is blended for the light of each frame (docs/method.md#several-lights).
+    """
 
     def __init__(self, backend: str, table: TransformTable, console: Console) -> None:
         self._backend, self._table, self._console = backend, table, console
@@ -332,8 +360,15 @@ def evaluate_frame(
     rivals: Mapping[str, Path] | None = None,
     counted: bool = True,
 ) -> tuple[TrainingPair, dict[str, NDArray]]:
-    """Return a frame of a training set and the planes of every pipeline, as `Evaluation.planes` gives them, with the
-    pictures of it by `rivals`; unless it is not to be `counted` it is added to the evaluation."""
+    """Render a frame of a training set with every pipeline, and add it to the evaluation if it is `counted`.
+
+    Returns
+    -------
+    TrainingPair
+        The frame.
+    dict
+        Planes of every pipeline and of the pictures in `rivals`, as `Evaluation.planes` returns them.
+    """
     frame = reader.frame(index)
     theirs = {name: _planes(path, frame) for name, path in (rivals or {}).items()}
     raw, renderer = raw_of(frame, index, reader.head.camera), renderers.of(frame)
@@ -344,17 +379,19 @@ def evaluate_frame(
 
 
 def _planes(path: Path, frame: TrainingPair) -> NDArray[np.floating]:
-    """Return XYZ planes (3, row, col) in the target's unit of a rival's picture; InputFileError if its size is not the
-    frame's."""
+    """Return the XYZ planes (3, row, col) of a rival's picture in the unit of the target. Raise InputFileError if its size
+    is not that of the frame."""
     picture = rgb.read(path)
     if picture.shape[:2] != frame.raw.shape:
         sizes = "×".join(map(str, picture.shape[:2])), "×".join(map(str, frame.raw.shape))
-        raise InputFileError(f"{path} is {sizes[0]}, its frame {frame.scene} {sizes[1]}; give pictures of the whole frames")
+        raise InputFileError(
+            f"{path} has {sizes[0]} pixels, but its frame {frame.scene} has {sizes[1]}; give pictures of whole frames"
+        )
     return planes_of(picture, frame)
 
 
 def _name_of(rival: Path) -> str:
-    """Return the name of a folder of pictures, or of that which a pattern or glob leads into."""
+    """Return the name of a rival: that of its folder."""
     return (rival if rival.is_dir() else rival.parent).absolute().name
 
 
@@ -362,11 +399,21 @@ def _name_of(rival: Path) -> str:
 
 
 def evaluate_sequence(rendered: Path, options: SequenceOptions) -> SequenceFigures:
-    """Return the figures of a sequence of pictures or a video, beside an ideal one if there is one, with the known motion
-    that lies beside its pictures.
+    """Evaluate rendered pictures or a video over time, optionally against an ideal sequence with known motion.
 
-    Without a border no pixels are left out at edges. InputFileError if a sequence cannot be read, or they differ in size
-    or number; RecipeError if nothing is left within the border.
+    Parameters
+    ----------
+    rendered : Path
+        Folder, pattern, glob or video.
+    options : SequenceOptions
+        Options of `l3 evaluate`. Without `border`, all pixels count.
+
+    Raises
+    ------
+    InputFileError
+        If a sequence cannot be read, or if the sequences differ in size or number.
+    RecipeError
+        If the border leaves no patch.
     """
     ideal, console = options.ideal, options.console
     ours = find_pictures(rendered)
@@ -375,7 +422,9 @@ def evaluate_sequence(rendered: Path, options: SequenceOptions) -> SequenceFigur
     margin = options.border or 0
     if min(ours.shape) - 2 * margin < CELL:
         rows, cols = ours.shape
-        raise RecipeError(f"{rendered}: a border of {margin} leaves no patch of {CELL}×{CELL} pixels of {rows}×{cols}")
+        raise RecipeError(
+            f"{rendered}: ‹border› {margin} leaves no patch of {CELL}×{CELL} pixels of {rows}×{cols}; give a smaller one"
+        )
     before_work({"pictures": ours.files, "ideal": wanted.files if wanted else (), "motion": wanted.motion if wanted else ()})
     evaluation = SequenceEvaluation(str(rendered), None if ideal is None else str(ideal), margin)
     light = np.zeros(2)

@@ -1,5 +1,7 @@
-"""The export stage: camera model → files that other software reads: curves, colour matrices, tuning files, a data sheet; or
-transform table → files that run, or are read, elsewhere: C source or plain arrays."""
+"""Export stage: camera model or transform table → files for other software.
+
+A camera becomes curves, colour matrices, tuning files and a data sheet. A table becomes C source or plain arrays.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -27,14 +29,14 @@ from l3cli.system.text import a
 LOW_NOISE_README = """
 ## Low-noise transforms
 
-This is the second set of a table, for pixels of which a filter in time has left at most {limit:.3g} of the variance of noise
-that varies from frame to frame; it was learned for {noise_left:.3g} of it. Other pixels are rendered by the usual set, which
-is exported alone, with test files of its own.
+This is the second set of transforms of a table. It is for pixels in which a temporal filter has left at most {limit:.3g} of
+the variance of the noise that differs between frames, and it was trained for {noise_left:.3g}. Render other pixels with the
+usual set, which is exported separately with its own test files.
 """
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file holds a transform table and no camera; InputFileError if it holds neither."""
+    """Return whether a file holds a transform table rather than a camera. Raise InputFileError if it holds neither."""
     if path.suffix == ".toml":
         return False
     with open_artifact(path) as root:
@@ -45,8 +47,20 @@ def is_table(path: Path) -> bool:
 
 
 def export(camera: Path, output: Path, options: ExportOptions) -> dict[str, dict[str, dict[str, Any]]]:
-    """Write a camera (model or recipe) into a folder, as `l3 calibrate --export` does; return the errors of its matrices,
-    for each light. RecipeError or InputFileError if it is no camera, L3Error if a file cannot be written."""
+    """Write the files of a camera model or recipe into a folder.
+
+    Returns
+    -------
+    dict
+        Colour errors of the matrices, for each light.
+
+    Raises
+    ------
+    RecipeError, InputFileError
+        If the input is not a camera.
+    L3Error
+        If a file cannot be written.
+    """
     console = options.console
     with OutputGuard(console) as guard:
         guard.protect(camera, *camera_files(camera))
@@ -63,7 +77,7 @@ def export(camera: Path, output: Path, options: ExportOptions) -> dict[str, dict
 
 
 def write(camera: CameraModel, folder: Path, console: Console) -> dict[str, dict[str, dict[str, Any]]]:
-    """Write all files of a camera, and report what is left out; return the errors of its matrices, for each light."""
+    """Write all files of a camera and report what is left out. Return the colour errors of the matrices for each light."""
     files, errors, note = profiles.export(camera)
     for name, content in files.items():
         write_whole(folder / name, content)
@@ -73,9 +87,22 @@ def write(camera: CameraModel, folder: Path, console: Console) -> dict[str, dict
 
 
 def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]:
-    """Write a transform table into a folder, as C source unless the options say otherwise; return the names of the files.
-    InputFileError if it is no table or beyond the form, RecipeError if words, a set or a prefix are given for another form
-    or there is no such white, set or prefix, L3Error if a file cannot be written."""
+    """Write a transform table into a folder, as C source or as arrays.
+
+    Returns
+    -------
+    list of str
+        Names of the files.
+
+    Raises
+    ------
+    InputFileError
+        If the file is not a table, or if the table does not fit the format.
+    RecipeError
+        If an option does not fit the format or the table.
+    L3Error
+        If a file cannot be written.
+    """
     form, words, prefix, which = options.form or "c", options.words, options.prefix, options.which
     white, console = options.white, options.console
     if form != "c" and (words or prefix is not None):
@@ -87,20 +114,20 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
         guard.hold_folder(output)
         transforms = load(TransformTable, table)
         if white is not None and not transforms.lights and (form != "c" or transforms.outputs != XYZ):
-            raise RecipeError(f"{table} has transforms of no single lights to be mixed for a ‹white›; leave it out")
+            raise RecipeError(f"{table} has no transforms for single lights that ‹white› could blend; leave ‹white› out")
         if white is not None or form != "folder":  # arrays hold all lights
             transforms = mixed(transforms, mix_of_given(white, transforms, mix_for, console))
         if options.gain is not None:
             transforms = at_gain(transforms, options.gain)
         elif known_gains(transforms) != (1, 1):
-            console.report(f"{table}: transforms for gain 1 are written, ‹gain› writes those for another")
+            console.report(f"{table}: exporting the transforms for gain 1; choose another one with ‹gain›")
         shown, readme = given_white(white, transforms), ""
         low = next((each for each in transforms.noises if each.noise and each.noise.noise_left < 1), None)
         if which == "low-noise" and low is None:
             raise RecipeError(f"{table} has one set of transforms; leave ‹set› out, or train with noise_left")
         if low and form != "folder" and which is None:
             console.report(
-                f"{table}: the usual set of transforms is written, ‹set› low-noise writes that for frames filtered in time"
+                f"{table}: exporting the usual set; ‹set› low-noise exports the one for temporally filtered frames"
             )
         if low and low.noise and which == "low-noise":
             values = {"limit": noise_limits(transforms)[low.noise], "noise_left": low.noise.noise_left}

@@ -1,5 +1,4 @@
-"""Content of an artifact, and whether it is intact and made of the files at hand; this installation, and its times of
-frames."""
+"""Stages of `l3 info` and `l3 bench`: contents of an artifact, its verification, versions, and frame times."""
 
 import itertools
 import platform
@@ -26,12 +25,22 @@ from l3cli.rendering.opencl.devices import cache_warning, survey
 from l3cli.system.files import note_inputs, sha256
 from l3cli.system.limits import trusted
 
-WHOLE: tuple[type[Artifact], ...] = (CameraModel, TransformTable, SceneMoments, Design)  # artifacts that memory holds
+WHOLE: tuple[type[Artifact], ...] = (CameraModel, TransformTable, SceneMoments, Design)  # small enough to be read at once
 
 
 def content(file: Path) -> dict[str, Any]:
-    """Return the document of `l3 info --json`: kind, version, history and datasets of an artifact; under "insight" what a
-    transform table has learned. InputFileError if the file is no artifact."""
+    """Return the document of `l3 info --json`.
+
+    Returns
+    -------
+    dict
+        Kind, version, history and data sets of an artifact, and under "insight" what a transform table has learned.
+
+    Raises
+    ------
+    InputFileError
+        If the file is not an artifact.
+    """
     note_inputs({"artifact": [file]})
     described = describe(file)
     if described["kind"] == TransformTable.kind:
@@ -43,14 +52,14 @@ def content(file: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Verification:
-    """Verification of an artifact, and the files it was made of."""
+    """Result of verifying an artifact and the files it was made from."""
 
     intact: Intact
-    links: tuple[Link, ...]  # a link for each role of a file in its history
-    strangers: tuple[Path, ...]  # files given that the history does not name
+    links: tuple[Link, ...]  # one for each role of files in the history
+    strangers: tuple[Path, ...]  # given files that the history does not name
 
     def document(self) -> dict[str, Any]:
-        """Return all of it, ready for JSON."""
+        """Return the result in a form that JSON can hold."""
         return {
             "kind": self.intact.kind,
             "version": self.intact.version,
@@ -62,13 +71,13 @@ class Verification:
 
 
 def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
-    """Compare every byte of an artifact with its digest, read all of it as other commands do, and compare `inputs` with the
-    files that its history names.
+    """Verify an artifact: its bytes against the digest, its content as other commands read it, and `inputs` against its
+    history.
 
     Raises
     ------
     InputFileError
-        If a byte is not as it was written, or the artifact lacks something or holds values that it cannot have.
+        If a byte has changed, or if the artifact is incomplete or holds invalid values.
     """
     note_inputs({"artifact": [file], "inputs": inputs})
     intact = verify(file)
@@ -77,7 +86,7 @@ def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
 
 
 def _read_whole(file: Path) -> None:
-    """Read everything that an artifact declares; of training sets and partial sums one frame or site at a time."""
+    """Read everything that an artifact declares. Training sets and partial sums are read one frame or site at a time."""
     with open_artifact(file, *WHOLE, TrainingSet, *SUMS, unchanged=True) as root:
         kind = str(root.attrs["kind"])
         if kind == TrainingSet.kind:
@@ -92,7 +101,7 @@ def _read_whole(file: Path) -> None:
 
 
 def versions() -> dict[str, Any]:
-    """Return the versions for a report of a fault: l3, Python, libraries (None: an extra not installed), OpenCL devices."""
+    """Return the versions for a bug report: l3, Python, libraries (None: an extra is missing) and OpenCL devices."""
     try:
         required = metadata.requires("l3cli") or []
     except metadata.PackageNotFoundError:  # sources on a path, not installed
@@ -114,7 +123,7 @@ def versions() -> dict[str, Any]:
 
 
 def _decoding() -> str:
-    """Return the decoding of foreign files on this machine, in words."""
+    """Describe how foreign files are decoded on this machine."""
     try:
         if trusted():
             return "process without limits, l3's own (L3_TRUST)"
@@ -136,9 +145,9 @@ def _version(library: str) -> str | None:
 
 
 def measure(options: BenchOptions) -> dict[str, Any]:
-    """Return the document of `l3 bench --json`: the OpenCL devices and the times of rendering, case by case ("results").
+    """Return the document of `l3 bench --json`: the OpenCL devices, and frame times for each case under "results".
 
-    With a `variant` it is the only one to time. DeviceError if there is no such device.
+    If the options name a `variant`, only that one is timed. Raise DeviceError if the device does not exist.
     """
     devices = survey()
     jobs = benchmark.jobs(options.device, options.variant)

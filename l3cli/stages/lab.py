@@ -1,4 +1,4 @@
-"""The virtual lab: camera → the measurements that a lab would make of it."""
+"""Virtual lab: camera → the measurements that a lab would make."""
 
 import functools
 import shlex
@@ -23,14 +23,32 @@ from l3cli.system.files import note_output, refuse_existing, refuse_protected
 from l3cli.system.locks import sole_writer_of_folder
 from l3cli.system.outputs import Made, OutputGuard, before_work, refuse_unwritable
 
-MONO = "spectra/mono.csv"  # spectra of the monochromator's steps
+MONO = "spectra/mono.csv"  # spectrum of the light at each step of the monochromator
 
 
 def measure(camera: Path, output: Path, options: LabOptions) -> Path:
-    """Write what a lab would measure of a camera (model or recipe) into a folder; the measurement file there.
+    """Simulate the lab measurements of a camera and write them into a folder.
 
-    RecipeError or InputFileError if camera or recipe cannot be used,
-    L3Error if the folder cannot be written.
+    Parameters
+    ----------
+    camera : Path
+        Camera model or recipe.
+    output : Path
+        Folder to write.
+    options : LabOptions
+        Options of `l3 lab`.
+
+    Returns
+    -------
+    Path
+        The measurement file in the folder.
+
+    Raises
+    ------
+    RecipeError, InputFileError
+        If camera or recipe cannot be used.
+    L3Error
+        If the folder cannot be written.
     """
     recipe, seed, console = options.recipe, options.seed, options.console
     file = output / "MEASUREMENTS.toml"
@@ -58,13 +76,13 @@ def measure(camera: Path, output: Path, options: LabOptions) -> Path:
         for name in dict.fromkeys((*chosen.chart.illuminants, chosen.white.illuminant)):
             if unknown := beyond_known(make_light(name, {}, model.wavelength), {}, model):
                 console.warn(unknown)
-        file.unlink(missing_ok=True)  # written last, it never names frames of two runs
+        file.unlink(missing_ok=True)  # written last, so that it never names frames of two runs
         work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
         write_frame = functools.partial(_write_frame, model, chosen.defects, output, seed)
         with workers(options.jobs) as pool:
             for _ in console.progress(pool(write_frame, work), len(work), "frames"):
                 pass
-        for name in _names(captures):  # some by other processes
+        for name in _names(captures):  # other processes wrote some of them
             note_output(output / name)
         files.write_measurements(_described(model, chosen, captures, output), file)
         console.info(
@@ -74,7 +92,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> Path:
 
 
 def _write_frame(model: CameraModel, defects: DefectRecipe, folder: Path, seed: int, job: tuple[LabCapture, int]) -> None:
-    """Take and write one frame, in whatever process."""
+    """Simulate and write one frame, in any process."""
     capture, trial = job
     write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, defects), capture.exposure)
 
@@ -84,7 +102,7 @@ def _frame_name(capture: LabCapture, trial: int) -> str:
 
 
 def _names(captures: tuple[LabCapture, ...]) -> list[str]:
-    """Return the names of all files that are written, relative to the folder."""
+    """Return the names of all files to write, relative to the folder."""
     frames = [_frame_name(capture, trial) for capture in captures for trial in range(capture.trials)]
     charts = [_chart_name(capture) for capture in captures if capture.kind == "chart"]
     return ["MEASUREMENTS.toml", MONO, *charts, *frames]
@@ -97,7 +115,7 @@ def _chart_name(capture: LabCapture) -> str:
 def _described(
     model: CameraModel, chosen: LabRecipe, captures: tuple[LabCapture, ...], folder: Path
 ) -> files.MeasurementRecipe:
-    """Return the measurement file's content, after writing the spectra it names."""
+    """Write the spectra, and return the content of the measurement file."""
     mono: list[files.MonoRecipe] = []
     charts: list[files.ChartRecipe] = []
     others: dict[str, list[files.CaptureRecipe]] = {"white": [], "dark": []}

@@ -1,4 +1,5 @@
-"""Stage of `l3 init`: a folder to start from, of recipes that come with l3 or for each camera that took some raw files."""
+"""Stage of `l3 init`: creates a folder with recipes and a pipeline, for a recipe that comes with l3 or for the cameras that
+took some raw files."""
 
 import itertools
 import os
@@ -39,21 +40,37 @@ from l3cli.system.console import Console
 from l3cli.system.files import atomic_output, blamed_on, refuse_protected, require_regular
 from l3cli.system.outputs import Made, OutputGuard, before_work
 
-COLOURS = set(LETTERS.lower())  # letters that may stand together in a row of ‹pattern›
-NONA = "ggg rrr/ggg rrr/ggg rrr/bbb ggg/bbb ggg/bbb ggg"  # an array that telephones have, and no recipe
-ANSWERS = ("black_level", "white_level", "opcodes")  # options that answer what raw files leave in doubt
-OF_ONE = ("phase", "pattern", "black_level", "white_level")  # options that hold for one camera
-NEW_FOLDER = "mine"  # as the documentation calls it
-SHOWN = "picture"  # and the photo's suffix: a link to it, for make cannot hold every name
-CHART_WHITE = "chart"  # of l3 render: neutral is what the chart in the photo shows, for its light is only guessed
-SEARCHED = 4  # photos of a camera that a chart is looked for in
-WRITTEN = (*COMMON, "camera.toml", CURVES)  # into a folder
-Taken = Sequence[tuple[Path, Stated]]  # the raw files of a camera, and what each states of it
+COLOURS = set(LETTERS.lower())  # letters that a row of ‹pattern› may write without blanks
+NONA = "ggg rrr/ggg rrr/ggg rrr/bbb ggg/bbb ggg/bbb ggg"  # nona Bayer: common in telephones, but not a recipe of its own
+ANSWERS = ("black_level", "white_level", "opcodes")  # options for what raw files leave in doubt
+OF_ONE = ("phase", "pattern", "black_level", "white_level")  # options that are valid for one camera only
+NEW_FOLDER = "mine"  # name of the folder in the documentation
+SHOWN = "picture"  # name of a link to the photo, because make cannot handle every file name
+CHART_WHITE = "chart"  # ‹white› of l3 render if the illuminant of the chart is only estimated
+SEARCHED = 4  # photos per camera that are searched for a ColorChecker
+WRITTEN = (*COMMON, "camera.toml", CURVES)  # files written to a folder
+Taken = Sequence[tuple[Path, Stated]]  # raw files of one camera, with the metadata of each
 
 
 def start(starter: Path, folder: Path, options: InitOptions) -> None:
-    """Write the recipe folder of a camera recipe or a benchmark, each file whole or not at all. L3Error if there is
-    something in the folder (unless forced), or if it cannot be written."""
+    """Write the folder of a recipe or benchmark that comes with l3.
+
+    Each file appears only when it is complete.
+
+    Parameters
+    ----------
+    starter : Path
+        Camera recipe, or folder of a benchmark.
+    folder : Path
+        Folder to write.
+    options : InitOptions
+        Options of `l3 init`.
+
+    Raises
+    ------
+    L3Error
+        If the folder is not empty and `force` is not set, or if it cannot be written.
+    """
     origins = folder_files(starter)
     with OutputGuard(options.console) as guard:
         guard.protect(*origins.values())
@@ -64,14 +81,19 @@ def start(starter: Path, folder: Path, options: InitOptions) -> None:
         made = [Made(folder / name, "copy", len(content)) for name, content in contents.items()]
         before_work({"recipes": origins.values()}, *made)
         write_folder(folder, contents)
-        edits = f"put your curves into {curves.name}, your figures into camera.toml, then " if curves else ""
+        edits = f"put your curves into {curves.name} and your values into camera.toml, then " if curves else ""
         options.console.info(f"{folder}: {summary(starter)}; next: {edits}make -C {shlex.quote(str(folder))}")
 
 
 def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> None:
-    """Write the recipe folder of a camera recipe of the user's own, with its base and its curves.
+    """Write the folder of a user's own camera recipe, with its base recipe and its curves.
 
-    Raises RecipeError if the file is no camera recipe, L3Error as `start`.
+    Raises
+    ------
+    RecipeError
+        If the file is not a camera recipe.
+    L3Error
+        As `start`.
     """
     with OutputGuard(options.console) as guard:
         files = camera_files(recipe)
@@ -92,7 +114,7 @@ def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> None:
 
 
 def start_named(name: str, folder: Path, options: InitOptions) -> None:
-    """Write the recipe folder of a camera by its name (l3cli/io/known_cameras). L3Error as `start`."""
+    """Write the folder of a camera that l3 knows by name (l3cli/io/known_cameras). Raise L3Error as `start` does."""
     with OutputGuard(options.console) as guard:
         guard.guard_folder(folder, options.force, *WRITTEN)
         camera = named_camera(name)
@@ -101,8 +123,15 @@ def start_named(name: str, folder: Path, options: InitOptions) -> None:
 
 
 def start_designed(path: Path, folder: Path, options: InitOptions) -> None:
-    """Write the recipe folder of the array that a design found best. InputFileError if the file is no design, L3Error as
-    `start`."""
+    """Write the folder of the best array of a design.
+
+    Raises
+    ------
+    InputFileError
+        If the file is not a design.
+    L3Error
+        As `start`.
+    """
     with OutputGuard(options.console) as guard:
         guard.protect(path)
         guard.guard_folder(folder, options.force, *WRITTEN)
@@ -117,20 +146,20 @@ def start_designed(path: Path, folder: Path, options: InitOptions) -> None:
 
 
 def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[str, Sequence[Path]]) -> None:
-    """Write a recipe folder, and refuse a camera that cannot be simulated; end a dry run before."""
+    """Write a recipe folder, and refuse a camera that cannot be simulated. A dry run ends before anything is written."""
     before_work(reads, *(Made(folder / each, "recipe", len(content)) for each, content in contents.items()))
     write_folder(folder, contents)
     load_camera(folder / "camera.toml")
 
 
 def named_camera(name: str) -> PhotoCamera:
-    """Return a camera by its name: its measured curves, facts published of it; the rest is assumed."""
+    """Return a known camera: measured curves, published facts, and assumptions for the rest."""
     known, curves = known_cameras().camera[name], known_curves(name)
     return without_photo(known.body, known.levels, known.stated, curves, known_cameras().source)
 
 
 def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Write files, each whole or not at all, into a folder, which is made; scripts may be run."""
+    """Write files into a folder, which is created. Each file appears only when it is complete. Scripts are executable."""
     for name, content in contents.items():
         with atomic_output(folder / name) as temporary:
             temporary.write_bytes(content)
@@ -141,10 +170,28 @@ def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 
 def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> list[Path]:
-    """Write the recipe folder of the camera that took the raw files `photos`, or that lie in folders among them; of several
-    cameras a folder each within `folder`. The folders.
+    """Write the recipe folder of the camera that took some raw files.
 
-    InputFileError if a file is not a raw file that states its array and levels, L3Error if the folder cannot be written.
+    Parameters
+    ----------
+    photos : sequence of Path
+        Raw files, or folders of raw files. If several cameras took them, each camera gets a folder in `folder`.
+    folder : Path
+        Folder to write.
+    options : InitOptions
+        Options of `l3 init`.
+
+    Returns
+    -------
+    list of Path
+        The folders that were written.
+
+    Raises
+    ------
+    InputFileError
+        If a file is not a raw file that states its filter array and levels.
+    L3Error
+        If the folder cannot be written.
     """
     console = options.console
     with OutputGuard(console) as guard:
@@ -154,7 +201,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
         listed = {file for photo in photos if photo.is_dir() for file in _raw_files(photo)}
         cameras = _sorted_by_camera(files, listed, console)
         if len(cameras) > 1 and (given := [name for name in OF_ONE if getattr(options, name) is not None]):
-            raise RecipeError(f"‹{given[0]}› is that of one camera; give its raw files alone")
+            raise RecipeError(f"‹{given[0]}› is for one camera; give the raw files of one camera only")
         places = _places(folder, list(cameras))
         made = {
             places[name]: photographed(taken, options)
@@ -164,7 +211,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
         sizes = {place / name: len(content) for place, texts in contents.items() for name, content in texts.items()}
         links = {place / _shown(camera): camera.photo.resolve() for place, camera in made.items() if camera.photo}
         for link in links:
-            if not link.is_symlink():  # a link of an earlier call leads to the photo, and may go
+            if not link.is_symlink():  # a link from an earlier call points to the photo, and may be replaced
                 refuse_protected(link)
         before_work(
             {"photos": files},
@@ -173,15 +220,22 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
         )
         for place, camera in made.items():
             write_folder(place, contents[place])
-            load_camera(place / "camera.toml")  # what cannot be simulated is refused now
+            load_camera(place / "camera.toml")  # refuses a camera that cannot be simulated
             _link(place / _shown(camera), links[place / _shown(camera)])
             console.info(_camera_line(place, camera))
     return list(made)
 
 
 def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
-    """Refuse a camera's raw file in the place of a table: RecipeError, with the commands that lead to a picture, or
-    InputFileError if there is no such file."""
+    """Refuse a raw file that was given in the place of a table.
+
+    Raises
+    ------
+    RecipeError
+        With the commands that lead from the raw file to a picture.
+    InputFileError
+        If the file does not exist.
+    """
     require_regular(photo, "give a table and a raw file")
     if table := next((each for each in inputs if each.suffix == ".h5"), None):
         others = [photo, *(each for each in inputs if each != table)]
@@ -200,7 +254,7 @@ def _rendering(table: Path, photos: Sequence[Path], output: Path) -> str:
 
 
 def _contents(camera: PhotoCamera) -> dict[str, bytes]:
-    """Return the content of a camera's folder, by name."""
+    """Return the files of a camera's folder, by name."""
     common = common_files(camera.body.rows, camera.body.cols)
     makefile = common["Makefile"].decode()
     shown = camera.photo and _shown(camera)
@@ -213,21 +267,21 @@ def _contents(camera: PhotoCamera) -> dict[str, bytes]:
 
 
 def _link(path: Path, photo: Path) -> None:
-    """Make `path` a symbolic link to the photo, in place of what is there."""
+    """Replace `path` by a symbolic link to the photo."""
     with blamed_on(path):
         path.unlink(missing_ok=True)
         path.symlink_to(photo)
 
 
 def _shown(camera: PhotoCamera) -> str:
-    """Return the name, in the folder, of the photo that its picture.png shows."""
+    """Return the name of the link to the photo that picture.png shows."""
     assert camera.photo is not None
     suffix = camera.photo.suffix.lower()
     return f"{SHOWN}{suffix if is_photo(camera.photo) else ''}"
 
 
 def _camera_line(place: Path, camera: PhotoCamera) -> str:
-    """Return one line on a folder: the camera, what is from where, what is assumed, what comes next."""
+    """Return one line about a folder: the camera, where its data come from, what is assumed, and the next command."""
     body, array = camera.body, "/".join(array_rows(camera.body.channels, camera.body.cfa, ""))
     white = f" ‹white› {camera.white}" if camera.white not in (None, CHART_WHITE) else ""
     known = "".join(f" ‹{name}› {value}" for name, value in camera.overrides.items())
@@ -257,7 +311,7 @@ def _raw_files(photo: Path) -> list[Path]:
 
 
 def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console) -> dict[str, list[tuple[Path, Stated]]]:
-    """Return the files by make and model. Those of a folder that are no raw files are left out with a line each."""
+    """Return the files by camera. Files of a folder that are not raw files are skipped, with a line for each."""
     cameras: dict[str, list[tuple[Path, Stated]]] = {}
     for path in dict.fromkeys(files):
         try:
@@ -274,7 +328,7 @@ def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console
 
 
 def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
-    """Return the place of each camera's folder."""
+    """Return the folder of each camera."""
     if len(names) == 1:
         return {names[0]: folder}
     places: dict[str, Path] = {}
@@ -290,8 +344,17 @@ def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
 
 
 def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
-    """Return the camera that took these raw files. InputFileError if the first is none that states its array and levels, if
-    its pixels show another array, or if nothing tells its curves."""
+    """Return the camera that took some raw files.
+
+    Its curves come from a ColorChecker in one of the first files, otherwise from measured curves, colour matrices or the
+    mean of measured cameras.
+
+    Raises
+    ------
+    InputFileError
+        If the first file does not state its array and levels, if its pixels contradict the array, or if nothing determines
+        the curves.
+    """
     taken = sorted(taken, key=lambda each: each[1].iso or 0.0)  # gains count from the lowest
     path, known = taken[0]
     gains = gains_of(known, [each for _, each in taken])
@@ -299,7 +362,7 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
     frame = measured.photos[0].frames[0]
     levels = frame.black_level, frame.white_level
     noise = noise_of(known, levels[1] - levels[0])
-    # that of the recipe's array, which begins there, if it is not what the file states
+    # The array of the recipe begins at the first pixel, so pictures need phase 0,0 if the file states another array.
     phase = "0,0" if any(options.phase or ()) or options.pattern is not None else None
     given = {"phase": phase} | {name: getattr(options, name) for name in ANSWERS}
     overrides = {name: f"{value}" for name, value in given.items() if value is not None}
@@ -314,7 +377,7 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
         if fit.guessed[0] and fit.likely is not None:
             light, white = f"a light that is {guessed_light(fit.likely.of(0))}", CHART_WHITE
             options.console.warn(
-                f"{other.name}: the light of its chart is not named; give ‹light›, since colours are as right as the guess"
+                f"{other.name}: the light of its chart was estimated, and colours depend on it; give ‹light›"
             )
         origin = f"of the {fit.charts[0]} ColorChecker in {other.name}, under {light}"
         if known.noise is None:
@@ -333,8 +396,11 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
 
 
 def _measurements(path: Path, options: InitOptions) -> Measurements:
-    """Return a raw file as a photo, its array and black level as the options have them. InputFileError if its pixels show
-    another array than it states and the options leave that open; what its black level leaves to doubt is warned of."""
+    """Return a raw file as a photo, with the array and black level of the options.
+
+    A doubtful black level brings a warning. Raise InputFileError if the pixels contradict the stated array and no option
+    settles the doubt.
+    """
     try:
         answers = {name: value for name in ANSWERS if (value := getattr(options, name)) is not None}
         measured = photo_measurements([path], options.light, answers)
@@ -345,7 +411,9 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     frame, body = measured.photos[0].frames[0], measured.body
     if body.rows < SMALLEST_SENSOR[0] or body.cols < SMALLEST_SENSOR[1]:
         least = "×".join(map(str, SMALLEST_SENSOR))
-        raise InputFileError(f"{path} has {body.rows}×{body.cols} pixels, {least} are needed; give one of the whole sensor")
+        raise InputFileError(
+            f"{path} has {body.rows}×{body.cols} pixels, but at least {least} are needed; give a frame of the whole sensor"
+        )
     if options.pattern is not None:
         channels, cfa = array_named(options.pattern)
         frame = replace(frame, neutral=neutral_by_name(frame, body, channels))
@@ -357,18 +425,20 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     white_level = frame.white_level if options.white_level is None else options.white_level
     black_level = frame.black_level if options.black_level is None else options.black_level
     if not black_level < white_level:
-        raise RecipeError(f"{path} is white at {white_level:g} DN; ‹black_level› {black_level:g} is not below")
+        raise RecipeError(
+            f"‹black_level› {black_level:g} is not below the white level of {path}, {white_level:g} DN; give a lower one"
+        )
     frame = replace(frame, black_level=black_level, white_level=white_level)
     if options.black_level is None and (share := share_below_black(frame)):
         raise InputFileError(
-            f"{path}: {share:.0%} of its pixels have less than {BELOW * black_level:.0f} DN, its black level is "
-            f"{black_level:g} DN: its values are of another depth, or black has been taken off them; give ‹black_level› "
+            f"{path}: {share:.0%} of its pixels are below {BELOW * black_level:.0f} DN, but it states a black level of "
+            f"{black_level:g} DN; its values have another bit depth, or black has been subtracted: give ‹black_level› "
             "and ‹white_level›"
         )
     if options.black_level is None and (black := black_doubt(frame, body.cfa)) is not None:
         options.console.warn(
-            f"{path} states a black level of 0, and the darkest values of all its channels lie at {black:.0f} of "
-            f"{frame.white_level:.0f} DN; if that is its black, colours get pale: give ‹black_level› {black:.0f}"
+            f"{path} states a black level of 0, but the darkest values of all channels are about {black:.0f} of "
+            f"{frame.white_level:.0f} DN; if colours look washed out, give ‹black_level› {black:.0f}"
         )
     body = replace(body, bits=bits_of(white_level), cfa=shifted_cfa(body.cfa, options.phase or (0, 0)))
     return replace(measured, body=body, photos=(replace(measured.photos[0], frames=(frame,)),))
@@ -399,24 +469,24 @@ def array_named(text: str) -> tuple[tuple[str, ...], NDArray[np.uint8]]:
 
 
 def neutral_by_name(frame: RawFrame, body: Body, channels: Sequence[str]) -> tuple[float, ...] | None:
-    """Return the signals of a grey in `channels` from those in the channels of a body; None unless all are known."""
+    """Return the signals of a grey for `channels`, matched by name, or None if one is unknown."""
     known = dict(zip(body.channels, frame.neutral or (), strict=False))
     return tuple(known[name] for name in channels) if set(channels) <= set(known) else None
 
 
 def _another_array(body: Body, doubt: ArrayDoubt) -> str:
-    """Return the doubt about an array that no phase explains, and how to answer it."""
+    """Return the message that no phase explains the pixels, with the option that settles it."""
     stated = "/".join(array_rows(body.channels, body.cfa, ""))
     likely = doubt.likely({name: array_named(name)[1] for name in (*known_arrays(), NONA)})
     named = " or ".join(f'"{each}"' if "/" in each else each for each in likely[:2])
     return (
-        f"it states the array {stated}, its pixels show another: sites of one colour differ by {doubt.differ:.0%}; give "
+        f"it states the array {stated}, but its pixels show another: sites of one colour differ by {doubt.differ:.0%}; give "
         f"‹pattern› {named} or its rows, or ‹pattern› {stated} if that is right"
     )
 
 
 def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
-    """Return the doubt about an array, and how to answer it."""
+    """Return the message that the array seems to begin at another site, with the option that settles it."""
     phases = [(0, 0), *doubt.phases]
     patterns = ["/".join(array_rows(body.channels, shifted_cfa(body.cfa, each), "")) for each in phases]
     stated, *shown = [(f"{row},{col}", pattern) for (row, col), pattern in zip(phases, patterns, strict=True)]
@@ -430,21 +500,24 @@ def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
 
 
 def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
-    """Return the camera by the chart in its photo; None if there is none, or none to rely on."""
+    """Return the camera model from the ColorChecker in a photo, or None if there is no chart or the fit fails its checks."""
     try:
         camera = model.calibrate(measured)
     except InputFileError:
         return None
     wrong = figures.shortfall(camera)
     if wrong:
-        console.warn(f"no chart is taken: {wrong}")
+        console.warn(f"chart ignored: {wrong}")
     for doubt in figures.doubts(camera):
         console.warn(doubt)
     return None if wrong else camera
 
 
 def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[responsivity.Curves, str]:
-    """Return the curves by the colour matrices of a file, or the usual ones, and where they are from."""
+    """Return the curves from the first available source, and the text that names the source.
+
+    The sources are measured curves of this camera, the colour matrices of the file, and the mean of measured cameras.
+    """
     channels = measured.body.channels
     if (name := known_as(known.camera)) and sorted(channels) == sorted(ROLES):
         measured_curves = known_curves(name)
@@ -461,14 +534,14 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
         what = "the colour matrices" if len(chosen) > 1 else "the colour matrix"
         return responsivity.curves_of_matrices(
             stated, prior
-        ), f"of {what} for {lights}; a photo of a ColorChecker tells more"
+        ), f"from {what} for {lights}; a photo of a ColorChecker gives better ones"
     if prior.source == MEASURED:
         curves = responsivity.usual_curves(prior)
-        origin = "assumed: the mean of 52 measured cameras, for the file states no colour matrix"
+        origin = "assumed: the mean of 52 measured cameras, because the file states no colour matrix"
         neutral = measured.photos[0].frames[0].neutral
         if neutral is None or np.ptp(neutral) > 0:
             return curves, origin
-        # A raw file whose values are balanced already: no sensor alone gives equal signals of a grey.
+        # No sensor gives equal signals of a grey, so the values have been white-balanced already.
         balanced = responsivity.balanced_curves(curves, "D65")
         return balanced, f"{origin}; balanced for D65, as the file's values are for its white"
     if len(channels) == 1:
@@ -476,8 +549,8 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
         relative = bare.responsivity / bare.responsivity.max()
         return responsivity.Curves(
             bare.wavelength, relative, np.zeros_like(relative)
-        ), "assumed: silicon behind an infrared filter, for no colours tell that of a camera without filters"
+        ), "assumed: silicon behind an infrared filter, because a camera without filters shows no colours to fit"
     raise InputFileError(
-        f"{path} shows no chart and states no colour matrix, so nothing tells the curves of {', '.join(channels)}; "
+        f"{path} shows no chart and states no colour matrix, so the curves of {', '.join(channels)} are unknown; "
         'photograph a ColorChecker, or start from curves, "l3 init from_curves DIR"'
     )

@@ -26,19 +26,19 @@ try:
 except (ImportError, ValueError) as _missing:
     raise L3Error(INSTALL) from _missing
 if not Gst.is_initialized():
-    Gst.init(None)  # what follows is made of its types
+    Gst.init(None)  # the class below is derived from its types
 
 NAME = "l3render"
 ORDERS = ("rggb", "bggr", "grbg", "gbrg")
-DEPTHS = ("", "10le", "12le", "14le", "16le")  # of video/x-bayer, after the order; GStreamer 1.24 made those above 8 bits
+DEPTHS = ("", "10le", "12le", "14le", "16le")  # suffixes of video/x-bayer formats; more than 8 bits since GStreamer 1.24
 MOSAICS = (
     "video/x-raw, format=(string){ GRAY16_LE, GRAY8 }; "
     f"video/x-bayer, format=(string){{ {', '.join(order + depth for depth in DEPTHS for order in ORDERS)} }}"
 )
 BITS = {"RGB": 8, "RGBA64_LE": 16}
 PICTURES = f"video/x-raw, format=(string){{ {', '.join(BITS)} }}, colorimetry=(string)sRGB"
-SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # of a stream, on both sides
-USUAL_RATE = Fraction(30)  # frames/s, where the stream has none
+SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields of caps that input and output have in common
+USUAL_RATE = Fraction(30)  # frames/s, if the stream states none
 
 
 def _pad(name: str, direction: Any, caps: str) -> Any:
@@ -46,8 +46,11 @@ def _pad(name: str, direction: Any, caps: str) -> Any:
 
 
 class L3Render(GstBase.BaseTransform):
-    """Renderer of mosaics, one channel in DN, as `l3 render` does a sequence: sRGB of 8 bits (RGB) or 16 (RGBA64_LE), by
-    what the next element takes. What does not fit ends the stream with an error of one line."""
+    """GStreamer element that renders mosaics in DN as `l3 render` renders a sequence.
+
+    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), whichever the next element accepts. A stream that does not
+    fit ends with an error of one line.
+    """
 
     __gtype_name__ = "L3Render"
     __gstmetadata__ = (
@@ -75,8 +78,8 @@ class L3Render(GstBase.BaseTransform):
     def __init__(self) -> None:
         super().__init__()
         self._mosaics: Any = None  # a Mosaics, from start to stop
-        self._reported = ""  # the error reported since the start: caps are tried several times
-        self._picture: Any = None  # what makes the picture of the next frame
+        self._reported = ""  # last reported error; GStreamer tries caps several times
+        self._picture: Any = None  # function that renders the next frame
         self._source: Any = None  # _Layout of the negotiated caps of frames
         self._target: Any = None  # _Layout of the negotiated caps of pictures
 
@@ -86,7 +89,7 @@ class L3Render(GstBase.BaseTransform):
         self._reported = ""
         try:
             self._mosaics = self._opened()
-        except Exception as error:  # nothing may fall through to GStreamer, which would print a traceback and go on
+        except Exception as error:  # otherwise GStreamer would print a traceback and continue
             return self._failed(error)
         return True
 
@@ -103,7 +106,7 @@ class L3Render(GstBase.BaseTransform):
                 f"GStreamer's Python {version} cannot import what l3cli needs ({error}); install l3cli for Python {version}"
             ) from error
         if not self.table:
-            raise RecipeError("table names no file; give the one written by l3 train")
+            raise RecipeError("no table is given; set table to the file that l3 train wrote")
         return Mosaics(
             self.table,
             black_level=None if self.black_level < 0 else self.black_level,
@@ -162,7 +165,7 @@ class L3Render(GstBase.BaseTransform):
         return Gst.FlowReturn.OK
 
     def _failed(self, error: Exception) -> bool:
-        """Report to the application, once, what went wrong."""
+        """Report an error to the application, once."""
         text = format_error(error, "-")
         if text != self._reported:
             self._reported, code = text, Gst.ResourceError.FAILED
@@ -171,13 +174,12 @@ class L3Render(GstBase.BaseTransform):
 
 
 class _Layout:
-    """Layout of a frame's values in a buffer, by its caps."""
+    """Memory layout of a frame in a buffer, from its caps. Creating it raises RecipeError for interlaced streams."""
 
     def __init__(self, caps: Any) -> None:
-        """Raise RecipeError for what is not frame after frame of whole rows."""
         structure = caps.get_structure(0)
         form = structure.get_string("format")
-        self.order: str | None = None  # of a Bayer array's colours
+        self.order: str | None = None  # Bayer order, such as "rggb"
         self.shape = structure.get_value("height"), structure.get_value("width")
         if structure.get_name() == "video/x-bayer":
             self.order, self.channels, self.dtype = form[:4], 1, "<u2" if form[4:] else "u1"
@@ -186,14 +188,14 @@ class _Layout:
         else:
             info = GstVideo.VideoInfo.new_from_caps(caps)
             if info.interlace_mode != GstVideo.VideoInterlaceMode.PROGRESSIVE:
-                raise RecipeError("the stream is interlaced, which no mosaic is; give whole frames")
+                raise RecipeError("the stream is interlaced; give progressive frames")
             self.channels, self.dtype = info.finfo.n_components, "u1" if form in ("GRAY8", "RGB") else "<u2"
             self.stride, self.offset, self.nbytes = info.stride[0], info.offset[0], info.size
         found, above, below = structure.get_fraction("framerate")
         self.rate = Fraction(above, below) if found and above > 0 else USUAL_RATE
 
     def pixels(self, buffer: Any, content: Any) -> Any:
-        """Return the array (row, col, channel) that a buffer's content is. RecipeError if it is too small."""
+        """Return the content of a buffer as an array (row, col, channel). Raise RecipeError if the buffer is too small."""
         import numpy as np
 
         meta = GstVideo.buffer_get_video_meta(buffer)
@@ -206,5 +208,5 @@ class _Layout:
 
 
 def register() -> None:
-    """Make the element known to GStreamer in this process."""
+    """Register the element with GStreamer in this process."""
     Gst.Element.register(None, NAME, Gst.Rank.NONE, L3Render)

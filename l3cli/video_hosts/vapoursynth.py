@@ -1,4 +1,4 @@
-"""A VapourSynth filter: clips of raw frames to RGB.
+"""A VapourSynth filter that renders clips of raw frames to RGB.
 
 from l3cli.video_hosts.vapoursynth import render
 
@@ -31,18 +31,46 @@ def render(
     size: tuple[int, int] | str | None = None, camera: str | os.PathLike[str] | None = None, backend: str = "opencl",
     device: str | None = None, temporal: bool = False,
 ) -> Any:  # fmt: skip
-    """Return the clip (vapoursynth.VideoNode) that a table makes of a clip of mosaics, GRAY8 to GRAY16, values in DN.
+    """Render a clip of mosaics through a table.
 
-    `bits`: 8 gives RGB24 and 16 RGB48, sRGB as `l3 render` writes it; 32 RGBS, linear and not clipped. `exposure`: factor of
-    Y, `white`: of the scene, as in `l3 render`; what is measured, as without them, is measured on the first frame and holds
-    for the clip, so that frames may be asked for in any order. `black_level`, `white_level` (DN), `phase` (CFA row, column
-    of the first pixel, also as "1,0"): None: the table's. `size` (rows, columns, also as "240x360"): that frames
-    must have, None: any. `camera`: of a model whose defects and flat field are corrected. `backend`, `device`: as there.
-    `temporal`: frames are filtered in time, as in `l3 render --temporal`, each the same in any order of requests: one that
-    does not follow the last is filtered after the up to 255 before it that it depends on.
+    Exposure and white are measured on the first frame, unless they are given, and hold for the whole clip. So frames can be
+    requested in any order and from any thread. The device renders one frame at a time.
 
-    Frames may be rendered from any number of threads; one is at work on the device at a time. The first is rendered at once.
-    vapoursynth.Error, one line, for a clip, file or value that does not fit.
+    Parameters
+    ----------
+    clip : vapoursynth.VideoNode
+        Mosaics in DN, GRAY8 to GRAY16.
+    table : str or path
+        File that `l3 train` wrote.
+    bits : {8, 16, 32}, default 8
+        8 gives RGB24 and 16 gives RGB48, sRGB as `l3 render` writes it. 32 gives RGBS, linear and not clipped.
+    exposure : float, optional
+        Factor of Y. Default: automatic.
+    white : str, optional
+        White of the scene, as in `l3 render`. Default: measured.
+    black_level, white_level : float, optional
+        Levels in DN. Default: those of the table.
+    phase : (int, int) or str, optional
+        CFA row and column of the first pixel, also as "1,0". Default: that of the table.
+    size : (int, int) or str, optional
+        Rows and columns that frames must have, also as "240x360". Default: any size.
+    camera : str or path, optional
+        Camera model whose defective pixels and flat field are corrected.
+    backend, device : str, optional
+        As in `l3 render`.
+    temporal : bool, default False
+        Filter frames over time, as `l3 render --temporal` does. If a frame is requested out of order, up to 255 earlier
+        frames on which it depends are filtered first, so that the result does not depend on the order.
+
+    Returns
+    -------
+    vapoursynth.VideoNode
+        The rendered clip.
+
+    Raises
+    ------
+    vapoursynth.Error
+        One line, if the clip, a file or a value does not fit.
     """
     try:
         _require_mosaics(clip)
@@ -82,16 +110,16 @@ def render(
 
 
 def _require_mosaics(clip: Any) -> None:
-    """Raise L3Error unless a clip has one plane of 8 to 16 bits, and frames of one format."""
+    """Raise L3Error unless the clip has one plane of 8 to 16 bits and frames of one format."""
     form = clip.format
     if form is None or not clip.width:
-        raise L3Error("the clip's frames differ in format or size; give one of mosaics of one size")
+        raise L3Error("the clip's frames differ in format or size; give a clip with one format and size")
     if form.color_family != vs.GRAY or form.sample_type != vs.INTEGER or form.bits_per_sample > 16:
-        raise L3Error(f"the clip is {form.name}; a mosaic is GRAY8 to GRAY16, in DN")
+        raise L3Error(f"the clip is {form.name}; give a mosaic in DN, GRAY8 to GRAY16")
 
 
 def _colours(linear: bool) -> dict[str, int]:
-    """Return the frame properties of the values: sRGB, or linear with its primaries, in full range."""
+    """Return the frame properties of rendered frames: sRGB or linear, with BT.709 primaries and full range."""
     transfer = vs.TRANSFER_LINEAR if linear else vs.TRANSFER_IEC_61966_2_1
     named = {"_Matrix": vs.MATRIX_RGB, "_Primaries": vs.PRIMARIES_BT709, "_Transfer": transfer, "_Range": vs.RANGE_FULL}
     return {name: int(value) for name, value in named.items()}

@@ -228,7 +228,7 @@ def test_a_worker_of_another_version_is_refused(cluster: Cluster, monkeypatch: p
     monkeypatch.setattr(elsewhere, "__version__", "0.0.1")
     with (
         workers(1, Scheduler(cluster.address)) as pool,
-        pytest.raises(L3Error, match=r"a worker has l3cli \S+, this machine 0\.0\.1"),
+        pytest.raises(L3Error, match=r"a worker has l3cli \S+, but this machine has 0\.0\.1"),
     ):
         list(pool(squared, range(1)))
 
@@ -243,7 +243,7 @@ def test_a_run_over_tls_ends_without_workers_and_without_its_scheduler(
     new = ("openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2")
     subprocess.run([*new, "-subj", "/CN=localhost", "-keyout", key, "-out", certificate], check=True, capture_output=True)
     shutil.copy(certificate, ca)  # it signs itself
-    monkeypatch.setattr(elsewhere, "ANSWER", 2.0)
+    monkeypatch.setattr(elsewhere, "ANSWER_SECONDS", 2.0)
     with a_cluster(tmp_path, 0, "--tls-ca-file", ca, "--tls-cert", certificate, "--tls-key", key) as cluster:
         there = _there(cluster, ca, certificate, key)
         with monkeypatch.context() as hasty:
@@ -301,11 +301,11 @@ def test_wrong_doors_are_one_line(
     for address in ("127.0.0.1:8786", "http://127.0.0.1:8786", "tcp://127.0.0.1", "tcp://127.0.0.1:99999"):
         assert "is not a scheduler's address" in refused(2, *run, "--scheduler", address)
     assert "needs --tls-ca, --tls-cert and --tls-key" in refused(2, *run, "--scheduler", "tls://127.0.0.1:1")
-    assert "speaks no TLS" in refused(2, *run, "--scheduler", "tcp://127.0.0.1:1", *tls)
+    assert "does not use TLS" in refused(2, *run, "--scheduler", "tcp://127.0.0.1:1", *tls)
     absent = (*tls[:-1], tmp_path / "absent.pem")
     assert "absent.pem does not exist" in refused(3, *run, "--scheduler", "tls://127.0.0.1:1", *absent)
     assert "give PEM files" in refused(3, *run, "--scheduler", "tls://127.0.0.1:1", *tls)
-    monkeypatch.setattr(elsewhere, "ANSWER", 1.0)
+    monkeypatch.setattr(elsewhere, "ANSWER_SECONDS", 1.0)
     assert "no scheduler answers at tcp://127.0.0.1:1" in refused(1, *run, "--scheduler", "tcp://127.0.0.1:1")
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert 'pip install "l3cli[cluster]"' in refused(1, *run, "--scheduler", "tcp://127.0.0.1:1")

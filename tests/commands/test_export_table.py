@@ -70,7 +70,7 @@ def test_either_set_of_a_table_of_two_is_exported(table: Path, tmp_path: Path, l
     save(two, tmp_path / "two.h5")
     save(two.under(two.conditions[0]), tmp_path / "alone.h5")
     err = l3("export", tmp_path / "two.h5", "-o", tmp_path / "c")[2]
-    assert "the usual set of transforms is written, --set low-noise writes that for frames filtered in time" in err
+    assert "exporting the usual set; --set low-noise exports the one for temporally filtered frames" in err
     err = l3("export", table, "-o", tmp_path / "c1")[2]
     assert "--set" not in err
     assert contents(tmp_path / "c") == contents(tmp_path / "c1")

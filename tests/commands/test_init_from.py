@@ -84,7 +84,7 @@ def test_a_camera_by_its_matrices_and_noise_profile(bayer: CameraModel, photo: P
     code, out, err = l3("init", "--from", photo, folder)
     assert (code, out) == (0, "")
     assert err.count("\n") == 1
-    assert "curves of the colour matrices for A and D65" in err
+    assert "curves from the colour matrices for A and D65" in err
     assert "noise as the file's noise profile says" in err
     assert "assumed: peak efficiency, pixel pitch;" in err
     assert f"make -C {folder} picture.png; another photo: l3 render {folder}/table.h5 RAW -o PICTURE.png" in err
@@ -188,8 +188,8 @@ def test_a_black_level_of_0_is_questioned(bayer: CameraModel, tmp_path: Path, l3
     (line,) = [each for each in err.splitlines() if "states a black level of 0" in each]
     seen = int(line.rpartition(" ")[2])
     assert 245 < seen < 260
-    assert f"lie at {seen} of 4095 DN; if that is its black, colours get pale: give --black-level {seen}" in line
-    assert "is white at 4095 DN; --black-level 5000 is not below" in refused(2, *call, "--black-level", "5000", "--force")
+    assert f"about {seen} of 4095 DN; if colours look washed out, give --black-level {seen}" in line
+    assert "--black-level 5000 is not below" in refused(2, *call, "--black-level", "5000", "--force")
     code, _, err = l3(*call, "--black-level", "256", "--force")
     assert (code, "states a black level" in err) == (0, False)
     assert load_camera(tmp_path / "mine/camera.toml").black_level == 256
@@ -391,7 +391,7 @@ def test_wrong_calls(photo: Path, bayer: CameraModel, tmp_path: Path, refused: R
     assert "--phase is for raw files" in refused(2, "init", "bayer", tmp_path / "new", "--phase", "0,1")
     dng_files.write_dng(tmp_path / "other.dng", scene(bayer), np.array([[0, 1], [1, 2]]), tags={272: (ASCII, list(b"X\0"))})
     both = ("init", "--from", photo, tmp_path / "other.dng", tmp_path / "new", "--phase", "0,1")
-    assert "--phase is that of one camera" in refused(2, *both)
+    assert "--phase is for one camera" in refused(2, *both)
     assert "give raw files with --from" in refused(2, "init", "bayer", tmp_path / "new", "more")
     assert "is a file; name a folder" in refused(1, "init", "--from", photo, photo)
     (tmp_path / "full").mkdir()
@@ -406,7 +406,7 @@ def test_wrong_calls(photo: Path, bayer: CameraModel, tmp_path: Path, refused: R
     assert "broken.dng" in refused(3, "init", "--from", tmp_path / "broken.dng", tmp_path / "new")
     magenta = np.array([[3, 4], [5, 3]])
     dng_files.write_dng(tmp_path / "cmy.dng", scene(bayer), magenta, tags={50710: (1, [3, 4, 5])})
-    assert "nothing tells the curves" in refused(3, "init", "--from", tmp_path / "cmy.dng", tmp_path / "new")
+    assert "so the curves of" in refused(3, "init", "--from", tmp_path / "cmy.dng", tmp_path / "new")
 
 
 @pytest.mark.parametrize(

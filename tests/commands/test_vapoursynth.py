@@ -189,7 +189,7 @@ def test_a_clip_has_the_size_that_it_has(folder: Path) -> None:
         ({}, {"white_level": 3.0}, "black level 64 and white level 3 do not fit; give black_level and white_level"),
         ({}, {"table": "nothing.h5"}, "nothing.h5 does not exist"),
         ({}, {"table": "/"}, "/ is a folder"),
-        ({"format": "RGB24"}, {}, "the clip is RGB24; a mosaic is GRAY8 to GRAY16"),
+        ({"format": "RGB24"}, {}, "the clip is RGB24; give a mosaic in DN, GRAY8 to GRAY16"),
         ({"format": "GRAYS"}, {}, "the clip is GrayS"),
         ({"varsize": True}, {}, "differ in format or size"),
     ],

@@ -311,7 +311,7 @@ def kill_worker(stage: Stage, seed: int, server: ForkServer, truth: Callable) ->
     assert [name for name in left if ".l3" in name] == []
     if ended.code:
         assert (ended.code, ended.err.count("\n")) == (1, 1)
-        assert "a worker process was ended from outside" in ended.err
+        assert "a worker process was killed" in ended.err
         again = server.run(*alone.again)
         assert (again.code, again.out, again.err) == (0, words, "")
     assert contents(server.folder) == whole

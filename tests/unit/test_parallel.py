@@ -86,7 +86,7 @@ def test_what_a_worker_raises_is_raised_in_place() -> None:
 
 @pytest.mark.parametrize("size", [0, 10**8], ids=["small", "sent while it dies"])
 def test_a_worker_that_is_killed_is_reported_and_not_waited_for(size: int) -> None:
-    with pytest.raises(L3Error, match="ended from outside"):
+    with pytest.raises(L3Error, match="was killed"):
         list(ordered_map(dying, [(number, bytes(size)) for number in range(6)], 2))
 
 

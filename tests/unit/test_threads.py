@@ -159,8 +159,8 @@ def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits() -> 
 
 def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
     """As when nobody reads the pipe that is written to."""
-    monkeypatch.setattr(threads, "WRITING", 0.2)
-    monkeypatch.setattr(threads, "STEP", 0.1)
+    monkeypatch.setattr(threads, "WRITE_SECONDS", 0.2)
+    monkeypatch.setattr(threads, "STEP_SECONDS", 0.1)
     begun, gate = threading.Event(), threading.Event()
 
     def stuck(item: int) -> None:
@@ -189,7 +189,7 @@ from l3cli.system import signals
 from l3cli.parallel import threads
 from l3cli.parallel.threads import WriteBehind, prefetched
 
-mock.patch.object(threads, "WRITING", 1e9).start()
+mock.patch.object(threads, "WRITE_SECONDS", 1e9).start()
 mock.patch.object(signals, "RETRY_SECONDS", 0.02).start()
 moments, sys.unraisablehook = random.Random(0), signals.repeat_lost
 for _ in range(100):
