@@ -1,9 +1,8 @@
-"""Checkpoints: a file beside the outputs of a run for as long as it lasts, from which the same run goes on where it was
-stopped, be it by SIGKILL.
+"""Checkpoints: a file beside the outputs of a run that lets an interrupted run continue, even after SIGKILL.
 
-Its first line is the run's key, and each further line an item that the run has finished, with facts that identify it, as
-JSON. A line is on the disk before its item gets its name, or, in a folder of the run's own, as soon as it has: a file that
-is not listed is not taken for the run's, and one that is listed but not there is made again.
+The first line is the key of the run. Each further line is a finished item as JSON, with facts that identify it. The line is
+on disk before the item gets its final name (in a folder of the run's own, right after). So a file that is not listed does
+not belong to the run, and a listed item that is missing is made again.
 """
 
 import contextlib
@@ -21,28 +20,42 @@ RUN = "run"  # name of the checkpoint in a folder of parts
 
 
 class Checkpoint:
-    """The checkpoint of the run `key` in the file `path`: the facts of each finished item by name. `force`: the run may
-    replace what it finds, also when it goes on."""
+    """Checkpoint of a run, with the facts of each finished item by name.
+
+    Parameters
+    ----------
+    path : Path
+        File of the checkpoint.
+    key : str
+        Key of the run.
+    force : bool
+        Whether the run may replace existing outputs, also when it continues.
+    """
 
     def __init__(self, path: Path, key: str, force: bool = False) -> None:
         self.path, self.key, self.force = path, key, force
         self.items: dict[str, Any] = {}
 
     def take_over(self, path: Path | None = None) -> bool:
-        """Read what is listed there, or in the file `path`; return whether it is of the same run: of another one nothing is
-        taken."""
+        """Read the items of an earlier run from the checkpoint, or from the file `path`.
+
+        Returns
+        -------
+        bool
+            Whether the file belongs to the same run. If not, nothing is read.
+        """
         key, force, lines = _read(path or self.path)
         if key != self.key:
             return False
         self.force = self.force or force
         for line in lines:
-            with contextlib.suppress(ValueError, TypeError):  # a line that was cut off
+            with contextlib.suppress(ValueError, TypeError):  # the last line may be incomplete
                 name, facts = json.loads(line)
                 self.items[name] = facts
         return True
 
     def begin(self) -> None:
-        """Write the checkpoint; what is listed from now on goes behind it."""
+        """Write the checkpoint. New items are appended from now on."""
         self._write(self.path, self.force)
 
     def _write(self, path: Path, force: bool) -> None:
@@ -50,7 +63,7 @@ class Checkpoint:
         write_whole(path, "\n".join(lines))
 
     def add(self, name: str, facts: Any) -> None:
-        """List an item, from whatever process; the line is on the disk when this returns."""
+        """Append an item, from any process. The line is on disk when this returns."""
         self.items[name] = facts
         line = f"\n{json.dumps([name, facts])}".encode()
         file = os.open(self.path, os.O_WRONLY | os.O_APPEND)
@@ -62,19 +75,19 @@ class Checkpoint:
             os.close(file)
 
     def end(self, finished: Path | None = None) -> None:
-        """Remove the checkpoint; what it lists goes into the file `finished`, if there is one."""
+        """Remove the checkpoint. Its content goes into the file `finished`, if one is given."""
         if finished is not None:
             self._write(finished, force=False)
         self.path.unlink(missing_ok=True)
 
 
 def key_in(path: Path) -> str | None:
-    """Return the key of the run whose checkpoint this is; None if there is none."""
+    """Return the key of the run that a checkpoint belongs to, or None if there is no checkpoint."""
     return _read(path)[0]
 
 
 def _read(path: Path) -> tuple[str | None, bool, list[str]]:
-    """Return the key, whether the run may replace what it finds, and the lines of items."""
+    """Return the key, whether the run may replace existing outputs, and the lines of items."""
     if not path.is_file():
         return None, False, []
     first, *lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
@@ -83,14 +96,21 @@ def _read(path: Path) -> tuple[str | None, bool, list[str]]:
 
 
 class PartsFolder:
-    """The folder in which the run `key` stores its parts for as long as it lasts, with their checkpoint."""
+    """Folder in which a run keeps finished parts, with their checkpoint, until it ends."""
 
     def __init__(self, folder: Path, key: str) -> None:
         self.folder, self.key, self.checkpoint = folder, key, Checkpoint(folder / RUN, key)
 
     def goes_on(self, resume: bool, force: bool) -> bool:
-        """Return whether the run goes on with parts that are stored: with `resume` those of the same run. If they are of
-        another one, RecipeError, unless `force`; L3Error if the folder is not of l3's making."""
+        """Return whether the run continues with stored parts, which requires `resume` and parts of the same run.
+
+        Raises
+        ------
+        RecipeError
+            If the parts belong to another run and `force` is not set.
+        L3Error
+            If the folder holds files that l3 did not make.
+        """
         if not self.folder.exists():
             return False
         for each in self.folder.iterdir():
@@ -107,8 +127,10 @@ class PartsFolder:
 
     @contextlib.contextmanager
     def held(self, resume: bool, force: bool, is_whole: Callable[[Path], bool] = Path.is_file) -> Iterator[None]:
-        """Keep the folder for the block, with those parts to go on with that are listed and whole, and remove it at the end;
-        if that fails or is interrupted, keep what parts there are. Errors as of `goes_on`."""
+        """Hold the folder during the block, with the listed and complete parts of an earlier run, and remove it at the end.
+
+        If the block fails or is interrupted, the folder stays. Errors are those of `goes_on`.
+        """
         if self.goes_on(resume, force):
             sweep(self.folder)
             items = self.checkpoint.items.items()
@@ -119,7 +141,7 @@ class PartsFolder:
         try:
             yield
         except BaseException:
-            sweep(self.folder)  # what worker processes left that were ended
+            sweep(self.folder)  # temporary files of worker processes that were killed
             if all(each.name == RUN for each in self.folder.iterdir()):
                 remove_parts(self.folder)
             raise
@@ -127,12 +149,12 @@ class PartsFolder:
 
 
 def parts_folder(output: Path) -> Path:
-    """Return the folder of the stored parts of an output."""
+    """Return the folder for the parts of an output."""
     return output.with_name(f"{output.name}.parts")
 
 
 def remove_parts(folder: Path) -> None:
-    """Remove a folder of parts, its checkpoint last: without one nobody would know whose it is."""
+    """Remove a folder of parts. The checkpoint goes last, because it shows that the folder is l3's."""
     for each in folder.iterdir():
         if each.name != RUN:
             each.unlink(missing_ok=True)
@@ -142,8 +164,13 @@ def remove_parts(folder: Path) -> None:
 
 @contextlib.contextmanager
 def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
-    """Take `folder` for the files of the run `key` until the block ends without an error: if it is stopped, the same run may
-    go on there. L3Error if the folder holds something else, unless `force`."""
+    """Mark `folder` as incomplete until the block ends without an error, so that the same run can continue in it.
+
+    Raises
+    ------
+    L3Error
+        If the folder holds something else and `force` is not set.
+    """
     refuse_other_run(folder, key, force)
     checkpoint = Checkpoint(folder / UNFINISHED, key)
     checkpoint.begin()
@@ -158,5 +185,5 @@ def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
 
 
 def refuse_other_run(folder: Path, key: str, force: bool) -> None:
-    """Raise L3Error if `folder` holds anything but what a stopped run `key` has left, unless `force`."""
+    """Raise L3Error if `folder` holds anything except what an interrupted run with this key left, unless `force` is set."""
     refuse_filled_folder(folder, force or key_in(folder / UNFINISHED) == key)

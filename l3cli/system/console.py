@@ -1,4 +1,4 @@
-"""Destinations of a stage's progress and messages: a terminal, a log, nothing."""
+"""Consoles: where a stage sends its progress and messages."""
 
 import os
 import stat
@@ -11,28 +11,27 @@ from l3cli.errors import L3Error, RecipeError
 from l3cli.system.text import printable
 
 T = TypeVar("T")
-HEADING = b"# l3 log\n"  # which distinguishes a log from any other file: nothing else is ever written to
+HEADING = b"# l3 log\n"  # first line of a log; l3 appends to no file without it
 
 
 class Console(Protocol):
-    """Receiver of a stage's messages. A terminal is one implementation, `Silent` another."""
+    """Interface of what receives the messages of a stage, such as a terminal or `Silent`."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Pass `items` on, of which there are `total` (None: nobody knows), and report how far the work is; `what`: their
-        name in the plural."""
+        """Yield `items` and report progress. `total` is their number, if known, and `what` their name in the plural."""
 
     def info(self, message: str) -> None:
-        """Report what has been made, or what comes next."""
+        """Report what was made, or what to do next."""
 
     def warn(self, message: str) -> None:
-        """Warn about what may make the result worse than expected."""
+        """Warn about something that may make the result worse."""
 
     def report(self, message: str) -> None:
-        """Report what is left out although it was asked for, or cannot be guarded against, also where messages are few."""
+        """Report that something requested was left out, or a risk that l3 cannot prevent. Shown even with --quiet."""
 
 
 class Silent:
-    """A console that says nothing."""
+    """A console that discards everything."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
         return iter(items)
@@ -48,7 +47,7 @@ class Silent:
 
 
 class Passing:
-    """A console that passes everything on to another one, and hears of it."""
+    """Base of consoles that pass everything on to another console and see each message."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -69,12 +68,12 @@ class Passing:
         self.heard("warning", message)
 
     def heard(self, level: str, message: str) -> None:
-        """Take a message that was passed on."""
+        """Handle a message that was passed on."""
         raise NotImplementedError
 
 
 class Gathering(Passing):
-    """A console that keeps the first warnings, `most` at most."""
+    """A console that keeps the first `most` warnings."""
 
     def __init__(self, console: Console, most: int) -> None:
         super().__init__(console)
@@ -87,23 +86,40 @@ class Gathering(Passing):
 
 
 class Logged(Passing):
-    """A console that appends all that a command says to a file, a line each with time (UTC), level and command."""
+    """A console that appends every message to a log file, one per line, with UTC time, level and command.
 
-    current: "Logged | None" = None  # of the command that is running, for the error that ends it
+    Parameters
+    ----------
+    console : Console
+        Console that receives everything, too.
+    path : Path
+        Log file.
+    command : str
+        Name of the command.
+    wording : callable
+        Rewrites each message for the log.
+
+    Raises
+    ------
+    RecipeError
+        If the file exists and is not a log of l3.
+    L3Error
+        If the file cannot be written.
+    """
+
+    current: "Logged | None" = None  # log of the running command, which also receives its final error
 
     def __init__(self, console: Console, path: Path, command: str, wording: Callable[[str], str] = str) -> None:
-        """Open the log. `wording` makes of a message what the log holds. RecipeError if there is something else than a log
-        at `path`, L3Error if it cannot be written."""
         super().__init__(console)
         self._path, self._command, self._wording = path, command, wording
-        self._lost = False  # whether it could not be written
+        self._lost = False  # whether writing has failed
         if path.exists() and not (path.is_file() and _is_log(path)):
             raise RecipeError(f"{path} is not a log of l3's; name another file for ‹log›")
         self._append(b"" if path.exists() else HEADING)
         Logged.current = self
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Show progress as the other console; the log gets its beginning and its end."""
+        """Show progress on the inner console. The log gets only the start and the end."""
         self.heard("info", what if total is None else f"{what}: {total} to do")
         done, start = 0, time.monotonic()
         for item in self._console.progress(items, total, what):
@@ -112,7 +128,7 @@ class Logged(Passing):
         self.heard("info", f"{what}: {done} done in {time.monotonic() - start:.3g} s")
 
     def heard(self, level: str, message: str) -> None:
-        """Append a line. A log that can no longer be written is said once, and the work goes on."""
+        """Append a line. If the log can no longer be written, this is reported once and the command continues."""
         now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         if self._lost:
             return

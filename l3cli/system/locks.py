@@ -1,5 +1,7 @@
-"""One run at a time writes an output: whoever writes holds a lock (flock) that the kernel lets go of however the process
-ends, be it SIGKILL, on a hidden file beside the output for as long as the run lasts. Threads of a process have a lock, too.
+"""Locks that let only one run at a time write an output.
+
+A run holds a lock (flock) on a hidden file beside the output. The kernel releases it when the process ends, even by SIGKILL.
+The module also has a lock for the threads of a process.
 """
 
 import contextlib
@@ -18,8 +20,10 @@ _WITHOUT_WRITING: ContextVar[bool] = ContextVar("without writing", default=False
 
 
 class ThreadLock:
-    """A lock between the threads of a process. In a forked child it is free: a thread of the parent that held it there does
-    not exist, and would never let it go."""
+    """A lock between the threads of a process that is free in a forked child.
+
+    The thread of the parent that held it does not exist in the child, and would never release it.
+    """
 
     def __init__(self) -> None:
         self._of_process: dict[int, threading.Lock] = {}
@@ -36,7 +40,7 @@ class ThreadLock:
 
 @contextlib.contextmanager
 def without_writing() -> Iterator[None]:
-    """Make no lock and sweep nothing within the block: only refuse outputs that another run writes just now."""
+    """Create no locks and remove nothing during the block; only refuse outputs that another run is writing."""
     token = _WITHOUT_WRITING.set(True)
     try:
         yield
@@ -46,9 +50,17 @@ def without_writing() -> Iterator[None]:
 
 @contextlib.contextmanager
 def sole_writer_of_file(path: Path) -> Iterator[bool]:
-    """Keep other runs off the file `path` while the block lasts, and remove what a killed run left half-written of it.
+    """Keep other runs from writing `path` during the block, and remove temporary files that killed runs left of it.
 
-    Yields whether the storage knows locks at all. L3Error if another run writes the file, or its folder cannot be written.
+    Yields
+    ------
+    bool
+        Whether the storage supports locks.
+
+    Raises
+    ------
+    L3Error
+        If another run is writing the file, or if its folder cannot be written.
     """
     with _locked(path, path.with_name(_lock_name(path.name))) as locked:
         if locked and not _WITHOUT_WRITING.get():
@@ -58,10 +70,10 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] = ()) -> Iterator[bool]:
-    """Keep other runs, as `sole_writer_of_file` does, off the files of a folder and of those `inside` it; with `name` (of a
-    pattern) for those files alone that it stands for.
+    """Keep other runs from writing the files of a folder and of its subfolders `inside`, as `sole_writer_of_file` does.
 
-    The folder is made; it is removed again if it is empty in the end. What worker processes left that were ended goes, too.
+    With `name`, a pattern, only files that match it are locked. The folder is created, and removed if it is empty at the
+    end. Temporary files of killed worker processes are removed, too.
     """
     with _locked(folder / name, folder / (_lock_name(name) if name else LOCK)) as locked:
         swept = [folder, *(folder / each for each in inside)] if locked and not _WITHOUT_WRITING.get() else []
@@ -80,8 +92,8 @@ def _lock_name(name: str) -> str:
 
 @contextlib.contextmanager
 def _locked(output: Path, lock: Path) -> Iterator[bool]:
-    """Hold `lock` while the block lasts; folders that had to be made for it go again if they stay empty."""
-    refuse_protected(lock)  # it is removed in the end
+    """Hold `lock` during the block. Folders created for it are removed if they stay empty."""
+    refuse_protected(lock)  # it will be removed
     if _WITHOUT_WRITING.get():
         _refuse_held(lock, output)
         yield True
@@ -101,7 +113,7 @@ def _locked(output: Path, lock: Path) -> Iterator[bool]:
 
 
 def _refuse_held(lock: Path, output: Path) -> None:
-    """Raise L3Error if another run holds the lock; no file is made or removed."""
+    """Raise L3Error if another run holds the lock. Nothing is created or removed."""
     descriptor = _existing(lock)
     if descriptor is None:
         return
@@ -147,9 +159,10 @@ def _take(lock: Path, output: Path) -> int | None:
 
 
 def _existing(lock: Path) -> int | None:
-    """Return a descriptor of the lock file that is there already; None if it is there no more. L3Error if it is none of
-    l3's or may not be opened. Nothing is followed, created or waited for: in a folder that others share, anything may lie
-    here."""
+    """Open an existing lock file, or return None if there is none. Raise L3Error if it is not l3's or not accessible.
+
+    It follows no links, creates nothing and never blocks, because a shared folder may hold anything.
+    """
     try:
         return open_quietly(lock)
     except FileNotFoundError:

@@ -1,6 +1,8 @@
-"""Outputs of a stage before its work: what it reads is not replaced, what it writes is refused if it cannot be written and
-kept from other runs until the stage ends; in a dry run, what it would read and make, of which nothing is written, not even a
-lock."""
+"""Checks of a stage's outputs before its work.
+
+Inputs are never replaced. Outputs that cannot be written are refused, and other runs are kept off them until the stage ends.
+A dry run lists what would be read and written, and writes nothing, not even locks.
+"""
 
 import contextlib
 import itertools
@@ -19,28 +21,34 @@ from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder, witho
 
 
 class OutputGuard(contextlib.ExitStack):
-    """Inputs that are protected and outputs that are locked until the block ends."""
+    """Context manager that protects inputs and locks outputs until the end of the block."""
 
     def __init__(self, console: Console) -> None:
         super().__init__()
         self._console = console
-        self._guarded: list[tuple[Path, tuple[str, ...]]] = []  # outputs, and folders with globs of what is written there
+        self._guarded: list[tuple[Path, tuple[str, ...]]] = []  # outputs; folders with globs of the files written there
 
     def protect(self, *inputs: Path) -> None:
-        """Name the files that are read, as soon as they are known: until the end nothing takes the place of one of them,
-        by whatever name, even if outputs may be replaced. RecipeError if an output that is guarded already would."""
+        """Protect input files until the end: no output may replace them, under any name, even with `force`.
+
+        Raises
+        ------
+        RecipeError
+            If an output that is already guarded would replace one.
+        """
         self.enter_context(protecting(inputs))
         for path, globs in self._guarded:
             _refuse_protected(path, globs)
 
     def guard_file(self, path: Path, force: bool, recipe: bool = False) -> None:
-        """Call `hold_file`, and refuse an output that is there already."""
-        self.hold_file(path, recipe)  # first: the run that holds it may be about to end
+        """Call `hold_file`, and refuse an output that exists unless `force` is set."""
+        self.hold_file(path, recipe)  # first, because another run may be about to write it
         refuse_existing(path, force)
 
     def hold_file(self, path: Path, recipe: bool = False) -> None:
-        """Refuse before any work an output that is read, is no file, would pass for a `recipe` but is none, or cannot be
-        written; keep other runs off it until the end."""
+        """Refuse an output that is an input, not a file, not writable, or a .toml that is not a `recipe`. Lock it until the
+        end.
+        """
         if path.suffix == ".toml" and not recipe:
             raise RecipeError(f"{path}: .toml is for recipes; name an output that ends otherwise")
         self._remember(path)
@@ -49,26 +57,28 @@ class OutputGuard(contextlib.ExitStack):
         self.hold(sole_writer_of_file(path), path)
 
     def guard_folder(self, path: Path, force: bool, *globs: str) -> None:
-        """Call `hold_folder`, and refuse a folder that holds something."""
+        """Call `hold_folder`, and refuse a folder that is not empty unless `force` is set."""
         self.hold_folder(path, *globs)
         refuse_filled_folder(path, force)
 
     def hold_folder(self, path: Path, *globs: str) -> None:
-        """Refuse, before any work, a folder that is a file or cannot be written into, or where what is read is among the
-        files that will be written, which the globs match; keep other runs off it until the end."""
+        """Refuse an output folder that is a file, not writable, or whose files that match `globs` are inputs. Lock it until
+        the end.
+        """
         refuse_filled_folder(path, force=True)  # a file
         refuse_unwritable(path)
         self._remember(path, *globs)
         self.hold(sole_writer_of_folder(path), path)
 
     def hold(self, lock: AbstractContextManager[bool], output: Path) -> None:
-        """Keep a lock on an output until the end."""
+        """Hold a lock on an output until the end."""
         if not self.enter_context(lock):
-            self._console.report(f"warning: {output} lies on storage without file locks: see that no other run writes it")
+            self._console.report(
+                f"warning: {output} is on storage without file locks; make sure that no other run writes it"
+            )
 
     def _remember(self, path: Path, *globs: str) -> None:
-        """Refuse outputs in place of what is read, as far as that is known, or of another, and remember them for what will
-        be."""
+        """Refuse an output that would replace an input or another output, and remember it for inputs named later."""
         _refuse_protected(path, globs)
         if any(path.resolve() == other.resolve() for other, _ in self._guarded):
             raise RecipeError(f"{path} is named for two outputs; name two files")
@@ -81,7 +91,7 @@ def _refuse_protected(path: Path, globs: tuple[str, ...]) -> None:
 
 
 def refuse_unwritable(path: Path) -> None:
-    """Raise L3Error if `path` lies where nothing can be written."""
+    """Raise L3Error if `path` is in a place where nothing can be written."""
     whole = path.absolute()
     folder = whole if whole.is_dir() else next(parent for parent in whole.parents if parent.exists())
     if not folder.is_dir():
@@ -91,20 +101,20 @@ def refuse_unwritable(path: Path) -> None:
 
 
 _DRY: ContextVar[bool] = ContextVar("dry run", default=False)
-SHOWN = 3  # files of a role that are named
+SHOWN = 3  # files that are named for each role
 
 
 @dataclass(frozen=True)
 class Made:
-    """An output: a file, or a folder with `count` files."""
+    """An output: a file or folder, and what it will hold."""
 
     path: Path
     what: str
-    size: int | None = None  # bytes, where they are known
+    size: int | None = None  # bytes, if known
 
 
 class Planned(Exception):
-    """End of a dry run, at the work that it leaves out."""
+    """Raised by a dry run where the work would begin, with what would be read and made."""
 
     def __init__(self, reads: Mapping[str, Iterable[Path]], makes: Iterable[Made]) -> None:
         super().__init__("dry run")
@@ -112,12 +122,12 @@ class Planned(Exception):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Return the files that would be read and made, in words."""
+        """Return what would be read and made, as text."""
         read = filter(None, (_read(role, paths) for role, paths in self.reads.items()))
         return (*read, *map(_made, self.makes), "dry run: nothing has been written")
 
     def document(self) -> dict[str, Any]:
-        """Return the same, ready for JSON."""
+        """Return what would be read and made, in a form that JSON can hold."""
         reads = {role: [str(path) for path in paths] for role, paths in self.reads.items()}
         makes = [{"path": str(made.path), "what": made.what, "bytes": made.size} for made in self.makes]
         return {"dry_run": {"reads": reads, "makes": makes}}
@@ -125,7 +135,7 @@ class Planned(Exception):
 
 @contextlib.contextmanager
 def dry_run() -> Iterator[None]:
-    """End stages, within the block, by Planned where their work would begin."""
+    """Within the block, stages raise `Planned` before they do any work."""
     token = _DRY.set(True)
     try:
         with without_writing():
@@ -140,7 +150,7 @@ def is_dry() -> bool:
 
 
 def before_work(reads: Mapping[str, Iterable[Path]], *makes: Made) -> None:
-    """Note the files that are read, by their role, and what is made of them; in a dry run raise Planned."""
+    """Record the input files by role and the outputs. In a dry run, raise Planned instead."""
     if is_dry():
         raise Planned(reads, makes)
     note_inputs(reads)

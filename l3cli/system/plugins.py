@@ -1,4 +1,4 @@
-"""Functions that installed packages offer by entry points (docs/python.md#a-baseline)."""
+"""Functions that other installed packages provide through entry points (docs/python.md#a-baseline)."""
 
 import contextlib
 import re
@@ -7,36 +7,37 @@ from importlib.metadata import EntryPoint, entry_points
 
 from l3cli.errors import L3Error
 
-BASELINES, NOISE = "l3cli.baselines", "l3cli.noise"  # groups
-NAME = re.compile(r"[\w.-]+")  # one that can be part of the name of a file
+BASELINES, NOISE = "l3cli.baselines", "l3cli.noise"  # groups of entry points
+NAME = re.compile(r"[\w.-]+")  # characters allowed in file names, of which the name becomes a part
 
 
 def plugins(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group by name, in order; of several of one name that whose package Python finds first.
-    L3Error if a name is no name of a file."""
+    """Return the entry points of a group by name, sorted.
+
+    If several packages provide the same name, the first that Python finds is used. Raise L3Error for a name that cannot be
+    part of a file name.
+    """
     found: dict[str, EntryPoint] = {}
     for entry in entry_points(group=group):
         if not NAME.fullmatch(entry.name):
-            raise L3Error(
-                f'{described(entry)} has a name of other characters than letters, digits, "_", "." and "-"; rename it'
-            )
+            raise L3Error(f'{described(entry)} may have only letters, digits, "_", "." and "-" in its name; rename it')
         found.setdefault(entry.name, entry)
     return {name: found[name] for name in sorted(found)}
 
 
 def package(entry: EntryPoint) -> str:
-    """Return name and version of the package that offers an entry point."""
+    """Return the name and version of the package that provides an entry point."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
 
 
 def described(entry: EntryPoint) -> str:
-    """Return an entry point as messages name it."""
+    """Return how messages name an entry point."""
     return f'entry point "{entry.name}" ({entry.group}) of {package(entry)}'
 
 
 @contextlib.contextmanager
 def blamed(entry: EntryPoint) -> Iterator[None]:
-    """Raise an error of the code of an entry point as an L3Error that names it."""
+    """Turn errors in the code of an entry point into an L3Error that names it."""
     try:
         yield
     except Exception as error:

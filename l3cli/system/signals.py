@@ -1,8 +1,7 @@
-"""SIGINT and SIGTERM as exceptions, and where they must wait, since an exception there would do harm.
+"""SIGINT and SIGTERM as exceptions, and the places where they must wait.
 
-A signal becomes an exception wherever Python happens to be. A C library that has called back crashes on it or, worse, takes
-what was not written for written; another complains on stderr that it was left with half a picture; a lock file that has just
-been made stays; a condition that has just been acquired stays so for ever.
+Python raises the exception of a signal wherever it happens to be. In a callback from a C library this can crash the library
+or lose data. It can also leave a lock file behind, or a condition acquired for ever.
 """
 
 import signal
@@ -17,17 +16,17 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 RETRY_SECONDS = 0.05  # until a signal that came where it must wait is sent again
 
 _uninterrupted: set[CodeType] = set()
-_waiting: type[BaseException] | None = None  # what a signal that waits will be
+_waiting: type[BaseException] | None = None  # exception of the waiting signal
 
 
 def uninterrupted(function: F) -> F:
-    """Keep signals waiting until `function`, and what it calls, has returned; one that may take long checks `is_wanted`."""
+    """Decorator: signals wait until `function` has returned. A function that takes long checks `is_wanted`."""
     _uninterrupted.add(function.__code__)
     return function
 
 
 def must_wait(frame: FrameType | None, ending: type[BaseException]) -> bool:
-    """Return whether a signal, to become the exception `ending`, has to wait since it came while `frame` ran."""
+    """Return whether a signal that arrived in `frame` must wait, and remember its exception `ending` if so."""
     global _waiting
     while frame is not None and frame.f_code not in _uninterrupted:
         frame = frame.f_back
@@ -36,12 +35,12 @@ def must_wait(frame: FrameType | None, ending: type[BaseException]) -> bool:
 
 
 def is_wanted() -> bool:
-    """Return whether a signal waits: work that has not begun should be left."""
+    """Return whether a signal is waiting, so that no new work should begin."""
     return _waiting is not None
 
 
 def raise_pending() -> None:
-    """Raise what the signal that waits would become, if one does: after it something has been left, nothing may go on."""
+    """Raise the exception of a waiting signal, if there is one."""
     global _waiting
     if _waiting is not None:
         ignore()
@@ -50,16 +49,16 @@ def raise_pending() -> None:
 
 
 def ignore() -> None:
-    """Ignore further signals: once is enough, nothing must disturb the cleaning up."""
+    """Ignore further signals, so that nothing interrupts the clean-up."""
     for each in SIGNALS:
         signal.signal(each, signal.SIG_IGN)
 
 
-# Queues, semaphores and futures are made of conditions. An exception on entering or leaving the "with" of one would leave
-# it acquired, or let it go twice; in the middle of a notification it would have the next one go to nobody.
+# Queues, semaphores and futures use conditions. An exception while a condition is entered or left would leave it acquired or
+# release it twice, and during a notification the next notification would be lost.
 for _step in ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify"):
     uninterrupted(getattr(threading.Condition, _step))
-# A compiled module takes an exception in its import for a failure of its own, and who can do without the module goes on.
+# A compiled module reports an exception during its import as an ImportError, which callers may silently ignore.
 uninterrupted(sys.modules["_frozen_importlib"]._find_and_load)
 
 
@@ -67,26 +66,26 @@ uninterrupted(sys.modules["_frozen_importlib"]._find_and_load)
 
 
 class Terminated(BaseException):
-    """Arrival of SIGTERM: a scheduler or a user ends the program, which cleans up as after Ctrl-C."""
+    """Raised on SIGTERM. The program cleans up as after Ctrl-C."""
 
 
 def heed() -> None:
-    """Make SIGINT and SIGTERM from now on raise KeyboardInterrupt and Terminated, unless they were ignored."""
+    """Make SIGINT and SIGTERM raise KeyboardInterrupt and Terminated from now on, unless they were ignored."""
     sys.unraisablehook = repeat_lost
     for each in SIGNALS:
-        if signal.getsignal(each) is not signal.SIG_IGN:  # as a job in the background ignores Ctrl-C
+        if signal.getsignal(each) is not signal.SIG_IGN:  # background jobs ignore Ctrl-C
             signal.signal(each, end)
 
 
 def leave_to_python() -> None:
-    """Leave signals to Python: all is done but for its end, where an exception would be caught by nothing."""
+    """Restore the default handlers before the program exits, when nothing would catch an exception."""
     for each in SIGNALS:
         if signal.getsignal(each) is end:
             signal.signal(each, signal.SIG_DFL)
 
 
 def end(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise its exception, or have it come again where it must wait."""
+    """Handle a signal: raise its exception, or send the signal again later if it must wait."""
     ending = KeyboardInterrupt if number == signal.SIGINT else Terminated
     if must_wait(frame, ending):
         _come_again(number)
@@ -95,19 +94,19 @@ def end(number: int, frame: FrameType | None) -> None:
     raise ending
 
 
-@uninterrupted  # or the signal that comes again while its timer still starts would be lost here
+@uninterrupted  # otherwise a signal that arrives while its timer starts would be lost
 def repeat_lost(what: Any) -> None:
-    """Send a signal again that was raised where Python cannot pass it on, as in a finaliser."""
+    """Send a signal again whose exception Python cannot pass on, as in a finaliser."""
     if what.exc_type not in (KeyboardInterrupt, Terminated):
         sys.__unraisablehook__(what)
         return
     number = signal.SIGINT if what.exc_type is KeyboardInterrupt else signal.SIGTERM
     signal.signal(number, end)
-    _come_again(number)  # not here, where it would be lost, too
+    _come_again(number)  # later, because an exception raised here would be lost, too
 
 
 def _come_again(number: int) -> None:
-    """Send the main thread a signal a little later."""
+    """Send a signal to the main thread after a short delay."""
     main_thread = threading.main_thread().ident
     assert main_thread is not None
     threading.Timer(RETRY_SECONDS, signal.pthread_kill, (main_thread, number)).start()

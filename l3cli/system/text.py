@@ -1,6 +1,6 @@
-"""Plain text: numbers as people write them; lines and tables for pages, terminals of any width and pipes.
+"""Plain text: numbers, lines and tables for terminals of any width, pipes and pages.
 
-Python takes more for numbers than people mean: 1_000, nan, digits of every script.
+Numbers are parsed more strictly than by Python, which also accepts 1_000, nan and digits of every script.
 """
 
 import math
@@ -14,24 +14,23 @@ from l3cli.errors import shortened
 GAP = "  "
 DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 WHOLE = re.compile(r"([+-]?)0*(\d+)", re.ASCII)
-MOST_DIGITS = 40  # of a whole number: more are beyond every range, and Python reads only so many
+MOST_DIGITS = 40  # longer whole numbers are out of every range, and Python refuses very long ones
 LARGEST_WHOLE = 2**63 - 1  # what TOML, HDF5 and numpy can hold
 
 
 def printable(text: str) -> str:
-    """Return `text` as one line that a terminal can show, "?" in the place of what it cannot or would obey: control
-    characters, ends of lines, marks that turn the direction of writing, bytes of a file name that are no text."""
+    """Return `text` on one line that is safe to print. "?" replaces line ends, control characters, marks of writing
+    direction and undecodable bytes."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def figure(value: float, form: str) -> str:
-    """Return a number as the format `form` says, a dash where there is none."""
+    """Return a number in the given format, or a dash if it is not finite."""
     return format(value, form) if math.isfinite(value) else "–"
 
 
 def tidy(value: float, digits: int = 3) -> str:
-    """Return a number to so many significant digits, without exponent where it can be read without; a dash where there is
-    none."""
+    """Return a number with this many significant digits, without an exponent where it is readable without. NaN is a dash."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -47,22 +46,22 @@ def tidy(value: float, digits: int = 3) -> str:
 
 
 def superscript(number: int) -> str:
-    """Return an integer as an exponent is written."""
+    """Return an integer in superscript digits."""
     return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def counted(number: int, what: str) -> str:
-    """Return a number and what it counts, such as "1 frame" or "2 frames"."""
+    """Return a number with its noun, such as "1 frame" or "2 frames"."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def a(what: str) -> str:
-    """Return what a file holds with its article, which several things, such as "partial sums", lack."""
+    """Return a noun with its article. Plurals such as "partial sums" get none."""
     return what if what.endswith("s") else f"a {what}"
 
 
 def size_text(count: int) -> str:
-    """Return a number of bytes, in words."""
+    """Return a number of bytes in MB or GB."""
     return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
 
 
@@ -72,18 +71,18 @@ def seconds_text(value: float) -> str:
 
 
 def array_lines(rows: list[list[str]]) -> list[str]:
-    """Return the rows of a colour filter array in columns."""
+    """Return the rows of a colour filter array, aligned in columns."""
     wide = max(len(name) for row in rows for name in row)
     return [" ".join(name.ljust(wide) for name in row).rstrip() for row in rows]
 
 
 def unit(text: str) -> str:
-    """Return a unit as ASCII artifacts write it, as print does."""
+    """Return a unit for printing: artifacts store it in ASCII."""
     return text.replace("e-", "e⁻").replace("m^2", "m²").replace("^2", "²")
 
 
 def short_names(paths: Iterable[Path]) -> list[str]:
-    """Return the shortest end of each path that no other path has, as tables call files."""
+    """Return the shortest ending of each path that no other path has."""
     every = [path.absolute().parts for path in paths]
 
     def distinguished(parts: tuple[str, ...]) -> str:
@@ -94,11 +93,10 @@ def short_names(paths: Iterable[Path]) -> list[str]:
 
 
 def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:
-    """Return the lines of a table: the first column to the left, the others to the right, below their headings of one or
-    more lines.
+    """Format a table: first column left-aligned, others right-aligned, with headings of one or more lines.
 
-    A table wider than `width` characters is divided into several, one below the other, all with the first column. What is
-    not `printable` is replaced.
+    A table wider than `width` characters is split into several tables, one below the other, each with the first column.
+    Characters that are not printable are replaced.
     """
     named = [[printable(line) for line in heading.split("\n")] for heading in headings]
     high = max(map(len, named))
@@ -123,12 +121,12 @@ def _line(cells: Sequence[str], part: Sequence[int], wide: Sequence[int]) -> str
 
 
 class NoSuchNumber(ValueError):
-    """A text that is no number, or one out of its range; the message says what would be right."""
+    """A text that is not a number or is out of range. The message says what is accepted."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Range of a number, ends included, and its unit."""
+    """A range of numbers, including its ends, with a unit."""
 
     least: float
     most: float
@@ -139,8 +137,7 @@ class Quantity:
         return f"{_written(self.least)}…{_written(self.most)}{' ' if self.unit else ''}{self.unit}"
 
     def read(self, text: str) -> float:
-        """Return the number that `text` means, an int where it is a whole one; NoSuchNumber if it means none within the
-        range."""
+        """Parse a number, as int if it must be whole. Raise NoSuchNumber if it is invalid or out of range."""
         spelled = WHOLE if self.whole else DECIMAL
         if not spelled.fullmatch(text):
             what = "whole number" if self.whole and DECIMAL.fullmatch(text) else "number"
@@ -153,7 +150,7 @@ class Quantity:
 
 
 def _whole(text: str) -> float:
-    """Return an int, or an infinity where it has more digits than Python reads."""
+    """Return an int, or infinity if it has more digits than Python reads."""
     match = WHOLE.fullmatch(text)
     assert match is not None
     sign, digits = match.groups()

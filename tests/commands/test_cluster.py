@@ -247,7 +247,7 @@ def test_a_run_over_tls_ends_without_workers_and_without_its_scheduler(
     with a_cluster(tmp_path, 0, "--tls-ca-file", ca, "--tls-cert", certificate, "--tls-key", key) as cluster:
         there = _there(cluster, ca, certificate, key)
         with monkeypatch.context() as hasty:
-            hasty.setattr(elsewhere, "PATIENCE", 1.0)
+            hasty.setattr(elsewhere, "WORKERLESS_SECONDS", 1.0)
             with pytest.raises(L3Error, match="no worker for 1 s"), workers(1, there):
                 pass
         cluster.add(1)
@@ -256,7 +256,7 @@ def test_a_run_over_tls_ends_without_workers_and_without_its_scheduler(
         assert l3(*command, *tls)[::2] == (0, "")
         assert (tmp_path / "training.h5").read_bytes() == (made / "training.h5").read_bytes()
         with workers(1, there) as pool, monkeypatch.context() as hasty:
-            hasty.setattr(elsewhere, "PATIENCE", 1.0)
+            hasty.setattr(elsewhere, "WORKERLESS_SECONDS", 1.0)
             with pytest.raises(L3Error, match="no worker for 1 s"):
                 _go_on(pool(_process, range(10_000)), cluster.workers[0].kill)
         cluster.add(1)

@@ -152,5 +152,5 @@ def test_pictures_that_are_not_of_the_frames_are_refused(pipeline: Path, refused
     write_picture(first, read_image(first)[0][2:])
     assert "give pictures of whole frames" in refused(3, *files, mine)
     write_picture(mine / "99999_ideal.png", read_image(first)[0])
-    assert "give one of each" in refused(3, *files, mine)
+    assert "give one per frame" in refused(3, *files, mine)
     assert "--rival out" in refused(2, "evaluate", "--sequence", mine, "--rival", mine)

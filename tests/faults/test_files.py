@@ -167,7 +167,7 @@ def test_storage_without_locks_is_reported_and_used(tmp_path: Path, monkeypatch:
     (tmp_path / "in.json").write_text("[]")
     code, _, err = l3("compare", tmp_path / "in.json", "-o", tmp_path / "a.html")
     assert code == 3
-    assert err.startswith(f"warning: {tmp_path}/a.html lies on storage without file locks")
+    assert err.startswith(f"warning: {tmp_path}/a.html is on storage without file locks")
 
 
 def test_a_full_disk_names_the_output(tmp_path: Path) -> None:
