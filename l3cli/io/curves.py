@@ -1,5 +1,7 @@
-"""Files of curves: CSV spectra, tables of sweeps, the JSON of rawtoaces (camera spectral sensitivities per energy); and the
-statistics of measured cameras' curves, those that come with l3 or of a folder (docs/method.md#charts-in-photographs)."""
+"""Files of curves: CSV spectra, tables of sweeps, and rawtoaces JSON (camera spectral sensitivities per energy).
+
+Also statistics of measured cameras' curves, included in l3 or from a folder (docs/method.md#charts-in-photographs).
+"""
 
 import csv
 import io
@@ -24,13 +26,13 @@ Array = NDArray[np.float64]
 
 
 def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> None:
-    """Write columns (column, wavelength) as CSV below a heading with the `unit` of all columns, if there is one."""
+    """Write columns (column, wavelength) as CSV. The heading states the common `unit`, if there is one."""
     write_whole(path, curve_text(wavelength, columns, names, unit))
 
 
 def curve_text(wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> str:
-    """Return columns (column, wavelength) as `write_curves` writes them."""
-    heading = io.StringIO()  # a name may hold what ends a cell
+    """Return the CSV text that `write_curves` writes."""
+    heading = io.StringIO()  # csv quotes names that contain a comma
     csv.writer(heading, lineterminator="").writerow(
         ["wavelength_nm", *(f"{name} ({unit})" if unit else name for name in names)]
     )
@@ -40,9 +42,25 @@ def curve_text(wavelength: NDArray, columns: NDArray, names: Sequence[str], unit
 
 
 def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: int | str = 0) -> SweepTable:
-    """Return the table of a sweep: wavelength, light mean of each channel, dark mean of each channel, light and dark reading
-    of the photodiode, in this order or by name; and the response of that photodiode, per energy, in a `column` of its table,
-    by name or by number from 1, 0 for the only one. InputFileError if it does not cover the sweep."""
+    """Read a sweep measured beside a photodiode.
+
+    Parameters
+    ----------
+    path : Path
+        Table with wavelength, mean of each channel under light, mean of each channel in the dark, and light and dark
+        readings of the photodiode, in this order or by name.
+    photodiode : Path
+        Table with the photodiode's response per energy.
+    channels : sequence of str
+        Names of the channels.
+    column : int or str
+        Column of the response, by name or by number from 1. 0 for the only column.
+
+    Raises
+    ------
+    InputFileError
+        If the response does not cover the sweep.
+    """
     count = len(channels)
     wanted = [f"{kind} {channel}" for kind in ("light", "dark") for channel in channels] + ["diode light", "diode dark"]
     sweep = read_table(path).ordered(wanted, lambda name: DIODE.get(name.casefold(), name))
@@ -59,7 +77,8 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
             f"{photodiode}: its {grid[0]:g}…{grid[-1]:g} nm do not cover the sweep's "
             f"{wavelength[0]:g}…{wavelength[-1]:g} nm; give the response over the whole sweep"
         )
-    diode = np.interp(wavelength, grid, response[0])  # at points: smooth, and each step is one line
+    # Interpolated at points, because the response is smooth and each step is a narrow line.
+    diode = np.interp(wavelength, grid, response[0])
     if wavelength.size < 3 or diode.min() <= 0:
         raise InputFileError(f"{path}: a sweep needs three wavelengths or more that the photodiode responds to")
     return SweepTable(wavelength, table[:count], table[count : 2 * count], table[-2], table[-1], diode)
@@ -68,8 +87,19 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
 def read_finished(
     path: Path, channels: Sequence[str], per_energy: bool, columns: Mapping[str, str] | None = None
 ) -> FinishedCurves:
-    """Return finished responsivities from CSV (wavelength in nm, one column a channel, by the name that `columns` gives
-    it) or from rawtoaces' JSON."""
+    """Read finished responsivities from CSV or from rawtoaces JSON.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with wavelength in nm and one column per channel, or JSON.
+    channels : sequence of str
+        Names of the channels.
+    per_energy : bool
+        Whether the curves are per energy instead of per photon.
+    columns : mapping, optional
+        Channel → name of its column, if different.
+    """
     table = (_read_json(path) if path.suffix.lower() == ".json" else read_table(path)).channel_columns(channels, columns)
     grid, curves = table.wavelength, without_noise(table.responses(per_energy, "per_energy"))
     if grid.size < 3 or grid[0] <= 0 or curves.min() < 0 or (curves.max(axis=1) <= 0).any():
@@ -78,7 +108,7 @@ def read_finished(
 
 
 def _read_json(path: Path) -> CurveTable:
-    """Return the curves of a rawtoaces file, by the names of its index."""
+    """Return the curves of a rawtoaces file, named by its index."""
     try:
         content = json.loads(read_bounded(path, "give curves as CSV or rawtoaces JSON"))["spectral_data"]
         rows, names = content["data"]["main"], content.get("index", {}).get("main")
@@ -99,10 +129,10 @@ def _read_json(path: Path) -> CurveTable:
 
 # ---------------------------------------------------------------------------------- statistics of measured curves
 
-ROLES = ("r", "g", "b")  # channels of the table that comes with l3, and of the cameras of a folder
+ROLES = ("r", "g", "b")  # channels of the included table and of cameras in a folder
 CURVE_FILES = (".csv", ".json")
-LEAST = 8  # cameras of a folder: fewer say nothing of how curves vary
-MOST = 2000
+LEAST = 8  # cameras in a folder; fewer say too little about the variation of curves
+MOST = 2000  # cameras in a folder
 
 
 class PriorRecipe(Recipe):
@@ -110,16 +140,16 @@ class PriorRecipe(Recipe):
 
     title: ClassVar[str] = "a table of curve statistics"
 
-    source: str  # whose curves, by whom, under which licence
+    source: str  # cameras, author and licence of the curves
     wavelength_nm: list[float]
     mean: dict[str, list[float]]  # channel → wavelength
-    modes: list[dict[str, list[float]]]  # channel → wavelength, each mode by its standard deviation
+    modes: list[dict[str, list[float]]]  # channel → wavelength; each mode is scaled to its standard deviation
     log_peak: list[float]
     log_peak_covariance: list[list[float]]
 
 
 def shipped_statistics() -> CurveStatistics:
-    """Return the statistics that come with l3, of r, g and b."""
+    """Return the statistics of r, g and b that are included in l3."""
     recipe = load_recipe(recipe_folder() / "priors" / "rgb.toml", PriorRecipe)
     return CurveStatistics(
         np.array(recipe.wavelength_nm),
@@ -131,7 +161,7 @@ def shipped_statistics() -> CurveStatistics:
 
 
 def prior_files(folder: Path) -> list[Path]:
-    """Return the files of curves in a folder; InputFileError if there are too few."""
+    """Return the files of curves in a folder. Raises InputFileError if there are too few or too many."""
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in CURVE_FILES) if folder.is_dir() else []
     if not LEAST <= len(files) <= MOST:
         raise InputFileError(
@@ -141,5 +171,5 @@ def prior_files(folder: Path) -> list[Path]:
 
 
 def read_cameras(files: Sequence[Path]) -> tuple[FinishedCurves, ...]:
-    """Return the curves of measured cameras, r g b, per energy in the files; InputFileError names one that holds none."""
+    """Read the r, g and b curves of measured cameras, per energy. Raises InputFileError that names an unsuitable file."""
     return tuple(read_finished(path, ROLES, per_energy=True) for path in files)

@@ -1,5 +1,7 @@
-"""Destination of pictures: a file, its pages, a folder, numbered files, a video or a stream; what is there already; and the
-writer of frames into it."""
+"""Destinations of pictures: a file, its pages, a folder, numbered files, a video or a stream.
+
+This module determines the destination, checks what exists there, and opens the writer of frames.
+"""
 
 import contextlib
 import sys
@@ -25,38 +27,41 @@ PICTURE_WRITERS = 2  # threads that compress picture files
 
 @dataclass(frozen=True)
 class Destination:
-    """Destination of pictures: "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder", a single "file",
-    or "pages" of one."""
+    """Where pictures go.
+
+    `kind` is "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder", "file" (a single one) or "pages" (of
+    one file).
+    """
 
     path: Path
     kind: str
-    suffix: str  # of the files in a folder
-    bits: int = 8  # of a value
-    shard: tuple[int, int] | None = None  # that is written, number from 1 of how many
+    suffix: str  # suffix of the files in a folder
+    bits: int = 8  # bits per value
+    shard: tuple[int, int] | None = None  # number of the shard from 1, and number of shards
 
     @property
     def one_by_one(self) -> bool:
-        """Return whether every frame becomes a file."""
+        """Whether every frame becomes a file."""
         return self.kind in ("pattern", "folder", "file")
 
     @property
     def pictures(self) -> bool:
-        """Return whether every frame becomes a picture by itself, be it a file or a page."""
+        """Whether every frame becomes a picture of its own, as a file or a page."""
         return self.one_by_one or self.kind == "pages"
 
     @property
     def linear(self) -> bool:
-        """Return whether linear values are written rather than codes."""
+        """Whether linear values are written instead of codes."""
         return self.one_by_one and holds_linear(self.file(0, "frame"), self.bits)
 
     @property
     def raw(self) -> bool:
-        """Return whether files for raw developers are written."""
+        """Whether files for raw converters are written."""
         return self.one_by_one and holds_raw(self.file(0, "frame"))
 
     @property
     def has_times(self) -> bool:
-        """Return whether every frame has a time of its own."""
+        """Whether every frame has its own time."""
         return self.kind == "video" and self.path.suffix.lower() != Y4M
 
     def file(self, number: int, stem: str) -> Path:
@@ -67,19 +72,18 @@ class Destination:
 
     @property
     def file_suffix(self) -> str | None:
-        """Return the suffix of every file, where every frame becomes one."""
+        """Suffix of the files, if every frame becomes one."""
         return self.file(0, "frame").suffix if self.one_by_one else None
 
     @property
     def checkpoint(self) -> Path:
-        """Return the file of the checkpoint of pictures, beside them."""
+        """The checkpoint file, beside the pictures."""
         name = f"{self._of_shard}{UNFINISHED}"
         return self.path / name if self.kind == "folder" else self.path.with_name(f".{self.path.name}{name}")
 
     @property
     def lock(self) -> tuple[Path, str]:
-        """Return the folder, and what tells these pictures from others in it, of the lock that other runs respect: shards of
-        a sequence are written side by side."""
+        """Folder and name of the lock that other runs respect. Shards of a sequence have different locks."""
         folder, name = (self.path, "") if self.kind == "folder" else (self.path.parent, self.path.name)
         return folder, name + self._of_shard
 
@@ -89,8 +93,24 @@ class Destination:
 
 
 def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[int, int] | None) -> Destination:
-    """Return the destination that a name asks for, `suffix` being that of files in a folder; RecipeError if nothing of that
-    name can be written."""
+    """Return the destination for an output name.
+
+    Parameters
+    ----------
+    output : Path
+        The name.
+    suffix : str
+        Suffix of files in a folder.
+    choice : VideoChoice
+        Bits, codec and further settings.
+    shard : tuple of int, optional
+        Number of the shard from 1, and number of shards.
+
+    Raises
+    ------
+    RecipeError
+        If nothing with that name can be written.
+    """
     if choice.bits == FLOAT_BITS and (output == STDOUT or is_video(output)):
         raise RecipeError("values of 32 bits are for pictures; name a .tif or .exr, or leave ‹bits› out")
     if output == STDOUT:
@@ -111,15 +131,18 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
 
 
 def paged(destination: Destination, sequence: FrameSequence) -> Destination:
-    """Return the destination with pages, if it is a single file that can have them and there are several frames."""
+    """Return the destination with pages, if it is a single file that can have pages and there are several frames."""
     if destination.kind == "file" and sequence.rendered != 1 and destination.path.suffix.lower() in PAGED:
         return replace(destination, kind="pages")
     return destination
 
 
 def guard_outputs(destination: Destination, force: bool, guard: OutputGuard) -> None:
-    """Raise L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single
-    picture is there already; RecipeError if that is read."""
+    """Check a destination before anything is read.
+
+    Raises L3Error if nothing can be written there, if another run writes there, or if a video or single picture exists.
+    Raises RecipeError if the output is also an input.
+    """
     if destination.kind in ("video", "file"):
         guard.guard_file(destination.path, force)
     elif destination.kind == "stream":
@@ -132,8 +155,10 @@ def guard_outputs(destination: Destination, force: bool, guard: OutputGuard) -> 
 def refuse_outputs(
     destination: Destination, sequence: FrameSequence, force: bool, is_ours: Callable[[Path], bool] = lambda file: False
 ) -> None:
-    """Raise RecipeError if the frames do not fit into the destination or would replace what is read, L3Error if they would
-    replace what is there, unless it `is_ours`."""
+    """Raise RecipeError if the frames do not fit the destination or would replace an input.
+
+    Raises L3Error if they would replace other existing files, unless `force` or `is_ours(file)`.
+    """
     if destination.kind == "file" and sequence.rendered != 1:
         count = "a sequence" if sequence.rendered is None else f"{sequence.rendered} frames"
         raise RecipeError(
@@ -155,7 +180,7 @@ def refuse_outputs(
 
 
 def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
-    """Return pictures that are there and that frames of a stream, which may be endless, would replace."""
+    """Return the existing pictures that frames of a stream, which may be endless, would replace."""
     if sequence.wanted is None:
         return _pictures(destination)
     wanted = sequence.wanted if sequence.part is None else sequence.wanted[sequence.part.start : sequence.part.stop]
@@ -167,7 +192,7 @@ def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
 
 
 def _pictures(destination: Destination) -> list[Path]:
-    """Return the files that are there in a folder or of a pattern."""
+    """Return the existing files in a folder or of a pattern."""
     if destination.kind == "pattern":
         return list(numbered_files(destination.path).values())
     return sorted(destination.path.glob(f"*.{destination.suffix}"))
@@ -178,8 +203,10 @@ def sink_of(
     destination: Destination, sequence: FrameSequence, choice: VideoChoice, pacing: Pacing,
     made: Callable[[Path, Path, FrameReference], None] | None,
 ) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
-    """Open the writer of frames; give it and the number of threads that may call it at a time. `made` is called
-    with each file, the temporary one that is about to get its name, and its frame."""
+    """Open the writer of frames. Yields the writer and the number of threads that may call it at the same time.
+
+    `made` is called with each file, the temporary file that is about to be renamed to it, and its frame.
+    """
 
     def timed(write: Callable[[Any, int], None]) -> Callable[[tuple[FrameReference, Any]], None]:
         return lambda item: write(item[1], pacing.time(item[0].number))

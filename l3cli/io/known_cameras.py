@@ -1,5 +1,6 @@
-"""Cameras by name: 52 that people own, whose measured curves come with l3 (configs/priors/cameras.csv), and published facts
-of them (cameras.toml)."""
+"""Cameras by name: 52 cameras whose measured curves are included (configs/priors/cameras.csv), and published facts about
+them (cameras.toml).
+"""
 
 import functools
 from typing import ClassVar, Literal
@@ -15,29 +16,30 @@ from l3cli.recipes.toml import Count, Positive, Recipe, load_recipe
 from l3cli.spectra.file import read_table
 
 ROLES = ("r", "g", "b")
-USUAL_ROWS, USUAL_COLS, USUAL_BITS, BLACK_SHARE = 1080, 1920, 14, 32  # of a camera of which only the curves are known
-ARRAYS = {  # named as raw files are rendered in any phase
+USUAL_ROWS, USUAL_COLS, USUAL_BITS = 1080, 1920, 14  # assumed for cameras of which only the curves are known
+BLACK_SHARE = 32  # assumed ratio of full scale to black level
+ARRAYS = {  # in one phase each; raw files are rendered in any phase
     "bayer": ("r g", "g b"),
     "xtrans": ("g b g g r g", "r g r b g b", "g b g g r g", "g r g g b g", "b g b r g r", "g r g g b g"),
 }
-COMPANY = {"corporation", "corp", "company", "co", "ltd", "inc", "imaging"}  # words of makers' names in raw files
+COMPANY = {"corporation", "corp", "company", "co", "ltd", "inc", "imaging"}  # ignored words in makers' names
 
 
 class KnownCamera(Recipe):
-    """Published facts of a camera."""
+    """Published facts about a camera."""
 
     name: str  # make and model
-    also: list[str] = msgspec.field(default_factory=list)  # other names of it, or of cameras with its sensor and filters
+    also: list[str] = msgspec.field(default_factory=list)  # other names, also of cameras with the same sensor and filters
     array: Literal["bayer", "xtrans"] = "bayer"
     rows: Count | None = None
     cols: Count | None = None
     pixel_pitch_um: Positive | None = None
     bits: Count | None = None
-    iso: Positive | None = None  # lowest
+    iso: Positive | None = None  # lowest ISO speed
 
     @property
     def body(self) -> Body:
-        """Return the facts, those that are not published as of usual cameras."""
+        """Sensor, array and optics, with typical values for facts that are not published."""
         cfa = np.array([[ROLES.index(site) for site in row.split()] for row in ARRAYS[self.array]], np.uint8)
         pitch, optics = (self.pixel_pitch_um or PITCH_UM) * 1e-6, Optics(FOCAL_MM / 1000, F_NUMBER, 0.0)
         size = self.rows or USUAL_ROWS, self.cols or USUAL_COLS
@@ -45,13 +47,13 @@ class KnownCamera(Recipe):
 
     @property
     def levels(self) -> tuple[float, float]:
-        """Return a usual black level and the highest value, in DN; each raw file states its own."""
+        """Typical black level and highest value, in DN. Each raw file states its own levels."""
         values = 2.0 ** (self.bits or USUAL_BITS)
         return values / BLACK_SHARE, values - 1
 
     @property
     def stated(self) -> Stated:
-        """Return what is published as if a raw file stated it."""
+        """The published facts, in the form in which raw files state them."""
         return Stated(self.name, (), None, self.iso, self.pixel_pitch_um, None, None)
 
 
@@ -60,27 +62,27 @@ class KnownCameras(Recipe):
 
     title: ClassVar[str] = "a table of cameras"
 
-    source: str  # of the curves
+    source: str  # source of the curves
     camera: dict[str, KnownCamera]
 
 
 @functools.cache
 def known_cameras() -> KnownCameras:
-    """Return what is published of the cameras that come with l3."""
+    """Return the published facts about the included cameras."""
     return load_recipe(recipe_folder() / "priors" / "cameras.toml", KnownCameras)
 
 
 def known_curves(slug: str) -> FinishedCurves:
-    """Return the measured curves r, g, b of a camera by its name."""
+    """Return the measured curves r, g and b of a camera by its name."""
     table = read_table(recipe_folder() / "priors" / "cameras.csv")
     chosen = table.channel_columns(ROLES, {role: f"{slug} {role}" for role in ROLES})
     return FinishedCurves(chosen.wavelength, chosen.values)
 
 
 def known_as(stated: str) -> str | None:
-    """Return the camera whose make and model a raw file states; None if it is not among those by name."""
+    """Return the name of the included camera with the make and model that a raw file states, or None."""
     words = [word for word in slug_of(stated).split("_") if word not in COMPANY]
-    model = "_".join(dict.fromkeys(words))  # "NIKON CORPORATION", "NIKON D810": the make once
+    model = "_".join(dict.fromkeys(words))  # without repetition of the make, as in "NIKON CORPORATION", "NIKON D810"
     return next(
         (slug for slug, each in known_cameras().camera.items() if model in map(slug_of, (each.name, *each.also))), None
     )

@@ -1,8 +1,8 @@
 """The measurement file and its keys (docs/own-lab.md, docs/method.md#calibration).
 
-It states one source of responsivity ([[mono]], [sweep], [curves], [[band]], [photo]); for its scale [[chart]]s; for the
-sensor [[dark]] and [[white]] frames, or a [datasheet]. One of [[dark]] and [[white]] frames alone takes all else from a
-camera model or recipe, its `base`. Names of files are relative to its folder.
+It states one source of responsivity ([[mono]], [sweep], [curves], [[band]] or [photo]), [[chart]] captures for its scale,
+and [[dark]] and [[white]] frames or a [datasheet] for the sensor. A file with [[dark]] and [[white]] frames only takes
+everything else from a camera model or recipe, its `base`. File names are relative to its folder.
 """
 
 from collections.abc import Iterator
@@ -35,12 +35,12 @@ from l3cli.system.limits import MEGAPIXELS, most_pixels
 
 EXPOSURES = ("exposure_s", "exposure_ms", "exposure_us")
 CAPTURES = ("mono", "band", "chart", "white", "dark")  # lists of tables that name frames
-MOST_UNREFERENCED = 2.0  # and its inverse: of readings without a reference, a number further from 1 is no ratio
-MOST_MONITOR = 10.0  # and its inverse: a lamp that changes more is another lamp
+MOST_UNREFERENCED = 2.0  # largest reading, or its inverse, that counts as a ratio if there is no reference
+MOST_MONITOR = 10.0  # largest ratio of lamp readings, or its inverse; a larger change indicates another lamp
 Below1 = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 Names = Annotated[list[str], msgspec.Meta(min_length=1)]
 Corners = Annotated[list[tuple[float, float]], msgspec.Meta(min_length=4, max_length=4)]
-SITE_PIXELS = 8  # rows and columns of super-pixels from which a local mean can be taken
+SITE_PIXELS = 8  # smallest number of super-pixels in rows and columns, needed for local means
 
 
 class BodyRecipe(Recipe):
@@ -59,62 +59,62 @@ class MonitorRecipe(Recipe):
 
 
 class CaptureRecipe(Recipe, kw_only=True):
-    """Lens-cap or white frames of one exposure."""
+    """Dark or white frames of one exposure."""
 
     frames: Names
-    exposure_s: Positive | None = None  # one of these three
+    exposure_s: Positive | None = None  # exactly one of these three
     exposure_ms: Positive | None = None
     exposure_us: Positive | None = None
-    # a reading of the lamp during the capture, over the reading when its spectrum was measured; 1: the same
-    # of [[mono]] also a table of readings
+    # reading of the lamp during the capture, relative to the reading when its spectrum was measured;
+    # for [[mono]], also a table of readings
     monitor: Annotated[float, msgspec.Meta(ge=1 / MOST_MONITOR, le=MOST_MONITOR)] | MonitorRecipe = 1.0
 
     @property
     def seconds(self) -> float | None:
-        """Return the exposure, or None unless exactly one key gives it."""
+        """The exposure in seconds, or None unless exactly one key gives it."""
         exposures = [(self.exposure_s, 1.0), (self.exposure_ms, 1e3), (self.exposure_us, 1e6)]
         given = [value / parts for value, parts in exposures if value is not None]
         return given[0] if len(given) == 1 else None
 
 
 class SensorCaptureRecipe(CaptureRecipe, kw_only=True):
-    """Lens-cap or white frames at an ISO speed: those of the lowest are of the camera's gain, others of further ones."""
+    """Dark or white frames at an ISO speed. The lowest speed gives the camera's gain, others give further gains."""
 
-    iso: float | None = None  # of all such frames, or of none
+    iso: float | None = None  # stated for all such captures, or for none
 
 
 class MonoRecipe(CaptureRecipe, kw_only=True):
-    """An even field lit by one monochromator step."""
+    """An even field under the light of one monochromator step."""
 
     spectrum: str  # CSV of measured radiances, bandwidth and stray light included
-    column: int | str = 1  # which of its columns: its name, or its number from 1, the wavelength not counted
-    unit: str | None = None  # of these radiances, where the heading states none; default: photons/s/sr/m²/nm
+    column: int | str = 1  # column, by name or by number from 1 without counting the wavelength
+    unit: str | None = None  # unit of the radiances, if the heading states none; default: photons/s/sr/m²/nm
 
 
 class ChartRecipe(CaptureRecipe, kw_only=True):
-    """A ColorChecker under one light; as [[band]] behind one filter, and then the radiances may be relative."""
+    """A ColorChecker under one light. As [[band]], it is behind one filter, and radiances may be relative."""
 
     illuminant: str
-    corners: Corners  # col, row in pixels: outer corners of patches 1, 6, 24, 19 (clockwise)
-    radiance: str  # CSV of measured radiances, 24 columns, by patch or row by row from dark skin to black
-    unit: str | None = None  # as of [[mono]]
+    corners: Corners  # col, row in pixels of the outer corners of patches 1, 6, 24, 19 (clockwise)
+    radiance: str  # CSV of measured radiances, 24 columns, named by patch or row by row from dark skin to black
+    unit: str | None = None  # as in [[mono]]
 
 
 class CommonRecipe(Recipe):
-    """Keys common to [[mono]] and [[band]] captures that do not state them themselves."""
+    """Keys that apply to all [[mono]] and [[band]] captures that do not state them."""
 
     exposure_s: Positive | None = None  # one of these three
     exposure_ms: Positive | None = None
     exposure_us: Positive | None = None
-    unit: str | None = None  # of radiances, where the heading states none
-    monitor: MonitorRecipe | None = None  # of [[mono]]
+    unit: str | None = None  # unit of radiances, if the heading states none
+    monitor: MonitorRecipe | None = None  # for [[mono]]
 
 
 class ColumnRecipe(Recipe):
-    """One column of a table of several."""
+    """One column of a table with several."""
 
     file: str
-    column: int | str  # its name, or its number from 1, the wavelength not counted
+    column: int | str  # by name, or by number from 1 without counting the wavelength
 
 
 class SweepRecipe(Recipe):
@@ -125,50 +125,50 @@ class SweepRecipe(Recipe):
 
     @property
     def response(self) -> ColumnRecipe:
-        """Return the photodiode's table, and its column: the only one, or that which is named."""
+        """The photodiode's table and column; column 0 is the only one."""
         return ColumnRecipe(self.photodiode, 0) if isinstance(self.photodiode, str) else self.photodiode
 
 
 class CurvesRecipe(Recipe):
-    """Responsivities that somebody measured."""
+    """Finished responsivities from another source."""
 
-    file: str  # CSV: nm, one column a channel; or the JSON of rawtoaces
-    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → its column, where that has another name
-    per_energy: bool = True  # false: per photon
+    file: str  # CSV with nm and one column per channel, or JSON of rawtoaces
+    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → name of its column, if different
+    per_energy: bool = True  # false if the curves are per photon
 
 
 class PhotoRecipe(Recipe):
     """Raw files of a chart under one light."""
 
-    frames: Names  # of one scene at one exposure: two or more give the noise by their differences
-    light: str | None = None  # "D65", "3200K", or a CSV file of its spectrum; without it, it is guessed
-    column: int | str = 1  # of the light's CSV, as of [[mono]]
-    unit: str = "relative power"  # of the light's CSV, where the heading states none
-    chart: str = "classic"  # name, or CSV of reflectances, a column a patch, row by row
+    frames: Names  # one scene at one exposure; the differences between two or more frames give the noise
+    light: str | None = None  # "D65", "3200K", or a CSV file of its spectrum; without it, l3 guesses the light
+    column: int | str = 1  # column of the light's CSV, as in [[mono]]
+    unit: str = "relative power"  # unit of the light's CSV, if the heading states none
+    chart: str = "classic"  # name of a chart, or CSV of reflectances with one column per patch, row by row
     layout: tuple[Count, Count] = (4, 6)  # rows, columns of patches
-    corners: Corners | None = None  # col, row: as of [[chart]]; without them the chart is searched
+    corners: Corners | None = None  # col, row as in [[chart]]; without them, l3 searches the chart
     dark: list[str] = msgspec.field(default_factory=list)  # raw files without light, at the same exposure
     white: list[str] = msgspec.field(default_factory=list)  # raw files of an even white in the chart's place
 
 
 class DatasheetRecipe(NoiseRecipe, kw_only=True):
-    """The sensor as its maker declares it."""
+    """Figures of the sensor from its data sheet."""
 
     black_level_dn: float
     white_level_dn: float
-    gain_dn_per_e: Positive | None = None  # default: the white level is where the well is full
+    gain_dn_per_e: Positive | None = None  # default: the full well is at the white level
 
 
 class UncertaintyRecipe(Recipe):
-    """Uncertainty of the lights, one standard deviation; it widens the confidence band."""
+    """Uncertainty of the lights (one standard deviation), which widens the confidence band."""
 
-    lamp_drift: Below1 = 0.0  # relative, between a light and its measured spectrum, after the monitor's correction
-    photodiode: Below1 = 0.0  # relative, of the response of a [sweep]'s photodiode at each wavelength
-    wavelength_nm: Annotated[float, msgspec.Meta(ge=0, lt=100)] = 0.0  # of the scale of spectrometer or monochromator
+    lamp_drift: Below1 = 0.0  # relative drift of a light from its measured spectrum, after correction by the monitor
+    photodiode: Below1 = 0.0  # relative error of the response of a [sweep]'s photodiode at each wavelength
+    wavelength_nm: Annotated[float, msgspec.Meta(ge=0, lt=100)] = 0.0  # wavelength error of spectrometer or monochromator
 
 
 class MeasurementRecipe(Recipe):
-    """MEASUREMENTS.toml."""
+    """The measurement file MEASUREMENTS.toml."""
 
     title: ClassVar[str] = "a measurement file"
 
@@ -181,13 +181,13 @@ class MeasurementRecipe(Recipe):
     sweep: SweepRecipe | None = None
     curves: CurvesRecipe | None = None
     photo: PhotoRecipe | list[PhotoRecipe] = msgspec.field(default_factory=list)
-    prior: str | None = None  # folder of measured curves of r g b cameras, for photos; default: the table of l3
+    prior: str | None = None  # folder of measured curves of r g b cameras, for photos; default: the included table
     band: list[ChartRecipe] = msgspec.field(default_factory=list)
     chart: list[ChartRecipe] = msgspec.field(default_factory=list)
     white: list[SensorCaptureRecipe] = msgspec.field(default_factory=list)
     dark: list[SensorCaptureRecipe] = msgspec.field(default_factory=list)
     datasheet: DatasheetRecipe | None = None
-    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # exposed or amplified apart in the captures
+    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # exposures, gains that differ by channel
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
 
     def __post_init__(self) -> None:
@@ -202,22 +202,22 @@ class MeasurementRecipe(Recipe):
 
     @property
     def photos(self) -> list[PhotoRecipe]:
-        """Return [photo], or every [[photo]]."""
+        """The entries of [photo] or [[photo]]."""
         return self.photo if isinstance(self.photo, list) else [self.photo]
 
 
 class CorrectionRecipe(Recipe):
-    """MEASUREMENTS.toml of a camera that is known but for its defects and flat field."""
+    """A measurement file for a camera that is known except for its defects and flat field."""
 
     title: ClassVar[str] = MeasurementRecipe.title
 
     base: str  # camera model or recipe, relative to this file
-    dark: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]  # lens cap: one exposure or several
+    dark: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]  # lens cap on, one exposure or several
     white: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]  # an even white, neither clipped nor dark
 
 
 def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[str, int, CaptureRecipe]]:
-    """Yield the section and number of every capture, and the capture."""
+    """Yield the section, number and contents of every capture."""
     for section in CAPTURES:
         for number, capture in enumerate(getattr(recipe, section, [])):
             yield section, number, capture
@@ -227,7 +227,7 @@ def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[
 
 
 def key_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
-    """Yield the faults of numbers and names that depend on no other file."""
+    """Yield the faults of numbers and names that do not depend on other files."""
     if isinstance(recipe, MeasurementRecipe):
         yield from _sensor_faults(recipe)
         yield from _source_faults(recipe)
@@ -238,7 +238,9 @@ def key_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
 
 
 def _section_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
-    """Yield a fault unless there are one source of responsivity, one of the sensor's figures, and all that they need."""
+    """Yield a fault unless there is one source of responsivity, one source of the sensor's figures, and all that they
+    need.
+    """
     given = [name for name in ("mono", "sweep", "curves", "band", "photo") if getattr(recipe, name)]
     rules = (
         (
@@ -292,14 +294,14 @@ def _sensor_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
 
 
 def _datasheet_faults(declared: DatasheetRecipe, most: int) -> Iterator[Fault]:
-    """Yield the faults of declared figures; `most`: the largest DN."""
+    """Yield the faults of data sheet figures. `most` is the largest DN."""
     if not 0 <= declared.black_level_dn < declared.white_level_dn <= most:
         yield fault(f"datasheet needs 0 ≤ black_level_dn < white_level_dn ≤ {most}", "datasheet")
     yield from share_faults(declared.prnu, "datasheet.prnu", MOST_PRNU)
 
 
 def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
-    """Yield the faults of [uncertainty], and of the columns that [curves] names."""
+    """Yield the faults of [uncertainty] and of the columns in [curves]."""
     if recipe.uncertainty.photodiode and recipe.sweep is None:
         yield fault("uncertainty.photodiode is of the photodiode of a [sweep]; leave it out", "uncertainty.photodiode")
     if recipe.curves is not None:
@@ -320,13 +322,13 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
 
 
 def frame_names(recipe: MeasurementRecipe) -> list[str]:
-    """Return every frame a measurement file names, in order."""
+    """Return the names of all frames in a measurement file, in order."""
     names = [name for _, _, capture in captures_of(recipe) for name in capture.frames]
     return names + [name for photo in recipe.photos for name in (*photo.frames, *photo.dark, *photo.white)]
 
 
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
-    """Return every file of spectra, tables and curves a measurement file names, each once, in order."""
+    """Return the names of all files of spectra, tables and curves in a measurement file, each once, in order."""
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
     names += [step.monitor.file for step in recipe.mono if isinstance(step.monitor, MonitorRecipe)]
     names += [recipe.sweep.table, recipe.sweep.response.file] if recipe.sweep else []
@@ -336,7 +338,17 @@ def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
 
 
 def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: Any) -> MeasurementRecipe:
-    """Return the measurement file of captures of a known camera; `captures` are the lists mono, chart, white and dark."""
+    """Return a measurement file for captures of a known camera.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    uncertainty : UncertaintyRecipe
+        Uncertainty of the lights.
+    **captures
+        Lists `mono`, `chart`, `white` and `dark`.
+    """
     optics = camera.optics
     return MeasurementRecipe(
         name=camera.name,
@@ -355,7 +367,7 @@ def write_measurements(recipe: MeasurementRecipe, path: Path) -> None:
 
 
 def _toml(table: dict[str, Any], prefix: str = "") -> str:
-    """Return a table of numbers, texts, lists, tables and lists of tables as TOML."""
+    """Convert a table of numbers, texts, lists, tables and lists of tables to TOML."""
 
     def is_table(value: Any) -> bool:
         return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))

@@ -1,6 +1,9 @@
-"""Measurements that a measurement file names: captures with their frames, spectra and figures (docs/method.md#calibration);
-photographs of charts, and the measurement file of a raw file that says all that is needed itself
-(docs/method.md#charts-in-photographs)."""
+"""Load the measurements that a measurement file names: captures with frames, spectra and figures
+(docs/method.md#calibration).
+
+Also photographs of charts, and measurements from raw files that state everything that is needed
+(docs/method.md#charts-in-photographs).
+"""
 
 import io
 import math
@@ -74,24 +77,27 @@ from l3cli.spectra.file import names_file, read_table
 from l3cli.spectra.table import RELATIVE, CurveTable, without_noise
 from l3cli.system.files import sha256, stamp, write_whole
 
-SEEN = (400.0, 700.0)  # nm: what a measured light must cover
-GRID = np.arange(380.0, 781.0, 5.0)  # nm, of named lights and charts
-MOST = 65535  # DN
+SEEN = (400.0, 700.0)  # nm, range that a measured light must cover
+GRID = np.arange(380.0, 781.0, 5.0)  # nm, grid of named lights and charts
+MOST = 65535  # DN, largest value of 16 bits
 Array = NDArray[np.float64]
 
 
-# "black_level" and "white_level" in DN of raw files that state none, as far as they are known; "opcodes": "leave" if those
-# of a DNG that are not carried out are to be left out
+# Facts about raw files that do not state them: "black_level" and "white_level" in DN. "opcodes": "leave" ignores the opcodes
+# of a DNG that l3 does not support.
 Levels = Mapping[str, Any]
 
 
 def load_photos(photos: Sequence[PhotoRecipe], body: Body, levels: Levels, path: Path) -> tuple[PhotoCapture, ...]:
-    """Return the photos of a measurement file. RecipeError if it asks for what cannot be, InputFileError if a file is no raw
-    file of this camera, no light or no chart."""
+    """Load the photos of a measurement file.
+
+    Raises RecipeError for invalid requests, and InputFileError if a file is not a raw file of this camera, a light or a
+    chart.
+    """
     captures = []
     for photo in photos:
         wavelength, radiance = _light(photo, path)
-        known = {"black_level": 0.0, **levels} if photo.dark else levels  # its dark frames measure the black level
+        known = {"black_level": 0.0, **levels} if photo.dark else levels  # dark frames will give the black level
         frames, darks, whites = (
             tuple(_frame(path.parent / name, body, known) for name in names)
             for names in (photo.frames, photo.dark, photo.white)
@@ -108,7 +114,7 @@ def load_photos(photos: Sequence[PhotoRecipe], body: Body, levels: Levels, path:
 
 
 def _check_alike(frames: Sequence[RawFrame], darks: Sequence[RawFrame], whites: Sequence[RawFrame]) -> None:
-    """Raise InputFileError unless all frames of a photo have one size and phase."""
+    """Raise InputFileError unless all frames of a photo have the same size and phase."""
     first = frames[0]
     for frame in (*frames, *darks, *whites):
         if frame.values.shape != first.values.shape or frame.phase != first.phase:
@@ -116,7 +122,7 @@ def _check_alike(frames: Sequence[RawFrame], darks: Sequence[RawFrame], whites: 
 
 
 def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
-    """Return a raw file as it stands, at its own levels."""
+    """Read a raw file as it is, with its own levels."""
     content: Mapping[str, Any] = {**levels, **raw_content(path, levels)}
     if "black_level" not in content:
         raise InputFileError(f"{path} states no black level; name a dark frame, as dark, or give a [datasheet]")
@@ -131,7 +137,9 @@ def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
 
 
 def _light(photo: PhotoRecipe, path: Path) -> tuple[Array, Array]:
-    """Return wavelength (nm) and relative photon radiance of the light; of one that is to be guessed an equal one."""
+    """Return wavelength (nm) and relative photon radiance of the light. A light that is to be guessed is equal-energy for
+    now.
+    """
     if photo.light is None:
         return GRID, np.ones_like(GRID)
     if not names_file(photo.light):
@@ -172,8 +180,11 @@ def _chart_of_photo(photo: PhotoRecipe, path: Path) -> Chart:
 
 
 def recipe_of_photos(paths: Sequence[Path], light: str | None, levels: Levels | None = None) -> MeasurementRecipe:
-    """Return the measurement file of raw files that state their own array, levels and size: one camera, a photo each, under
-    one light. Pixel pitch and optics, which no responsivity depends on, are declared. InputFileError if a file does not."""
+    """Return a measurement file for raw files that state their array, levels and size.
+
+    All files are from one camera under one light, and each is a photo. Pixel pitch and optics are placeholders, because
+    responsivities do not depend on them. Raises InputFileError if a file does not state enough.
+    """
     levels = levels or {}
     content = {**levels, **raw_content(paths[0], levels)}
     stated, white = content.get("pattern"), content.get("white_level")
@@ -196,12 +207,12 @@ def recipe_of_photos(paths: Sequence[Path], light: str | None, levels: Levels | 
 
 
 def bits_of(white_level: float) -> int:
-    """Return the bits of a sensor that saturates at a white level (DN)."""
+    """Return the bits of a sensor with a given white level (DN)."""
     return min(int(np.ceil(np.log2(white_level + 1))), MAX_BITS)
 
 
 def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
-    """Return the colour filter array of the codes (row, col) that a raw file states, channels called by letters."""
+    """Return the colour filter array from the codes (row, col) in a raw file. Channels are named by letters."""
     pattern = least_period(codes)
     names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}
     return CfaRecipe(list(names.values()), [" ".join(names[int(code)] for code in row) for row in pattern])
@@ -211,14 +222,16 @@ def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
 
 
 def offset_paths(folder: Path, photos: Sequence[PhotoCapture]) -> list[Path]:
-    """Return the file of each photo that `export_offsets` writes."""
+    """Return the file names that `export_offsets` writes, one per photo."""
     numbers = [""] if len(photos) == 1 else [f"_{number + 1}" for number in range(len(photos))]
     return [folder / f"{Path(photo.name).stem}{each}_offsets.tif" for photo, each in zip(photos, numbers, strict=True)]
 
 
 def export_offsets(camera: CameraModel, photos: Sequence[PhotoCapture], folder: Path) -> None:
-    """Write what each photo of a chart shows without light from the scene, black level and glare of each channel, as a dark
-    frame for rendering it: two equal pages, whose difference says that they have no noise."""
+    """Write a dark frame for each photo of a chart, with the black level and the glare of each channel.
+
+    It is used to render the photo. Each file has two equal pages, whose difference says that it has no noise.
+    """
     import tifffile
 
     assert camera.fit is not None
@@ -235,9 +248,19 @@ def export_offsets(camera: CameraModel, photos: Sequence[PhotoCapture], folder: 
 
 
 def load_measurements(path: Path) -> Measurements:
-    """Return the measurements that a measurement file names; frames are read later, one by one.
+    """Load the measurements that a measurement file names. Frames are read later, one by one.
 
-    RecipeError if the file asks for what cannot be, InputFileError if a spectrum or a frame is missing or broken.
+    Parameters
+    ----------
+    path : Path
+        The measurement file.
+
+    Raises
+    ------
+    RecipeError
+        If the file is invalid.
+    InputFileError
+        If a spectrum or a frame is missing or damaged.
     """
     recipe = _load(path)
     return _corrections(recipe, path) if isinstance(recipe, CorrectionRecipe) else measurements_of(recipe, path)
@@ -266,8 +289,22 @@ def _corrections(recipe: CorrectionRecipe, path: Path) -> Measurements:
 
 
 def measurements_of(recipe: MeasurementRecipe, path: Path, levels: Levels | None = None) -> Measurements:
-    """Return the measurements of a measurement file that lies, or would lie, at `path`; errors as of `load_measurements`.
-    `levels`: of photos that state none; None: those of the [datasheet]."""
+    """Load the measurements of a recipe.
+
+    Parameters
+    ----------
+    recipe : MeasurementRecipe
+        Contents of the measurement file.
+    path : Path
+        Its path. The file need not exist, but file names are relative to its folder.
+    levels : mapping, optional
+        Levels of photos that state none. [default: from [datasheet]]
+
+    Raises
+    ------
+    RecipeError, InputFileError
+        As in `load_measurements`.
+    """
     refuse_first(key_faults(recipe), path)
     body = _body(recipe, path)
     for name in frame_names(recipe):
@@ -295,7 +332,7 @@ def measurements_of(recipe: MeasurementRecipe, path: Path, levels: Levels | None
 
 
 def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, path: Path) -> dict[float | None, tuple[Capture, ...]]:
-    """Return the captures of each ISO speed; None: not stated."""
+    """Return the captures by ISO speed; None if not stated."""
     found: dict[float | None, tuple[Capture, ...]] = {}
     for each in recipes:
         found[each.iso] = (*found.get(each.iso, ()), Capture(**_common(each, body, path)))
@@ -303,9 +340,10 @@ def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, path: Path) ->
 
 
 def _common(capture: CaptureRecipe, body: Body, path: Path) -> dict[str, Any]:
-    """Return the keywords that every capture has."""
+    """Return the keyword arguments that are common to all captures."""
     files = FrameFiles(tuple(path.parent / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
-    monitor = 1.0 if isinstance(capture.monitor, MonitorRecipe) else capture.monitor  # a table is read beside the spectrum
+    # A table of readings is read together with the spectrum.
+    monitor = 1.0 if isinstance(capture.monitor, MonitorRecipe) else capture.monitor
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": monitor}
 
 
@@ -380,8 +418,11 @@ def _reading(table: CurveTable, column: int | str, nm: float) -> tuple[float, di
 
 
 def step_radiance(table: CurveTable, step: MonoRecipe, path: Path) -> tuple[CurveTable, NDArray[np.float64]]:
-    """Return the column of a table that a step of the recipe `path` names, and its radiance (wavelength); RecipeError if
-    there is none of its number, InputFileError if there is none of its name or it is dark."""
+    """Return the column of a table that a monochromatic step names, and its radiance (wavelength).
+
+    `path` is the recipe, for messages. Raises RecipeError if the column number does not exist, and InputFileError if the
+    name does not exist or if the light is dark.
+    """
     if isinstance(step.column, int) and not 1 <= step.column <= len(table.values):
         raise RecipeError(f"{path}: column {step.column} of {step.spectrum} is none of its 1…{len(table.values)}")
     light = table.column(step.column)
@@ -392,7 +433,7 @@ def step_radiance(table: CurveTable, step: MonoRecipe, path: Path) -> tuple[Curv
 
 
 def _chart(chart: ChartRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:
-    """Return a chart capture as keywords."""
+    """Return a chart capture as keyword arguments."""
     measured, radiance = chart_radiance(path.parent / chart.radiance, chart, table)
     return {
         **_common(chart, body, path),
@@ -404,8 +445,10 @@ def _chart(chart: ChartRecipe, table: str, body: Body, path: Path) -> dict[str, 
 
 
 def chart_radiance(file: Path, chart: ChartRecipe, table: str) -> tuple[CurveTable, NDArray[np.float64]]:
-    """Return the patches of a [[chart]] or [[band]] in their order, and their radiances (patch, wavelength);
-    InputFileError if they are none."""
+    """Return the patches of a [[chart]] or [[band]] in order, and their radiances (patch, wavelength).
+
+    Raises InputFileError if the table does not contain radiances of the patches.
+    """
     measured = read_table(file).ordered(PATCH_NAMES, patch_name)
     if table == "chart" and {chart.unit, *measured.units} & set(RELATIVE):
         raise InputFileError(f"{file}: radiances of a [[chart]] give the scale and cannot be relative; measure them")
@@ -416,7 +459,7 @@ def chart_radiance(file: Path, chart: ChartRecipe, table: str) -> tuple[CurveTab
 
 
 def patch_name(heading: str) -> str:
-    """Return the patch that a heading means: "patch 13", "13", "blue", "white 9.5 (.05 D)"; other headings as they are."""
+    """Return the patch that a heading means: "patch 13", "13", "blue", "white 9.5 (.05 D)". Other headings are unchanged."""
     number = re.fullmatch(r"(?:patch|p|no|#)?[ ._-]*0*(\d{1,2})", heading.strip(), re.IGNORECASE)
     if number and 1 <= int(number[1]) <= PATCHES:
         return PATCH_NAMES[int(number[1]) - 1]
@@ -424,7 +467,7 @@ def patch_name(heading: str) -> str:
 
 
 def curve_of(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves | None:
-    """Return the [sweep] or the [curves] of a measurement file; InputFileError if their files hold none."""
+    """Return the [sweep] or the [curves] of a measurement file. Raises InputFileError if the files do not contain them."""
     if recipe.sweep is not None:
         sweep = recipe.sweep
         response = sweep.response
@@ -442,7 +485,7 @@ def _levels(recipe: MeasurementRecipe) -> Levels:
 
 
 def _cameras(recipe: MeasurementRecipe, path: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
-    """Return the prior knowledge of curves, before a photo is taken."""
+    """Return the prior knowledge about curves for photos."""
     if not recipe.photos:
         return None
     return shipped_statistics() if recipe.prior is None else read_cameras(prior_files(path.parent / recipe.prior))
@@ -471,16 +514,16 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
 
 @dataclass(frozen=True)
 class Inputs:
-    """The files of a calibration, as they were before any was read."""
+    """The files of a calibration, with their state before any of them was read."""
 
     recipe: str  # text of the measurement file
     files: dict[str, list[Path]]  # role → its files
-    stamps: dict[Path, tuple[int, ...]]
+    stamps: dict[Path, tuple[int, ...]]  # size, times and inode of each file
 
     def history(self, options: dict[str, Any]) -> Stage:
-        """Return the history stage of a calibration: options, the measurement file and the SHA-256 of all that it names.
+        """Return the history stage of a calibration: options, measurement file and the SHA-256 of all its files.
 
-        InputFileError if one is not the file that it was before, so that what was read and what is named are the same.
+        Raises InputFileError if a file has changed since, so that the digests always describe what was read.
         """
         digests = {role: [sha256(file) for file in files] for role, files in self.files.items()}
         for file, before in self.stamps.items():
@@ -490,7 +533,7 @@ class Inputs:
 
 
 def inputs_of(path: Path) -> Inputs:
-    """Return the measurement file and all files that it names, to be called before they are read."""
+    """Return the measurement file and all files that it names. Call this before reading them."""
     first, recipe = stamp(path), _load(path)
     if isinstance(recipe, CorrectionRecipe):
         refuse_first(key_faults(recipe), path)
@@ -505,11 +548,25 @@ def inputs_of(path: Path) -> Inputs:
 
 
 def inputs_of_photos(photos: Sequence[Path]) -> Inputs:
-    """Return the raw files of a calibration that has no measurement file, to be called before they are read."""
+    """Return the raw files of a calibration without a measurement file. Call this before reading them."""
     return Inputs("", {"frames": list(photos)}, {file: stamp(file) for file in photos})
 
 
 def photo_measurements(photos: Sequence[Path], light: str | None, levels: Levels | None = None) -> Measurements:
-    """Return the measurements of raw files of a chart under one light (None: to be estimated) without a measurement file;
-    InputFileError if neither they nor `levels` state all that is needed."""
+    """Return the measurements of raw files of a chart under one light, without a measurement file.
+
+    Parameters
+    ----------
+    photos : sequence of Path
+        The raw files.
+    light : str or None
+        Name of the light, or None to estimate it.
+    levels : mapping, optional
+        Levels that the files do not state.
+
+    Raises
+    ------
+    InputFileError
+        If neither the files nor `levels` state everything that is needed.
+    """
     return measurements_of(recipe_of_photos(photos, light, levels), photos[0], levels or {})

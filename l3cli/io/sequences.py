@@ -1,7 +1,7 @@
-"""Frames that belong together, in order and with numbers: folders, patterns, globs, stacks, headerless streams, raw videos;
-and sequences of finished pictures, to be judged.
+"""Find frames that belong together, in order and with numbers: folders, patterns, globs, stacks, headerless streams, videos.
 
-What is listed here is not read yet, so that memory does not grow with the number of frames and reading can run ahead.
+Also sequences of finished pictures that are evaluated. Frames are listed here but not read, so that memory does not grow
+with their number and they can be read ahead.
 """
 
 import contextlib
@@ -43,75 +43,75 @@ from l3cli.io.video import CONTAINERS, DecodedVideo, InTurn, Stated, is_video, p
 from l3cli.physics.display import srgb_decoded
 from l3cli.system.files import STDIN
 
-STDIN_NAME = "stdin"  # in messages
+STDIN_NAME = "stdin"  # name in messages
 
 
 @dataclass(frozen=True)
 class FrameReference:
-    """A frame that is still to be read."""
+    """A frame that has not been read yet."""
 
     number: int
-    stem: str  # of the file that is made of it
-    read: Callable[[], RawFrame | None]  # None: there is no such frame, the stream ended before; InputFileError: broken
-    source: Path | None = None  # the file that holds it alone
-    origin: str | None = None  # what distinguishes it from another frame of its number, once computed
-    inode: tuple[int, ...] | None = None  # time of the last change of its file's inode and that one's number, once known
-    identity: str = ""  # what its picture says that it was made from (file_identity, values_identity), once computed
+    stem: str  # stem of the output file
+    read: Callable[[], RawFrame | None]  # reads the frame; None after the end of a stream, InputFileError if damaged
+    source: Path | None = None  # the file, if it contains this frame only
+    origin: str | None = None  # distinguishes it from another frame with its number, once computed
+    inode: tuple[int, ...] | None = None  # change time and number of the file's inode, once known
+    identity: str = ""  # identity in the picture's metadata (file_identity, values_identity), once computed
 
 
 @dataclass(frozen=True)
 class FrameSequence:
-    """Frames in their order. Those of a stream go on until one of them reads as None."""
+    """Frames in order. The frames of a stream go on until one of them reads as None."""
 
-    what: str  # its name in messages
-    frames: "Frames"  # that there are; of a stream, that there may be
-    count: int | None  # that there ought to be; None: as many as a stream has
-    stills: bool  # files named one by one: no sequence in time
-    rate: Fraction | None = None  # frames a second, where the file states them
-    missing: Sequence[range] = ()  # numbers of those that ought to be and are not, known before reading
+    what: str  # name in messages
+    frames: "Frames"  # the existing frames, or the possible frames of a stream
+    count: int | None  # expected number of frames; None for a stream of unknown length
+    stills: bool  # whether the frames are single files and not a sequence in time
+    rate: Fraction | None = None  # frames per second, if the file states it
+    missing: Sequence[range] = ()  # numbers of expected frames that do not exist
     is_stream: bool = False
-    wanted: range | None = None  # numbers chosen of a stream
-    unit: int | None = 1  # by how much their numbers grow from frame to frame; None: they do not count frames
-    times: Stated | None = None  # when they are shown, where the file states that of each
-    part: range | None = None  # places, from 0, of the frames that are rendered of those that there are; None: all
+    wanted: range | None = None  # numbers selected from a stream
+    unit: int | None = 1  # step of the numbers from frame to frame; None if they do not count frames
+    times: Stated | None = None  # times of the frames, if the file states them
+    part: range | None = None  # positions, from 0, of the frames to render; None for all
 
     @property
     def lost(self) -> int:
-        """Return the number of missing frames."""
+        """Number of missing frames."""
         return sum(len(numbers) for numbers in self.missing)
 
     @property
     def rendered(self) -> int | None:
-        """Return the number of frames to render; None: as many as a stream has."""
+        """Number of frames to render; None for a stream of unknown length."""
         return self.count if self.part is None else len(self.part)
 
     def renders(self, place: int) -> bool:
-        """Return whether the frame at a place is rendered; others are only what it depends on."""
+        """Whether the frame at a position is rendered. Other frames are only read because later frames depend on them."""
         return self.part is None or place in self.part
 
     def absent(self, numbers: range) -> InputFileError:
-        """Return the error that frames are not there."""
+        """Return the error for frames that do not exist."""
         step = f"x{numbers.step}" if numbers.step > 1 else ""
         named = f"frame {numbers[0]} is" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}{step} are"
         return InputFileError(f"{named} not in {self.what}; choose with ‹frames›, or add ‹skip_bad›")
 
     def rest(self, number: int) -> range:
-        """Return the numbers wanted of a stream from one on, at which it has ended."""
+        """Return the numbers selected from a stream, beginning at the number where it ended."""
         return self.wanted[self.wanted.index(number) :] if self.wanted else range(0)
 
 
 @dataclass(frozen=True)
 class _Series:
-    """Content of one input: its numbers, and a reader of the frame of a number."""
+    """An input: its frame numbers, and a function that reads a frame by number."""
 
-    what: str  # its name in messages
-    numbers: Collection[int] | None  # in order; None: a stream
+    what: str  # name in messages
+    numbers: Collection[int] | None  # in order; None for a stream
     read: Callable[[int], RawFrame | None]
     stem: Callable[[int], str]
     rate: Fraction | None = None
-    files: Mapping[int, Path] | None = None  # of those frames that have one each
-    times: Stated | None = None  # of those of a stream
-    expected: range | None = None  # numbers that there ought to be; None: those that there are
+    files: Mapping[int, Path] | None = None  # number → file, if each frame has a file of its own
+    times: Stated | None = None  # times of the frames of a stream
+    expected: range | None = None  # expected numbers; None if only the existing numbers are expected
 
 
 def find_frames(
@@ -121,11 +121,28 @@ def find_frames(
     selection: range | None = None,
     dataset: str | None = None,
 ) -> FrameSequence:
-    """Return the frames of `inputs`: many files of one frame each, or one input of any kind. A file's number is the last
-    number in its name, a stack's frames count from 0; of a pattern every number between its ends is expected, of `selection`
-    all.
+    """Find the frames of one input of any kind, or of several files with one frame each.
 
-    InputFileError if there are none; RecipeError if several inputs are not all files.
+    Parameters
+    ----------
+    inputs : tuple of Path
+        The inputs.
+    table : TransformTable
+        States the size of headerless frames, and the array.
+    known : RawOverrides
+        Facts about the raw files.
+    selection : range, optional
+        Frame numbers to select, all of which are expected to exist. The number of a file is the last number in its name.
+        Frames of a stack count from 0. For a pattern, every number between the first and the last is expected.
+    dataset : str, optional
+        Name of the array in an HDF5 or MATLAB file.
+
+    Raises
+    ------
+    InputFileError
+        If there are no frames.
+    RecipeError
+        If one of several inputs is not a single file.
     """
     plain = [path for path in inputs if is_one_file(path)]
     if len(plain) < len(inputs) and len(inputs) > 1:
@@ -150,7 +167,7 @@ def find_frames(
 
 
 def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], list[range]]:
-    """Return those of the numbers wanted that there are, in order, and the others: either may be too many to list."""
+    """Split the wanted numbers into existing numbers, in order, and ranges of missing ones. Both may be too many to list."""
     if isinstance(numbers, range):  # of a stack: from 0 on
         there: Sequence[int] = range(wanted.start, min(wanted.stop, len(numbers)), wanted.step)
         return there, [wanted[len(there) :]] if len(there) < len(wanted) else []
@@ -164,10 +181,10 @@ def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], li
 
 
 def read_dark(sequence: FrameSequence) -> DarkFrame:
-    """Return the mean of frames that were exposed without light; InputFileError if one is missing, broken or other."""
+    """Return the mean of frames exposed without light. Raises InputFileError if one is missing, damaged or different."""
     if sequence.what == STDIN_NAME:
         raise RecipeError("dark frames are files, not a stream; save them first")
-    # A video says only by its end how many frames it has.
+    # The number of frames in a video is known only at its end.
     return average_dark(_until_none(frame.read() for frame in sequence.frames))
 
 
@@ -179,7 +196,7 @@ def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
 
 
 def frame_files(path: Path) -> list[Path]:
-    """Return the files that an input, of whatever kind, lies in; InputFileError if there are none."""
+    """Return the files of an input of any kind. Raises InputFileError if there are none."""
     if path.is_dir():
         return _in_folder(path)
     if not path.exists() and PATTERN.search(path.name):
@@ -188,13 +205,13 @@ def frame_files(path: Path) -> list[Path]:
 
 
 def is_still(path: Path, table: TransformTable, known: RawOverrides) -> bool:
-    """Return whether this is a file of one frame."""
+    """Whether a path is a file with a single frame."""
     return is_one_file(path) and not (path.exists() and read_stack(path, table, known))
 
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of a series, made one by one each time they are gone through: there may be many."""
+    """The frames of a series. References are created one by one in each iteration, since there may be many."""
 
     series: _Series
     wanted: Iterable[int]
@@ -203,14 +220,14 @@ class Frames:
         return map(self.reference, self.wanted)
 
     def reference(self, number: int) -> FrameReference:
-        """Return the frame of a number."""
+        """Return the frame with a number."""
         series = self.series
         source = series.files.get(number) if series.files else None
         return FrameReference(number, series.stem(number), functools.partial(series.read, number), source)
 
 
 def is_one_file(path: Path) -> bool:
-    """Return whether this is the name of a file, existing or not, that can hold just one frame."""
+    """Whether a path, existing or not, names a file that can contain a single frame."""
     if path == STDIN or path.is_dir() or not format_of(path).holds_frame:
         return False
     return path.exists() or not (PATTERN.search(path.name) or is_glob(path))
@@ -235,7 +252,7 @@ def _series(path: Path, table: TransformTable, known: RawOverrides, dataset: str
 
 def _in_folder(folder: Path) -> list[Path]:
     found = [path for path in folder.iterdir() if is_frame(path) and path.name[0] != "." and path.is_file()]
-    ideals = {path.name.removesuffix(RAW) + IDEAL for path in found if path.name.endswith(RAW)}  # what a simulation adds
+    ideals = {path.name.removesuffix(RAW) + IDEAL for path in found if path.name.endswith(RAW)}  # added by a simulation
     files = of_one_kind(folder, (path for path in found if path.name not in ideals))
     if not files:
         raise InputFileError(f"{folder} holds no raw frames; give a folder of .tif .tiff .png .npy .raw .dng …")
@@ -250,13 +267,16 @@ def _globbed(path: Path) -> list[Path]:
 
 
 def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, known: RawOverrides) -> _Series:
-    """Return one frame a file. Numbered by the files' names; from 0 if a name has no number or two have the same."""
+    """Return a series with one frame per file.
+
+    Frames are numbered by file name, or from 0 if a name has no number or two have the same number.
+    """
     paths = list(paths)
     named = [number for path in paths if (number := last_number(path)) is not None]
     numbers = named if len(set(named)) == len(paths) else range(len(paths))
     files = dict(zip(numbers, paths, strict=True))
     places = {number: place for place, number in enumerate(numbers)}
-    rate = _film_rate(paths[0]) if len(paths) > 1 else None  # a frame alone has no rate
+    rate = _film_rate(paths[0]) if len(paths) > 1 else None  # a single frame has no rate
     return _Series(
         what, files, lambda number: read_raw(files[number], table, known.of_frame(places[number])),
         lambda number: files[number].stem, rate, files,
@@ -264,7 +284,7 @@ def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, kn
 
 
 def _film_rate(path: Path) -> Fraction | None:
-    """Return the frames a second that a file of one frame states, as CinemaDNG does."""
+    """Return the frame rate that a file with one frame states, as in CinemaDNG."""
     return format_of(path).rate(path) if path.is_file() else None
 
 
@@ -272,7 +292,7 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
     files = numbered_files(pattern)
     if not files:
         raise InputFileError(f"{pattern} matches no file; give the raw frames' pattern, such as frame_%04d.tif")
-    # A pattern says that the frames are numbered throughout: a number left out is a frame lost.
+    # A pattern implies consecutive numbers, so a missing number is a lost frame.
     whole, rate = range(min(files), max(files) + 1), _film_rate(next(iter(files.values())))
     return _Series(
         str(pattern), files, lambda number: read_raw(files[number], table, known.of_frame(number - whole.start)),
@@ -284,7 +304,7 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
 
 
 def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: TransformTable, known: RawOverrides) -> _Series:
-    """Return the frames of one file or of stdin; their pictures are called by `stem`, if there is one, and number."""
+    """Return the frames of a file or of stdin. Output names are the `stem`, if there is one, and the number."""
     if stack.count == 0:
         raise InputFileError(f"{what} holds no frames; give a file of frames × rows × columns")
 
@@ -315,27 +335,33 @@ KNOWN_MOTION = ("down", "right", "seen")
 
 @dataclass(frozen=True)
 class PictureSequence:
-    """Pictures in their order, read one by one."""
+    """Pictures in order, read one by one."""
 
     name: str
     shape: tuple[int, int]  # rows, cols
-    count: int | None  # None: of a video, until it ends
+    count: int | None  # None for a video, whose length is unknown
     pictures: Callable[[], Iterator[Linear]]
     files: tuple[Path, ...]
-    motion: tuple[Path, ...] = ()  # files of how each has moved since the one before
+    motion: tuple[Path, ...] = ()  # files with the motion of each picture since the previous one
 
 
 def find_pictures(path: Path) -> PictureSequence:
-    """Return the sequence of a name: a folder (of a simulation its ideal pictures), a numbered pattern, a glob, or a video.
-    InputFileError if there is none, its pictures differ in size, or a number is missing."""
+    """Find a sequence of pictures: a folder, a numbered pattern, a glob, or a video.
+
+    For a folder from a simulation, these are the ideal pictures. Raises InputFileError if there are none, if sizes differ,
+    or if a number is missing.
+    """
     if is_video(path) and not _names_several(path):
         return PictureSequence(str(path), _video_shape(path), None, functools.partial(_video_pictures, path), (path,))
     return _file_pictures(path, picture_files(path))
 
 
 def picture_files(path: Path) -> list[Path]:
-    """Return the pictures of a folder (of a simulation its ideal ones), a numbered pattern or a glob, in their order, of any
-    sizes. InputFileError if there is none, or a number is missing."""
+    """Return the pictures of a folder, a numbered pattern or a glob, in order, of any size.
+
+    For a folder from a simulation, these are the ideal pictures. Raises InputFileError if there are none, or if a number is
+    missing.
+    """
     if not _names_several(path):
         what = "is a single file" if path.exists() else "does not exist"
         raise InputFileError(f"{path} {what}; {GIVE}")
@@ -358,7 +384,7 @@ def picture_files(path: Path) -> list[Path]:
 
 
 def require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None:
-    """Raise InputFileError if a sequence holds one picture, or differs in size or number from an ideal one."""
+    """Raise InputFileError if a sequence has a single picture, or differs from the ideal one in size or length."""
     if ours.count == 1:
         raise InputFileError(f"{ours.name} holds one picture; a sequence has two or more")
     if wanted is None:
@@ -372,8 +398,10 @@ def require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None
 
 
 def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tuple[Linear, Linear | None, Linear | None]]:
-    """Yield rendered picture, ideal one and known motion of each frame; InputFileError if one sequence ends before the
-    other."""
+    """Yield the rendered picture, the ideal picture and the known motion of each frame.
+
+    Raises InputFileError if one sequence ends before the other.
+    """
     ideals: Iterator[Linear | None] = wanted.pictures() if wanted else itertools.repeat(None)
     motions = iter(wanted.motion) if wanted else iter(())
     for number, picture in enumerate(ours.pictures()):
@@ -387,7 +415,9 @@ def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tu
 
 
 def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
-    """Return the motion of a frame since the one before (3, row, col): pixels down, right, and 1 where the same was seen."""
+    """Read the motion of a frame since the previous one (3, row, col): pixels down, pixels right, and 1 where it is
+    known.
+    """
     planes, names = read_image(path)
     if names != KNOWN_MOTION or planes.shape[:2] != shape or not np.isfinite(planes).all():
         raise InputFileError(f"{path} is not a motion of frames of {shape[0]}×{shape[1]}; give what l3 simulate wrote")
@@ -395,7 +425,7 @@ def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
 
 
 def _names_several(path: Path) -> bool:
-    """Return whether a name is that of a folder, a numbered pattern or a glob."""
+    """Whether a path is a folder, a numbered pattern or a glob."""
     return path.is_dir() or (not path.exists() and (bool(PATTERN.search(path.name)) or is_glob(path)))
 
 
@@ -451,8 +481,10 @@ def _video_shape(path: Path) -> tuple[int, int]:
 
 @isolated("av")
 def _video_picture(path: Path, number: int) -> NDArray | None:
-    """Return encoded sRGB (row, col, 3) of frame `number`, of 8 or 16 bits; None after the last. Luma and chroma are
-    those of BT.709, as `l3 render` writes them."""
+    """Return frame `number` as encoded sRGB (row, col, 3) of 8 or 16 bits, or None after the last.
+
+    Luma and chroma are those of BT.709, as `l3 render` writes them.
+    """
     frame = _open.setdefault(path, InTurn(_video)).frame(path, number)
     if frame is None:
         return None

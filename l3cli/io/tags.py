@@ -1,5 +1,7 @@
-"""Tags of TIFF 6, TIFF/EP, Exif and DNG 1.7, by the names that tifffile gives them: read from its pages, and written. Those
-of the camera and of the settings of a shot are read and written by every format alike."""
+"""Read and write tags of TIFF 6, TIFF/EP, Exif and DNG 1.7, by tifffile's names.
+
+Tags of the camera and of the settings of a shot are the same in all formats.
+"""
 
 import re
 import struct
@@ -13,27 +15,27 @@ import numpy as np
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import Shot
 
-BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # types of values
+BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # codes of value types
 FRACTIONS = (RATIONAL, SRATIONAL)
 COLOUR_FILTER_ARRAY, LINEAR_RAW = 32803, 34892  # values of PhotometricInterpretation
 REDUCED, ONE_OF_MANY = 1, 2  # bits of NewSubfileType: a smaller copy of another image, a page of several
 RECTANGULAR = 1  # value of CFALayout
 UNSIGNED = 1  # value of SampleFormat
 UPRIGHT = 1  # value of Orientation
-LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # of the values 0…8 of Orientation
-# what reading damaged tags raises
+LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # flip codes for the values 0…8 of Orientation
+# exceptions that reading damaged tags may raise
 BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
-LONGEST_NAME = 80  # characters of a camera's name that are used
-FINE = 10**9  # denominator at most
-LARGEST = 2**31 - 1  # of numerator and denominator
-Entry = tuple[int, int, int, object, bool]  # of a directory, as tifffile takes it
+LONGEST_NAME = 80  # characters; longer camera names are cut
+FINE = 10**9  # largest denominator
+LARGEST = 2**31 - 1  # largest numerator or denominator
+Entry = tuple[int, int, int, object, bool]  # a tag in the form that tifffile takes
 
 
 def flip_of(path: Path, orientation: object) -> int:
-    """Return LibRaw's flip code of a file's Orientation. InputFileError if TIFF does not know its value."""
+    """Return LibRaw's flip code for a file's Orientation. Raises InputFileError for values that TIFF does not define."""
     if not (isinstance(orientation, int | np.integer) and 0 <= orientation < len(LIBRAW_FLIP)):
         raise InputFileError(
-            f"{path}: its orientation is {orientation}, TIFF knows 1…{len(LIBRAW_FLIP) - 1}; "
+            f"{path}: its orientation is {orientation}, but TIFF defines 1…{len(LIBRAW_FLIP) - 1}; "
             "correct the tag Orientation, 1 if it is upright"
         )
     return LIBRAW_FLIP[orientation]
@@ -43,7 +45,7 @@ def flip_of(path: Path, orientation: object) -> int:
 
 
 def numbers(page: Any, name: str, default: Any) -> Any:
-    """Return the numbers of a tag, fractions divided out."""
+    """Return the numbers in a tag, with fractions divided."""
     tag = page.tags.get(name)
     if tag is None:
         return default
@@ -54,29 +56,28 @@ def numbers(page: Any, name: str, default: Any) -> Any:
 
 
 def number(value: Any) -> float | None:
-    """Return a number of a directory's value: of several the first, of two their quotient; None where there is none."""
+    """Return a number from a directory's value: the first of several, the quotient of two, or None."""
     if isinstance(value, tuple | list | np.ndarray) and len(value):
         value = value[0] / value[1] if len(value) == 2 and value[1] else value[0]
     return float(value) if isinstance(value, int | float | np.number) else None
 
 
 def exif_of(page: Any) -> dict[str, Any]:
-    """Return the Exif directory of a page, empty where it has none."""
+    """Return the Exif directory of a page, empty if there is none."""
     exif = page.tags.valueof("ExifTag")
     return exif if isinstance(exif, dict) else {}
 
 
 def exposure_time(page: Any) -> float | None:
-    """Return the exposure time (s) of the first page of a TIFF file or DNG, by its tags (TIFF/EP) or by its Exif tags."""
+    """Return the exposure time (s) from the first page of a TIFF file or DNG, by its own tags (TIFF/EP) or its Exif tags."""
     seconds = page.tags.valueof("ExposureTime") or exif_of(page).get("ExposureTime")
     if not (isinstance(seconds, tuple) and len(seconds) == 2 and seconds[1]):
-        return None  # not stated, or no time
+        return None  # not stated, or not a time
     return float(seconds[0] / seconds[1])
 
 
 def camera_names(page: Any) -> list[str]:
-    """Return make, model and other names of the camera, as the first page of a TIFF file or DNG states them; nothing
-    without a model."""
+    """Return make, model and other names of the camera from the first page of a TIFF file or DNG. Empty without a model."""
     texts = [page.tags.valueof(tag) for tag in ("Model", "Make", "UniqueCameraModel", "LocalizedCameraModel")]
     written = [text.decode("utf-8", "replace") if isinstance(text, bytes) else text for text in texts]
     model, make, *others = [text.strip("\0 ")[:LONGEST_NAME] if isinstance(text, str) else "" for text in written]
@@ -87,7 +88,7 @@ def camera_names(page: Any) -> list[str]:
 
 
 def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
-    """Return a tag of numbers, as tifffile takes it."""
+    """Return a tag with numbers in the form that tifffile takes."""
     if kind == DOUBLE:
         parts: list[float] = [float(value) for value in values]
     elif kind in FRACTIONS:
@@ -100,12 +101,12 @@ def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
 
 
 def _fraction(value: float) -> Fraction:
-    """Return the nearest fraction whose parts fit into 32 bits."""
+    """Return the nearest fraction with 32-bit numerator and denominator."""
     return Fraction(value).limit_denominator(min(FINE, int(LARGEST / max(1.0, abs(value)))))
 
 
 def text_entry(name: str, text: str) -> Entry:
-    """Return a tag of text in ASCII; other letters become question marks."""
+    """Return a tag with ASCII text. Other characters become question marks."""
     return _code(name), ASCII, 0, text.encode("ascii", "replace").decode(), True
 
 
@@ -117,8 +118,8 @@ def _code(name: str) -> int:
 
 # ------------------------------------------------------------------------------------------- settings of a shot
 
-LONGEST_TEXT = 100  # letters
-MOST = 1e7  # of a number: ISO speeds go to 4 million
+LONGEST_TEXT = 100  # characters
+MOST = 1e7  # largest believable number; ISO speeds go up to 4 million
 DATE = re.compile(r"\d{4}:\d\d:\d\d \d\d:\d\d:\d\d", re.ASCII)
 SHOT = {  # field of Shot → its names in tifffile, as a tag or in the Exif directory, and in OpenImageIO
     "f_number": ("FNumber", "FNumber"),
@@ -132,7 +133,9 @@ SHOT = {  # field of Shot → its names in tifffile, as a tag or in the Exif dir
 
 
 def believable_shot(stated: Mapping[str, Any]) -> Shot:
-    """Return the shot that a file states, checked: short printable texts, dates that are dates, positive numbers."""
+    """Return the settings of a shot with implausible values removed: texts are short and printable, dates valid, numbers
+    positive.
+    """
     usual, fields = Shot(), dict[str, Any]()
     for name in stated.keys() & SHOT.keys():
         wanted, value = type(getattr(usual, name)), stated[name]
@@ -145,7 +148,7 @@ def believable_shot(stated: Mapping[str, Any]) -> Shot:
 
 
 def shot_of_page(page: Any) -> dict[str, str | float]:
-    """Return the settings stated by tifffile's page, in its tags or in its Exif directory."""
+    """Return the settings in a tifffile page, from its tags or its Exif directory."""
     exif = exif_of(page)
     stated = {name: page.tags.valueof(tag, exif.get(tag)) for name, (tag, _) in SHOT.items()}
     plain = {name: value if isinstance(value, str) else number(value) for name, value in stated.items()}
@@ -153,13 +156,13 @@ def shot_of_page(page: Any) -> dict[str, str | float]:
 
 
 def shot_of_spec(spec: Any) -> dict[str, str | float]:
-    """Return the settings stated by OpenImageIO's description of a picture."""
+    """Return the settings in OpenImageIO's description of a picture."""
     stated = {name: spec.getattribute(other) for name, (_, other) in SHOT.items()}
     return {name: value for name, value in stated.items() if isinstance(value, str | float | int)}
 
 
 def shot_entries(shot: Shot, exposure: float | None) -> list[Entry]:
-    """Return the tags (TIFF/EP) that state how a frame was taken, its exposure time in s."""
+    """Return the tags (TIFF/EP) that state how a frame was taken, with its exposure time in s."""
     entries = [entry("ExposureTime", RATIONAL, [exposure])] if exposure else []
     for name, (tag, _) in SHOT.items():
         value = getattr(shot, name)

@@ -287,7 +287,7 @@ REFUSED: dict[str, tuple[Tags, str]] = {
     "BitsPerSample": ({258: (SHORT, [32])}, "LibRaw"),
     "Compression": ({259: (SHORT, [52546])}, "compressed by JPEG XL"),
     "FillOrder": ({266: (SHORT, [2])}, "bits in reverse"),
-    "Orientation": ({274: (SHORT, [9])}, "its orientation is 9, TIFF knows 1…8"),
+    "Orientation": ({274: (SHORT, [9])}, "its orientation is 9, but TIFF defines 1…8"),
     "SamplesPerPixel": ({277: (SHORT, [3]), 262: (SHORT, [34892])}, "already demosaicked"),
     "samples of three": ({277: (SHORT, [3])}, "3 samples a pixel"),
     "TileWidth": (tiled(48, 32), "tiles are wider than the image"),

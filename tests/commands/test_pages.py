@@ -243,7 +243,7 @@ def test_an_orientation_that_tiff_does_not_know_is_refused(refused: Refused, des
         for number in range(count):
             file.write(np.load(desk / "stack.npy")[number], extratags=[(274, 3, 1, 9 - 3 * (number < count - 1), True)])
     words = refused(3, "render", desk / "table.h5", desk / "a.tif", "-o", desk / "a.png" if count == 1 else desk / "out")
-    assert "a.tif: its orientation is 9, TIFF knows 1…8; correct the tag Orientation" in words
+    assert "a.tif: its orientation is 9, but TIFF defines 1…8; correct the tag Orientation" in words
 
 
 def test_pages_state_what_they_are(l3: L3, desk: Path) -> None:

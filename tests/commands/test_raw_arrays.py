@@ -199,7 +199,7 @@ def test_saturation_survives_levelling() -> None:
         ({50711: (SHORT, [2])}, "staggered"),
         ({33421: (SHORT, [0, 4])}, "tags are damaged"),
         ({33421: (SHORT, [65535, 65535])}, "tags are damaged"),
-        ({274: (SHORT, [99])}, "its orientation is 99, TIFF knows 1…8"),
+        ({274: (SHORT, [99])}, "its orientation is 99, but TIFF defines 1…8"),
     ],
 )
 def test_a_dng_that_does_not_fit_is_refused(

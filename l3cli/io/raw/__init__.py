@@ -1,4 +1,4 @@
-"""Content of raw files as their readers return it: one frame, or the frames of one file."""
+"""Contents of raw files as their readers return them: one frame, or the frames of a file."""
 
 from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
@@ -13,29 +13,29 @@ from l3cli.io.video import Stated
 
 
 class RawContent(TypedDict):
-    """One frame; the table says what its file does not."""
+    """One frame. The table provides what the file does not state."""
 
-    values: NDArray[Any]  # (row, col) DN, without masked borders; no whole numbers of 16 bits: of a scale not stated
+    values: NDArray[Any]  # (row, col) DN without masked borders; other types than 16-bit integers have an unknown scale
     black_level: NotRequired[float]  # DN
     white_level: NotRequired[float]  # DN
-    pattern: NotRequired[NDArray[np.int64]]  # (row, col) colour codes of the CFA, from pixel (0, 0) on
+    pattern: NotRequired[NDArray[np.int64]]  # (row, col) colour codes of the CFA, beginning at pixel (0, 0)
     orientation: NotRequired[int]  # LibRaw's flip code
     exposure: NotRequired[float | None]  # s
-    baseline_exposure: NotRequired[float]  # EV by which pictures are to be brighter than the white level is
-    neutral: NotRequired[NDArray[np.float64] | None]  # (colour, 2) code of the CFA and what it gives of a grey, of any scale
-    camera: NotRequired[list[str]]  # make and model, and other names of the camera that took it
-    shot: NotRequired[dict[str, str | float]]  # fields of Shot, as far as they are stated
-    gain: NotRequired[NDArray[np.float32]]  # (row, col) that the file wants its values above black to be multiplied by
-    notes: NotRequired[tuple[str, ...]]  # what of the file's wishes is not carried out
-    # what is wrong with the file, or what it demands and l3 does not do, by the parameter that answers it
+    baseline_exposure: NotRequired[float]  # EV by which pictures should be brightened relative to the white level
+    neutral: NotRequired[NDArray[np.float64] | None]  # (colour, 2) CFA code and signal of a grey, at any scale
+    camera: NotRequired[list[str]]  # make, model and other names of the camera
+    shot: NotRequired[dict[str, str | float]]  # fields of Shot that the file states
+    gain: NotRequired[NDArray[np.float32]]  # (row, col) factors that the file requests for its values above black
+    notes: NotRequired[tuple[str, ...]]  # requests of the file that l3 does not carry out
+    # faults, and requests that l3 does not support, by the parameter that resolves each
     faults: NotRequired[dict[str, str]]
-    exchangeable: NotRequired[bool]  # whether rows and columns, which the caller says, would fit the file exchanged, too
-    # ways to read the bytes of the frame, first as it was read: option that asks for each, its values, their bits
+    exchangeable: NotRequired[bool]  # whether swapped rows and columns, which the caller states, would fit too
+    # alternative readings of the frame's bytes, the actual one first: (option that selects it, values, bits)
     readings: NotRequired[Callable[[], Iterable[tuple[str, NDArray[np.uint16], int]]]]
 
 
 def refuse_faults(name: str, content: RawContent, answered: Container[str]) -> None:
-    """Raise InputFileError for the first fault of a file, called `name`, that none of the `answered` parameters answers."""
+    """Raise InputFileError for the first fault of a file that none of the `answered` parameters resolves."""
     for parameter, text in content.get("faults", {}).items():
         if parameter not in answered:
             raise InputFileError(f"{name} {text}")
@@ -43,15 +43,15 @@ def refuse_faults(name: str, content: RawContent, answered: Container[str]) -> N
 
 @dataclass(frozen=True)
 class MultiFrameFile:
-    """The frames of one file, each read when it is wanted."""
+    """The frames of a file, each read on request."""
 
-    count: int | None  # None: a stream, read in order until there is no more
-    read: Callable[[int], RawContent | None]  # by number, from 0; None: the stream ended before
-    unit: str = "frame"  # what messages call one frame
-    first: int = 0  # the number that messages give the first frame
-    rate: Fraction | None = None  # frames a second, where the file states them
-    times: Stated | None = None  # when its frames are shown, where the file states that of each
-    numbered: bool = True  # whether a picture's name has the frame's number even where there is one alone
+    count: int | None  # None for a stream, which is read in order until it ends
+    read: Callable[[int], RawContent | None]  # reads a frame by number from 0; None after the end of a stream
+    unit: str = "frame"  # word for a frame in messages
+    first: int = 0  # number of the first frame in messages
+    rate: Fraction | None = None  # frames per second, if the file states it
+    times: Stated | None = None  # times of the frames, if the file states them
+    numbered: bool = True  # whether output names have a number even if there is only one frame
 
     def name(self, number: int) -> str:
         """Return the name of a frame for messages."""
@@ -59,21 +59,21 @@ class MultiFrameFile:
 
 
 class InOrder:
-    """Reader of a stream frame by frame, each number after the one before it; frames between are passed over."""
+    """Reads a stream in order. Frames between requested numbers are skipped."""
 
     def __init__(self, following: Callable[[], RawContent | None]) -> None:
-        self._following = following  # the next frame; None at the end
+        self._following = following  # returns the next frame, None at the end
         self._next = 0
 
     def read(self, number: int) -> RawContent | None:
         content: RawContent | None = None
         while self._next <= number:
-            self._next += 1  # before reading: a frame that fails has been passed
+            self._next += 1  # before reading, because a damaged frame has been passed too
             try:
                 content = self._following()
             except InputFileError as error:
                 if self._next <= number:
-                    continue  # nobody wants it
+                    continue  # this frame was not requested
                 raise InputFileError(f"frame {number}: {error}") from error
             if content is None:
                 return None

@@ -1,7 +1,7 @@
-"""Which axes of an array of pixels are frames, rows and columns; pictures of several channels are refused.
+"""Determine which axes of an array of pixels are frames, rows and columns. Pictures with several channels are rejected.
 
-Names that a file gives its axes decide. Without names l3 takes (frame, row, col), unless the lengths contradict it: a last
-axis of 4 or less holds channels, and one that is far shorter than both others probably counts frames.
+Names of axes in the file decide. Without names, the order is (frame, row, col), unless the lengths contradict it: a last
+axis of 4 or less contains channels, and a last axis far shorter than both others probably counts frames.
 """
 
 import re
@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from l3cli.errors import InputFileError
 
-MOST_CHANNELS = 4  # of a picture; no frame is so narrow
-FRAMES_LAST = 16  # times as long as the last axis both others are where that counts frames
+MOST_CHANNELS = 4  # largest number of channels of a picture; no frame is this narrow
+FRAMES_LAST = 16  # the last axis counts frames if both others are at least this many times longer
 MEANINGS = {
     "frame": ("f", "frame", "frames", "t", "time", "n", "number", "index", "i", "z", "page", "pages", "image", "images"),
     "row": ("r", "row", "rows", "y", "height", "line", "lines"),
@@ -25,7 +25,7 @@ COUNTED = "frames × rows × columns"
 
 
 class Axes(NamedTuple):
-    """Places of the axes of an array; `frame` is None where there is one frame."""
+    """Positions of the axes of an array. `frame` is None if there is a single frame."""
 
     frame: int | None
     row: int
@@ -41,18 +41,18 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     Parameters
     ----------
     name : str
-        What messages call the array.
+        Name of the array in messages.
     shape : sequence of int
         Lengths of its two or three axes.
     names : sequence of str
-        Names that the file gives its axes, in the order of `shape`; empty where it gives none.
+        Names of the axes in the file, in the order of `shape`; empty if there are none.
     usual : Axes, optional
-        Axes of arrays without names in this kind of file; default (frame, row, col) or (row, col).
+        Axes of arrays without names in this kind of file. [default: (frame, row, col) or (row, col)]
 
     Raises
     ------
     InputFileError
-        If an axis holds the channels of a picture, or frames probably lie along the last axis and no name says so.
+        If an axis contains the channels of a picture, or if the last axis probably counts frames and has no name.
     """
     held = f"{name} holds {'×'.join(map(str, shape))} values"
     meanings = [MEANING.get(re.sub("[^a-z]", "", each.lower()), "") for each in names]

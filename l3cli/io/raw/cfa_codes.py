@@ -1,4 +1,6 @@
-"""The colours of a colour filter array as raw files code them (TIFF/EP), and which site of a table's array they begin at."""
+"""Codes of colours in a colour filter array as in raw files (TIFF/EP), and the phase of a file's array in the table's
+array.
+"""
 
 import itertools
 from collections.abc import Sequence
@@ -14,11 +16,11 @@ if TYPE_CHECKING:  # the process that decodes starts without them
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.table import TransformTable
 
-Sensor: TypeAlias = "TransformTable | CameraModel"  # whose size, levels and colour filter array raw files have
+Sensor: TypeAlias = "TransformTable | CameraModel"  # states size, levels and CFA of raw files
 
 
 class FilterArray(Protocol):
-    """Whatever has a colour filter array: (cfa_row, cfa_col) channel of each site, and the channels' names."""
+    """An object with a colour filter array: the channel of each site (cfa_row, cfa_col), and the names of the channels."""
 
     @property
     def cfa(self) -> NDArray[np.uint8]: ...
@@ -26,28 +28,28 @@ class FilterArray(Protocol):
     def channels(self) -> tuple[str, ...]: ...
 
 
-LETTERS = "RGBCMYW"  # codes 0…6 of CFAPattern: red, green, blue, cyan, magenta, yellow, white
+LETTERS = "RGBCMYW"  # letters of the codes 0…6 of CFAPattern: red, green, blue, cyan, magenta, yellow, white
 NAMES = ("red", "green", "blue", "cyan", "magenta", "yellow", "white")
-FREE_CODE = len(LETTERS)  # the first code of what TIFF/EP has no name for
-LARGEST = 16  # rows and columns of a file's pattern
+FREE_CODE = len(LETTERS)  # first code without a colour in TIFF/EP
+LARGEST = 16  # largest number of rows or columns of a pattern in a file
 CURE = "give the table of this camera, or the site of the first pixel with ‹phase› ROW,COL"
 
 
 def code_of(name: str) -> int | None:
-    """Return the TIFF/EP code of a channel's name, "r" or "red"; None where it has none."""
+    """Return the TIFF/EP code for the name of a channel, such as "r" or "red", or None."""
     known = [*LETTERS.lower(), *NAMES]
     return known.index(name.lower()) % FREE_CODE if name.lower() in known else None
 
 
 def codes_of(letters: str) -> NDArray[np.int64]:
-    """Return the code of each of the letters of a decoder; one that TIFF/EP has not is coded by its place."""
+    """Return the codes of letters. A letter that is not in TIFF/EP gets a code by its position."""
     return np.array(
         [LETTERS.index(each) if each in LETTERS else FREE_CODE + index for index, each in enumerate(letters.upper())]
     )
 
 
 def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
-    """Return a code for each channel, all different: TIFF/EP's, or a free one for names that it does not know."""
+    """Return a different code for each channel: from TIFF/EP, or a free code for other names."""
     codes: list[int] = []
     for index, name in enumerate(channels):
         code = code_of(name)
@@ -56,11 +58,21 @@ def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
 
 
 def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> tuple[int, int]:
-    """Return the site of the sensor's super-pixel that pixel (0, 0) has in a file whose CFA has the codes `pattern` (row,
-    col).
+    """Return the site of the sensor's array at pixel (0, 0) of a file.
 
-    Channels that TIFF/EP knows must have their code, each of the others one code of any value. InputFileError, naming
-    `name`, if no site fits, or several that differ.
+    Parameters
+    ----------
+    name : str
+        The file, for messages.
+    pattern : ndarray, (row, col)
+        Colour codes in the file.
+    sensor : FilterArray
+        The sensor's array. Channels with TIFF/EP names must have their codes, other channels may have any code.
+
+    Raises
+    ------
+    InputFileError
+        If no site fits, or if several sites fit that differ.
     """
     if max(pattern.shape) > LARGEST:
         raise InputFileError(f"{name} has a colour filter array of {pattern.shape[0]}×{pattern.shape[1]}; it is damaged")
@@ -86,8 +98,19 @@ def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> 
 def neutral_of_channels(
     neutral: NDArray[np.float64] | None, pattern: NDArray[np.integer] | None, phase: tuple[int, int], sensor: FilterArray
 ) -> tuple[float, ...] | None:
-    """Return the signal of a grey in each of a sensor's channels from that in the colours of a file, `neutral` (colour, 2)
-    with their codes: by name or, of a file whose CFA `pattern` begins at site `phase`, by place. None without all."""
+    """Return the signal of a grey in each channel of a sensor, or None if a channel lacks one.
+
+    Parameters
+    ----------
+    neutral : ndarray, (colour, 2), or None
+        Codes and signals of a grey in a file.
+    pattern : ndarray, (row, col), or None
+        Colour codes of the file's CFA. With it, colours are matched by position instead of by name.
+    phase : tuple of int
+        Site of the sensor's array at which the file begins.
+    sensor : FilterArray
+        The sensor.
+    """
     if neutral is None:
         return None
     of_code = {int(code): float(signal) for code, signal in neutral}
@@ -107,6 +130,6 @@ def _fits(ours: NDArray[np.uint8], theirs: NDArray[np.integer], channels: Sequen
 
 
 def _written(pattern: NDArray[np.integer]) -> str:
-    """Return a pattern as rg/gb; codes without a letter as numbers."""
+    """Format a pattern like rg/gb. Codes without a letter are numbers."""
     rows = [[LETTERS[code].lower() if code < FREE_CODE else f"({code})" for code in row] for row in pattern.tolist()]
     return "/".join("".join(row) for row in rows)

@@ -1,8 +1,8 @@
-"""DNG files, CinemaDNG too (Adobe DNG 1.7, TIFF/EP).
+"""Read DNG files, including CinemaDNG (Adobe DNG 1.7, TIFF/EP).
 
-LibRaw unpacks the pixels, of whatever packing and compression it knows, and applies the linearisation table; but it takes
-any CFA for 2 × 2 or 6 × 6 and black levels for four numbers. So all that pixels mean is read from the tags. Those that
-change pixels and are not read are refused, or noted for a warning (docs/raw-files.md#tags-of-a-dng).
+LibRaw unpacks the pixels in any packing and compression that it supports, and applies the linearisation table. But it takes
+any CFA for 2 × 2 or 6 × 6, and black levels for four numbers. The meaning of the pixels is therefore read from the tags.
+Unsupported tags that change pixels are rejected, or noted for a warning (docs/raw-files.md#tags-of-a-dng).
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,11 +28,11 @@ from l3cli.io.video import storable_rate
 from l3cli.system.limits import require_picture
 
 WHITE_CODE = LETTERS.index("W")
-LATEST = (1, 7)  # DNG that is read
-UNREAD = {8: "Deflate", 34892: "lossy JPEG", 52546: "JPEG XL"}  # compressions that LibRaw does not unpack mosaics of
-DUAL = 2  # samples a pixel of dual-pixel files and of those with a second, less sensitive photodiode
-WHOLE = (0, 0, 1, 1)  # value of DefaultUserCrop
-ONLY = {  # tags of which one value is read, and the complaint about any other
+LATEST = (1, 7)  # latest supported DNG version
+UNREAD = {8: "Deflate", 34892: "lossy JPEG", 52546: "JPEG XL"}  # compressions of mosaics that LibRaw does not support
+DUAL = 2  # samples per pixel of dual-pixel files, and of files with a second, less sensitive photodiode
+WHOLE = (0, 0, 1, 1)  # value of DefaultUserCrop without a crop
+ONLY = {  # tags with a single supported value, and the message for any other value
     "CFALayout": (tags.RECTANGULAR, "is of a sensor with staggered pixels, which no table is made for"),
     "SampleFormat": (tags.UNSIGNED, "holds floating-point values; give the raw file the camera wrote"),
     "FillOrder": (1, "stores bits in reverse (FillOrder), which is not read; convert the camera's own file to DNG"),
@@ -43,39 +43,39 @@ ONLY = {  # tags of which one value is read, and the complaint about any other
     ),
     "ColorimetricReference": (0, "holds a picture's values, not a scene's (ColorimetricReference); give the raw file"),
 }
-MOST_STOPS = 20.0  # EV, of a BaselineExposure that is believed
+MOST_STOPS = 20.0  # EV, largest plausible BaselineExposure
 FRAME_RATE = 51044  # the tag of CinemaDNG
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """The raw image as tags describe it."""
+    """The raw image as described by tags."""
 
     orientation: int  # LibRaw's flip code
     pattern: NDArray[np.int64]  # (row, col) colour codes, from the upper left corner of the active area
-    active: tuple[int, int, int, int]  # top, left, bottom, right of the pixels that see light
-    crop: tuple[int, int, int, int]  # row, column within the active area, rows, columns: what is to be shown
+    active: tuple[int, int, int, int]  # top, left, bottom, right of the light-sensitive pixels
+    crop: tuple[int, int, int, int]  # row and column within the active area, rows and columns of the default crop
     black_level: NDArray[np.float64]  # (row, col) DN, repeating from the corner of the active area
-    black_of_row: NDArray[np.float64]  # (active row), DN added
-    black_of_col: NDArray[np.float64]  # (active col), DN added
-    black_fault: str  # why the black level cannot be told; "" if it can
+    black_of_row: NDArray[np.float64]  # (active row) DN, added to black_level
+    black_of_col: NDArray[np.float64]  # (active col) DN, added to black_level
+    black_fault: str  # why the black level is unknown; "" if it is known
     white_level: float  # DN
     exposure: float | None  # s
     baseline_exposure: float  # EV
-    neutral: NDArray[np.float64] | None  # (colour, 2) code and what a grey gives
+    neutral: NDArray[np.float64] | None  # (colour, 2) code and signal of a grey
     camera: list[str]  # make, model and other names
     shot: dict[str, str | float]
     opcodes: Opcodes
     planes: tuple[int, ...]  # colour code of each plane
     shape: tuple[int, int]  # rows, columns with masked borders
-    fields: tuple[int, int]  # number of fields in which rows, and columns, are stored
-    notes: tuple[str, ...]  # on tags that are not carried out
+    fields: tuple[int, int]  # number of fields in which rows and columns are stored
+    notes: tuple[str, ...]  # notes on unsupported tags
 
 
 @isolated("rawpy", "tifffile")
 def read(path: Path) -> RawContent:
-    """Return the frame of a DNG within its default crop."""
-    mosaic = _read_tags(path)  # first: LibRaw says less of what is wrong with them
+    """Read the frame of a DNG within its default crop."""
+    mosaic = _read_tags(path)  # first, because LibRaw's messages about wrong tags say less
     with opened(path) as raw:
         if raw.raw_image.shape != mosaic.shape:
             rows, cols = mosaic.shape
@@ -84,8 +84,10 @@ def read(path: Path) -> RawContent:
 
 
 def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np.uint16]:
-    """Return the pixels (row, col) of an image whose rows and columns are stored in `fields`: n fields of rows are rows 0,
-    n, 2n…, then 1, n + 1…, and so on (RowInterleaveFactor, ColumnInterleaveFactor)."""
+    """Return the pixels (row, col) of an image that is stored in fields.
+
+    n fields of rows are rows 0, n, 2n…, then 1, n + 1…, and so on (RowInterleaveFactor, ColumnInterleaveFactor).
+    """
     if fields == (1, 1):
         return stored
     rows, cols = (
@@ -96,8 +98,9 @@ def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np
 
 
 def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawContent:
-    """Return the default crop of the active area at one black level, of linear pixels `stored` (row, col).
-    InputFileError if the tags contradict the pixels.
+    """Return the default crop of the active area, at one black level, from linear pixels (row, col).
+
+    Raises InputFileError if the tags contradict the pixels.
     """
     top, left, bottom, right = mosaic.active
     row, col, rows, cols = mosaic.crop
@@ -110,7 +113,7 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
         fault = f"states a black level of {levels} DN, not between 0 and its white level of {mosaic.white_level:g}"
     if fault:
         black_level = np.zeros((1, 1))
-    pixels = stored[top:bottom, left:right].copy()  # LibRaw takes its memory back
+    pixels = stored[top:bottom, left:right].copy()  # LibRaw frees its memory
     gain = None
     if mosaic.opcodes:
         pixels, gain = _changed(path, mosaic, pixels, bad_pixels(mosaic.opcodes, stored, mosaic.active))
@@ -148,7 +151,7 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
 def _changed(
     path: Path, mosaic: Mosaic, pixels: NDArray[np.uint16], bad: NDArray[np.bool_]
 ) -> tuple[NDArray[np.uint16], NDArray[np.float32] | None]:
-    """Return the active area as the file's opcodes want it, bad pixels corrected, and the gain that they want of it."""
+    """Correct bad pixels of the active area as opcodes request. Returns the pixels, and the gain that opcodes request."""
     if bad.any():
         pixels = plan_correction(bad, mosaic.pattern).corrected(pixels)
     if not mosaic.opcodes.gains:
@@ -161,14 +164,14 @@ def _changed(
 
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return black levels (row, col) of the active area, or (1, 1) where all pixels have the same."""
+    """Return the black levels (row, col) of the active area, or (1, 1) if they are the same for all pixels."""
     if np.ptp(mosaic.black_level) == 0 and not mosaic.black_of_row.any() and not mosaic.black_of_col.any():
         return mosaic.black_level[:1, :1]
     return tiled(mosaic.black_level, shape) + mosaic.black_of_row[:, None] + mosaic.black_of_col
 
 
 def rate(path: Path) -> Fraction | None:
-    """Return the frames a second of a CinemaDNG file."""
+    """Return the frame rate of a CinemaDNG file."""
     fraction = _rate(path)
     return storable_rate(Fraction(*fraction)) if fraction else None
 
@@ -182,7 +185,7 @@ def _rate(path: Path) -> tuple[int, int] | None:
             tag = file.pages[0].tags.get(FRAME_RATE)
             rate = Fraction(*tag.value) if tag else Fraction(0)
     except (tifffile.TiffFileError, TypeError, ValueError, IndexError, ZeroDivisionError, OSError):
-        return None  # reading the frame raises what is wrong with it
+        return None  # reading the frame reports the error
     return (rate.numerator, rate.denominator) if rate > 0 else None
 
 
@@ -190,8 +193,10 @@ def _rate(path: Path) -> tuple[int, int] | None:
 
 
 def _read_tags(path: Path) -> Mosaic:
-    """Return the mosaic that a file's tags describe. InputFileError if they are broken, describe none, or one stored or
-    meant in a way that is not read."""
+    """Return the mosaic that a file's tags describe.
+
+    Raises InputFileError if tags are damaged, describe no mosaic, or describe one in an unsupported form.
+    """
     import tifffile
 
     try:
@@ -206,7 +211,7 @@ def _read_tags(path: Path) -> Mosaic:
 
 
 def _raw_page(path: Path, file: Any) -> Any:
-    """Return the full-size raw image, neither preview, mask nor enhanced, among the file's pages and those below them."""
+    """Return the full-size raw image, which is not a preview, mask or enhanced image, from the file's pages and subpages."""
     pages = [each for page in file.pages for each in (page, *(page.pages or ()))]
     kinds = (tags.COLOUR_FILTER_ARRAY, tags.LINEAR_RAW)
     raw = [page for page in pages if page.tags.valueof("PhotometricInterpretation") in kinds]
@@ -217,7 +222,7 @@ def _raw_page(path: Path, file: Any) -> Any:
 
 
 def _refuse_others(path: Path, first: Any, raw: Any) -> None:
-    """Raise InputFileError if the file needs a later reader, or a tag changes pixels in a way that is not read."""
+    """Raise InputFileError if the file needs a newer reader, or if an unsupported tag changes pixels."""
     version = tuple(first.tags.valueof("DNGBackwardVersion") or LATEST)[:2]
     if version > LATEST:
         raise InputFileError(
@@ -286,9 +291,9 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
 def _stated_black(
     raw: Any, cfa_shape: tuple[int, ...], shape: tuple[int, int]
 ) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], str]:
-    """Return the black levels (row, col) that repeat, those added to each row and column of `shape`, and "".
+    """Return the repeating black levels (row, col), the levels added to each row and column, and "".
 
-    If the tags cannot be read, all are 0, and the text says why.
+    If the tags cannot be read, all levels are 0 and the text says why.
     """
     rows, cols = shape
     try:
@@ -299,10 +304,10 @@ def _stated_black(
 
 
 def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the black levels (row, col) that repeat, of the first sample of each pixel.
+    """Return the repeating black levels (row, col) of the first sample of each pixel.
 
-    Many writers leave BlackLevelRepeatDim out, or state one that does not fit the number of levels: then there is a level
-    for each site of the array, or all are equal. ValueError otherwise.
+    Many programs omit BlackLevelRepeatDim, or write one that does not fit the number of levels. In that case there is one
+    level per site of the array, or all levels are equal. Otherwise ValueError is raised.
     """
     levels = np.asarray(tags.numbers(raw, "BlackLevel", (0,)), np.float64)
     stated = tuple(np.ravel(raw.tags.valueof("BlackLevelRepeatDim", (1, 1))).tolist())
@@ -316,7 +321,7 @@ def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64
 
 
 def _fields(raw: Any) -> tuple[int, int]:
-    """Return the number of fields that rows, and columns, are stored in."""
+    """Return the number of fields in which rows and columns are stored."""
     rows, cols = (int(tags.numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
     if min(rows, cols) < 1:
         raise ValueError(f"{rows}×{cols} fields")
@@ -324,7 +329,7 @@ def _fields(raw: Any) -> tuple[int, int]:
 
 
 def _notes(raw: Any) -> Iterator[str]:
-    """Yield a note for each tag of the picture that is not carried out."""
+    """Yield a note for each unsupported tag that affects the picture."""
     across, down = tags.numbers(raw, "DefaultScale", (1, 1))
     if across != down:
         yield f"its pixels are not square (DefaultScale {across:g}, {down:g}); the picture is not stretched"
@@ -335,21 +340,20 @@ def _notes(raw: Any) -> Iterator[str]:
 
 
 def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
-    """Return (plane, 2) codes of the colour planes and the signals of a grey as the camera took it; None if not stated."""
+    """Return the codes of the colour planes and the signals of a grey (plane, 2), or None if they are not stated."""
     try:
         codes = np.asarray(tags.numbers(raw, "CFAPlaneColor", (0, 1, 2)), np.float64)
-    except tags.BROKEN:  # pixels need none of it
+    except tags.BROKEN:  # not needed for the pixels
         return None
     signals = as_shot_neutral(first, len(codes))
     return None if signals is None else np.stack([codes, signals], axis=1)
 
 
 def _baseline_exposure(first: Any) -> float:
-    """Return the EV by which pictures are to be brighter than the white level is; 0 where they are not stated, or are no
-    camera's."""
+    """Return the EV by which pictures should be brightened, or 0 if it is missing or implausible."""
     try:
         (stops,) = tags.numbers(first, "BaselineExposure", (0.0,))
-    except tags.BROKEN:  # pixels need none of it
+    except tags.BROKEN:  # not needed for the pixels
         return 0.0
     return float(stops) if abs(stops) <= MOST_STOPS else 0.0
 
@@ -359,7 +363,7 @@ def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:
 
 
 def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
-    if raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:  # of one sample: no filters at all
+    if raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:  # one sample per pixel, so no filters
         return np.array([[WHITE_CODE]])
     codes, shape = raw.tags.valueof("CFAPattern"), raw.tags.valueof("CFARepeatPatternDim")
     if codes is None or shape is None:
@@ -368,7 +372,7 @@ def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
 
 
 def _repeating(values: Sequence[float], shape: Sequence[int]) -> NDArray:
-    """Return (row, col) of what repeats over the mosaic."""
+    """Reshape the values of a repeating pattern to (row, col)."""
     if min(shape) < 1:
         raise ValueError(f"a pattern of {shape}")
     return np.reshape(values, tuple(shape))

@@ -1,8 +1,8 @@
-"""Colour tags of a DNG: its colour matrices, and what a grey gives in the camera's channels under the white that it states.
+"""Colour tags of a DNG: colour matrices, and the signals of a grey under the white that the file states.
 
-DNG 1.7.1, chapter 6: a white of chromaticity x, y gives the camera AB · CC · CM · (x/y, 1, (1 - x - y)/y). AB is
-AnalogBalance; CM and CC are interpolated between ColorMatrix1, 2, 3 and between CameraCalibration1, 2, 3, linearly over the
-reciprocal of the correlated colour temperature.
+According to DNG 1.7.1, chapter 6, a white with chromaticity x, y causes the signals AB · CC · CM · (x/y, 1, (1 - x - y)/y).
+AB is AnalogBalance. CM and CC are interpolated between ColorMatrix1, 2, 3 and between CameraCalibration1, 2, 3, linearly in
+the reciprocal of the correlated colour temperature.
 """
 
 import contextlib
@@ -18,28 +18,28 @@ from l3cli.io.tags import BROKEN, numbers
 
 Array = NDArray[np.float64]
 
-OTHER_LIGHT = 255  # value of CalibrationIlluminant: IlluminantData says which light it is
-KELVIN = {  # correlated colour temperature of the values of CalibrationIlluminant (Exif's LightSource)
+OTHER_LIGHT = 255  # value of CalibrationIlluminant if IlluminantData describes the light
+KELVIN = {  # value of CalibrationIlluminant (Exif's LightSource) → correlated colour temperature
     1: 5500.0, 2: 4150.0, 3: 2856.0, 4: 5500.0, 9: 5500.0, 10: 6504.0, 11: 7504.0, 12: 6400.0, 13: 5050.0, 14: 4150.0,
     15: 3525.0, 16: 2925.0, 17: 2856.0, 18: 4874.0, 19: 6774.0, 20: 5503.0, 21: 6504.0, 22: 7504.0, 23: 5003.0, 24: 3200.0,
 }  # fmt: skip
-MIREDS = np.arange(40.0, 1000.0, 0.25)  # reciprocal temperatures, 10^6 / K, among which that of a white is found
-DECIMALS = 4  # with which AsShotNeutral is stated, so that a file gives the same picture whichever tag has its white
-CHROMATICITY = 0  # kind of IlluminantData: two fractions, x and y
+MIREDS = np.arange(40.0, 1000.0, 0.25)  # reciprocal temperatures, 10^6 / K, among which the nearest is searched
+DECIMALS = 4  # decimals of AsShotNeutral, so that a file gives the same picture whichever tag states its white
+CHROMATICITY = 0  # kind of IlluminantData with two fractions, x and y
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The matrices that a DNG states for one light."""
+    """The matrices of a DNG for one light."""
 
-    light: int  # value of CalibrationIlluminant; 0: not stated
-    kelvin: float | None  # correlated colour temperature of the light; None: not known
+    light: int  # value of CalibrationIlluminant; 0 if not stated
+    kelvin: float | None  # correlated colour temperature of the light; None if unknown
     colour: Array  # (plane, 3) from XYZ to the reference camera
     camera: Array  # (plane, plane) from the reference camera to this one: AnalogBalance · CameraCalibration
 
 
 def calibrations(first: Any, planes: int) -> list[Calibration]:
-    """Return the calibrations that the first page of a DNG states; one that is broken counts as none."""
+    """Return the calibrations on the first page of a DNG. Damaged ones count as missing."""
     tags, found = first.tags, []
     ours = tags.valueof("CameraCalibrationSignature", "") == tags.valueof("ProfileCalibrationSignature", "")
     for number in (1, 2, 3):
@@ -55,9 +55,9 @@ def calibrations(first: Any, planes: int) -> list[Calibration]:
 
 
 def as_shot_neutral(first: Any, planes: int) -> Array | None:
-    """Return the signals (plane) of a grey as the camera took it, by AsShotNeutral or by AsShotWhiteXY.
+    """Return the signals (plane) of a grey, from AsShotNeutral or AsShotWhiteXY.
 
-    None if the file states neither, if they are broken, or if no matrix says what the camera sees of a chromaticity.
+    Returns None if the file states neither, if they are damaged, or if there is no matrix for the chromaticity.
     """
     with contextlib.suppress(*BROKEN):
         stated = np.asarray(numbers(first, "AsShotNeutral", ()), np.float64)
@@ -75,9 +75,12 @@ def as_shot_neutral(first: Any, planes: int) -> Array | None:
 
 
 def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Array]:
-    """Return colour and camera matrix of a light of a correlated colour temperature: linear in its reciprocal between the
-    calibrations around it, beyond them the nearest. If less than two lights are known, those of the first."""
-    placed = {1e6 / each.kelvin: each for each in known if each.kelvin is not None}  # of two for one light, the second
+    """Return the colour matrix and camera matrix for a correlated colour temperature.
+
+    They are linear in its reciprocal between the neighbouring calibrations, and constant beyond them. If fewer than two
+    lights are known, they are those of the first calibration.
+    """
+    placed = {1e6 / each.kelvin: each for each in known if each.kelvin is not None}  # the later of two with the same light
     mireds = np.array(sorted(placed))
     if len(mireds) < 2:
         return known[0].colour, known[0].camera
@@ -89,12 +92,12 @@ def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Ar
 
 
 def temperature(x: float, y: float) -> float:
-    """Return the correlated colour temperature (K) of a chromaticity: of the nearest black body in CIE 1960 u, v.
+    """Return the correlated colour temperature (K) of a chromaticity: that of the nearest black body in CIE 1960 u, v.
 
     References
     ----------
     M. Krystek, An algorithm to calculate correlated colour temperature, Color Research & Application 10 (1985) 38-40:
-    the black bodies' u and v as rational functions of temperature.
+    u and v of black bodies as rational functions of temperature.
     """
     kelvin = 1e6 / MIREDS
     locus_u = (0.860117757 + 1.54118254e-4 * kelvin + 1.28641212e-7 * kelvin**2) / (
@@ -108,7 +111,7 @@ def temperature(x: float, y: float) -> float:
 
 
 def _white_of(content: Any) -> tuple[float, float] | None:
-    """Return the chromaticity that IlluminantData states, in whichever byte order; None where it states a spectrum."""
+    """Return the chromaticity in IlluminantData, in either byte order, or None if it is a spectrum."""
     for order in "<>":
         with contextlib.suppress(*BROKEN):
             kind, *parts = struct.unpack(f"{order}H4I", bytes(content)[:18])

@@ -1,10 +1,9 @@
-"""Raw files → RawFrame, by their formats: which suffixes there are, what reads them, what must be known before.
+"""Read raw files of all formats as RawFrame.
 
-A new format is a module of this folder and a line in FORMATS; the module has `read`, and what its line says: `stack`,
-`rate`, `is_plain`. It is imported when the first file is read.
-
-The colour filter array comes from the table. From the file come pixels, levels, crop, orientation, and where it states
-of its array the phase; an array that is not the table's is refused.
+A new format is a module in this folder and a line in FORMATS. The module has `read`, and, as its line states, `stack`,
+`rate` and `is_plain`. It is imported when the first file is read. The colour filter array comes from the table. Pixels,
+levels, crop and orientation come from the file, and so does the phase if the file states its array. An array other than
+the table's is rejected.
 """
 
 import importlib
@@ -31,28 +30,30 @@ from l3cli.system.files import STDIN, naming, require_regular
 from l3cli.system.limits import require_picture
 
 RAW_FILE = "give a raw file, or - for headerless frames on stdin"
-TOP = 65535  # DN, the most that 16 bits hold
-LONGEST = 1e5  # s, the longest exposure that is believed
+TOP = 65535  # DN, largest value of 16 bits
+LONGEST = 1e5  # s, longest plausible exposure
 
 
 @dataclass(frozen=True)
 class RawFormat:
-    """Reader of files of some suffixes."""
+    """A raw file format."""
 
     suffixes: tuple[str, ...]  # in lower case
-    module: str  # of this folder
+    module: str  # module in this folder
     what: str = ""  # kind of file, for the table in docs/raw-files.md
-    read_as: str = ""  # what is read of it, for the same table
-    holds_frame: bool = True  # False: such a file is a sequence, never a frame
-    stackable: bool = False  # may hold several frames
-    isolated: bool = True  # decoded in an isolated process
-    has_plain: bool = False  # its module's `is_plain` excepts files that are simple enough to be read here
-    wants_geometry: bool = False  # `read` and `stack` take a layout
-    wants_dataset: bool = False  # `stack` takes the name of an array
-    has_rate: bool = False  # a file of one frame may state the frames a second of its sequence
+    read_as: str = ""  # contents that l3 reads, for the same table
+    holds_frame: bool = True  # False if such a file is always a sequence
+    stackable: bool = False  # whether a file may contain several frames
+    isolated: bool = True  # whether files are decoded in the isolated process
+    has_plain: bool = False  # whether the module's `is_plain` exempts simple files, which are read in this process
+    wants_geometry: bool = False  # whether `read` and `stack` take a layout
+    wants_dataset: bool = False  # whether `stack` takes the name of an array
+    has_rate: bool = False  # whether a file with one frame may state the frame rate of its sequence
 
     def read(self, path: Path, layout: Layout | None = None) -> RawContent:
-        """Return the frame of a file that holds one; InputFileError if it does not, or is of a format that is not read."""
+        """Read the frame of a file that contains one. Raises InputFileError if it does not, or if the format is
+        unsupported.
+        """
         if path.suffix.lower() not in self.suffixes:
             refuse_unread(path)
         with naming(path):
@@ -60,18 +61,20 @@ class RawFormat:
             return content
 
     def stack(self, path: Path, layout: Layout | None = None, dataset: str | None = None) -> MultiFrameFile | None:
-        """Return the frames of a file that holds several, in an HDF5 file of the array `dataset`, None: the only one; None
-        if it holds one frame, which may be broken."""
+        """Return the frames of a file that contains several, or None if it contains one frame, which may be damaged.
+
+        `dataset` is the name of an array in the file, or None for the only one.
+        """
         wanted = [layout] if self.wants_geometry else [dataset] if self.wants_dataset else []
         with naming(path):
             return self._reader.stack(path, *wanted) if self.stackable else None
 
     def rate(self, path: Path) -> Fraction | None:
-        """Return the frames a second that a file of one frame states."""
+        """Return the frame rate that a file with one frame states."""
         return self._reader.rate(path) if self.has_rate else None
 
     def is_plain(self, path: Path) -> bool:
-        """Return whether a file is simple enough to be read in this process."""
+        """Whether a file is simple enough to be read in this process."""
         return self.has_plain and self._reader.is_plain(path)
 
     @property
@@ -126,54 +129,56 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def format_of(path: Path) -> RawFormat:
-    """Return the format that a file's suffix names; of others that of camera raws, which LibRaw knows by content."""
+    """Return the format for a file's suffix. Other suffixes count as camera raws, which LibRaw recognises by content."""
     return BY_SUFFIX.get(path.suffix.lower(), CAMERA_RAW)
 
 
 def is_frame(path: Path) -> bool:
-    """Return whether a folder's file of this name is taken for a raw frame."""
+    """Whether a file with this name in a folder counts as a raw frame."""
     return path.suffix.lower() in BY_SUFFIX and format_of(path).holds_frame
 
 
 def is_photo(path: Path) -> bool:
-    """Return True for a name of a DNG or of a camera's own raw file, which say which camera took them."""
+    """Whether a name is that of a DNG or of a camera's own raw file, which state their camera."""
     return path.suffix.lower() in PHOTOS
 
 
 def are_photos(path: Path) -> bool:
-    """Return whether a file, the names of a pattern or files of a folder say which camera took them."""
+    """Whether a file, a pattern, or files in a folder state their camera."""
     return is_photo(path) or (path.is_dir() and any(map(is_photo, path.iterdir())))
 
 
 def needs_isolation(path: Path) -> bool:
-    """Return whether a file is decoded in an isolated process; a folder or stdin does not tell."""
+    """Whether a file is decoded in the isolated process. False for folders and stdin, whose contents are unknown."""
     kind = format_of(path)
     return bool(path.suffix) and kind.isolated and not kind.is_plain(path)
 
 
 @dataclass(frozen=True)
 class RawOverrides:
-    """Facts that the caller states about a raw file; None: as the file or else the table has them."""
+    """Facts about a raw file that the caller states. None means that the file or otherwise the table decides."""
 
     black_level: float | None = None  # DN
     white_level: float | None = None  # DN
     phase: tuple[int, int] | None = None  # CFA row and column of pixel (0, 0)
     size: tuple[int, int] | None = None  # rows, columns of a headerless file
-    packing: str | None = None  # one of frames.packings.PACKINGS, of a headerless file
+    packing: str | None = None  # key of frames.packings.PACKINGS, for a headerless file
     stride: int | None = None  # bytes from row to row of a headerless file
     exposure: float | None = None  # s
-    gain: float | None = None  # analog gain over the camera's; None: by the ISO speed of the file
-    gains: tuple[float, ...] = ()  # of the frames of a sequence, in its order; none: all have `gain`
-    unlabelled_gain: float = 1.0  # the same of frames of which nothing else states it
-    dark: DarkFrame | None = None  # what the camera gives without light
-    correction: Correction | None = None  # of its defects and shading
-    hot: HotTest | None = None  # by which its hot pixels are found; None: they are left
+    gain: float | None = None  # analog gain relative to the camera's; None: from the ISO speed of the file
+    gains: tuple[float, ...] = ()  # gain of each frame of a sequence, in order; empty if all have `gain`
+    unlabelled_gain: float = 1.0  # gain of frames for which nothing else states it
+    dark: DarkFrame | None = None  # dark frame to subtract
+    correction: Correction | None = None  # correction of defects and shading
+    hot: HotTest | None = None  # test for hot pixels; None to leave them
     skip: int = 0  # bytes before the first frame of a headerless file
-    byte_order: str | None = None  # of 16-bit values of a headerless file, "little" or "big"; None: little
-    opcodes: str | None = None  # "leave": opcodes of a DNG that are not carried out are left out; None: its file is refused
+    byte_order: str | None = None  # "little" or "big", for 16-bit values of a headerless file; None: little
+    opcodes: str | None = None  # "leave" ignores unsupported opcodes of a DNG; None rejects the file
 
     def of_frame(self, place: int) -> "RawOverrides":
-        """Return those of the frame at a place of a sequence, from 0; InputFileError if no gain is listed for it."""
+        """Return the facts about the frame at a position, from 0, of a sequence. Raises InputFileError if no gain is
+        listed for it.
+        """
         if not self.gains:
             return self
         if place >= len(self.gains):
@@ -184,7 +189,27 @@ class RawOverrides:
 
 
 def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> RawFrame:
-    """Return the frame in `path`, read by its suffix; InputFileError names file and cure."""
+    """Read a raw file with one frame.
+
+    Parameters
+    ----------
+    path : Path
+        The file. Its suffix selects the reader.
+    table : TransformTable or CameraModel
+        States the array, and what the file does not state.
+    known : RawOverrides, optional
+        Facts that the caller states.
+
+    Returns
+    -------
+    RawFrame
+        The frame.
+
+    Raises
+    ------
+    InputFileError
+        If the file cannot be read or does not fit the table.
+    """
     known = known or RawOverrides()
     require_regular(path, RAW_FILE)
     kind = format_of(path)
@@ -194,15 +219,19 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
 
 
 def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | None = None) -> MultiFrameFile | None:
-    """Return the frames in `path`, the HDF5 file's array `dataset` of them; None if it holds one frame, or is of a format
-    that can hold no more."""
+    """Return the frames of a file, or None if it contains one frame or if its format cannot contain more.
+
+    `dataset` is the name of the array in an HDF5 or MATLAB file.
+    """
     kind = format_of(path)
     return kind.stack(path, _layout(kind, path, table, known), dataset) if kind.stackable else None
 
 
 def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides) -> bool:
-    """Return whether a file holds several frames; `sensor` is asked for the size of headerless ones. InputFileError if it
-    cannot be read."""
+    """Whether a file contains several frames. Raises InputFileError if it cannot be read.
+
+    `sensor` returns the table or camera; it is called only for the size of headerless frames.
+    """
     kind = format_of(path)
     if not kind.stackable:
         return False
@@ -211,7 +240,7 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
 
 
 def read_stdin(table: Sensor, known: RawOverrides) -> MultiFrameFile:
-    """Return the headerless frames that come on stdin."""
+    """Return the headerless frames on stdin."""
     return stdin(_headerless_layout(STDIN, table, known))
 
 
@@ -225,7 +254,7 @@ def _headerless_layout(path: Path, table: Sensor, known: RawOverrides) -> Layout
 
 
 def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Return the frame of what a file holds; what it does not say is the table's, unless the caller knows better."""
+    """Convert the content of a file to a frame. Missing facts come from `known` or otherwise from the table."""
     values, pattern = content["values"], content.get("pattern")
     if values.size == 0:
         raise InputFileError(f"{name} holds no pixels; give a raw file")
@@ -267,12 +296,12 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _misread(content: RawContent, table: Sensor, phase: tuple[int, int]) -> str:
-    """Return the option that asks for another reading of a frame's bytes, if that is far smoother; else ""."""
+    """Return the option that selects another reading of a frame's bytes, if that reading is far smoother. Otherwise ""."""
     return smoother_reading(content["readings"](), shifted_cfa(table.cfa, phase)) if "readings" in content else ""
 
 
 def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tuple[str, ...]:
-    """Return a note of a whole frame of the sensor whose packing names an array that begins elsewhere than the table's."""
+    """Return a note if the packing of a whole frame names an array in another phase than the table's."""
     if "readings" not in content or phase == (0, 0) or content["values"].shape != (table.rows, table.cols):
         return ()
     begins = f"its packing says that it begins at row {phase[0]}, column {phase[1]} of the table's array"
@@ -280,7 +309,7 @@ def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tu
 
 
 def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Return the frame as the caller knows it better than the file, and what dark current adds to it."""
+    """Return the frame with the facts that the caller states, its dark signal, and corrections."""
     phase = frame.phase if known.phase is None else known.phase
     rows, cols = table.cfa.shape
     span = frame.white_level - frame.black_level

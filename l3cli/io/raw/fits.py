@@ -1,8 +1,8 @@
-"""FITS: the first image of a file, a frame (row, col) or frames (frame, row, col) of unsigned integers, through astropy.
+"""Read FITS files with astropy: the first image, a frame (row, col) or frames (frame, row, col) of unsigned integers.
 
-astropy and no reader of this package: unsigned values are coded by BZERO, images may be packed (fpack), and headers run over
-blocks. Row order: the first row is the uppermost, unless ROWORDER says BOTTOM-UP; BAYERPAT gives the colours of the upper
-left pixels, of Bayer (4 letters) or X-Trans (36), displaced by XBAYROFF and YBAYROFF.
+astropy is used because unsigned values are coded with BZERO, images may be compressed (fpack), and headers may span blocks.
+The first row is the top, unless ROWORDER is BOTTOM-UP. BAYERPAT states the colours of the top left pixels for Bayer (4
+letters) or X-Trans (36 letters), shifted by XBAYROFF and YBAYROFF.
 """
 
 import contextlib
@@ -21,14 +21,17 @@ from l3cli.io.raw.cfa_codes import LETTERS, codes_of
 from l3cli.system.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
-SIDES = {4: 2, 36: 6}  # letters of BAYERPAT → rows and columns of the array: Bayer, X-Trans
-PLANES = 3  # of a picture of red, green and blue
+SIDES = {4: 2, 36: 6}  # number of letters in BAYERPAT → rows and columns of the array (Bayer, X-Trans)
+PLANES = 3  # planes of a picture in red, green and blue
 BOTTOM_UP = "BOTTOM-UP"
 ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
 
 
 def stack(path: Path) -> MultiFrameFile | None:
-    """Return the frames of an image of three axes. InputFileError of a picture in three planes, as developers write it."""
+    """Return the frames of an image with three axes.
+
+    Raises InputFileError for a picture in three planes, as raw converters write it.
+    """
     shape, names, has_pattern = _shape(path)
     if len(shape) != 3:
         return None
@@ -45,7 +48,7 @@ def stack(path: Path) -> MultiFrameFile | None:
 
 @isolated("astropy.io.fits")
 def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
-    """Return the lengths of the axes of the first image, their names (CTYPEn), and whether it states a BAYERPAT."""
+    """Return the lengths and names (CTYPEn) of the axes of the first image, and whether it states a BAYERPAT."""
     with _first_image(path) as image:
         count = len(image.shape)
         names = [str(image.header.get(f"CTYPE{number}", "")).strip() for number in range(count, 0, -1)]
@@ -54,10 +57,9 @@ def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
 
 @isolated("astropy.io.fits")
 def read(path: Path, number: int | None = None) -> RawContent:
-    """Return the pixels (row, col) in DN, of frame `number` where there are several, the colours BAYERPAT names, and the
-    exposure time (s) of EXPTIME or EXPOSURE.
+    """Read the pixels (row, col) in DN, the colours in BAYERPAT, and the exposure time (s) in EXPTIME or EXPOSURE.
 
-    InputFileError if the file holds no frame.
+    `number` selects a frame if there are several. Raises InputFileError if the file contains no frame.
     """
     with _first_image(path) as image:
         values = np.asarray(image.data if number is None else image.section[number])
@@ -88,7 +90,7 @@ def _first_image(path: Path) -> Iterator[Any]:
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of sloppy headers; what cannot be read raises
+        warnings.simplefilter("ignore")  # warnings about sloppy headers; unreadable data raise exceptions
         with fits.open(path, uint=True, lazy_load_hdus=True) as units:
             image = next((unit for unit in units if unit.is_image and unit.header.get("NAXIS", 0) >= 2), None)
             if image is None:

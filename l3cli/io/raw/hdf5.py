@@ -1,5 +1,7 @@
-"""Stacks of raw frames in HDF5 files: a dataset of numbers (frame, row, col), or of one frame (row, col). Axes in another
-order are read where the file names them."""
+"""Read stacks of raw frames from HDF5 files: a dataset of numbers (frame, row, col), or of one frame (row, col).
+
+Axes may be in another order if the file names them.
+"""
 
 import re
 from math import prod
@@ -17,16 +19,16 @@ from l3cli.io.raw.axes import STACK, Axes, frame_axes
 from l3cli.system.files import open_regular, stamp
 from l3cli.system.limits import require_picture, require_values
 
-FILTERS = {  # by the numbers that The HDF Group registered
+FILTERS = {  # number registered with The HDF Group → name
     4: "szip", 307: "bzip2", 32000: "LZF", 32001: "blosc", 32004: "LZ4", 32008: "bitshuffle", 32013: "ZFP", 32015: "zstd",
     32017: "SZ", 32018: "FCIDECOMP", 32019: "JPEG", 32024: "SZ3", 32026: "blosc2", 32028: "SPERR",
 }  # fmt: skip
-CHUNK_CACHE = 128 << 20  # bytes at most: chunks of many frames are unpacked once, not once a frame
-MATLAB = "MATLAB_class"  # attribute of each variable of a MATLAB file
-TRUE_COLOUR = "IMAGE_TRUECOLOR"  # of the HDF5 Image specification
-MOST_AXES = 8  # names of axes that are looked at
+CHUNK_CACHE = 128 << 20  # bytes, largest cache; chunks with many frames are unpacked once instead of once per frame
+MATLAB = "MATLAB_class"  # attribute of each variable in a MATLAB file
+TRUE_COLOUR = "IMAGE_TRUECOLOR"  # value in the HDF5 Image specification
+MOST_AXES = 8  # largest number of axis names that are examined
 
-_opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change if it were another one
+_opened: dict[tuple[Any, ...], Any] = {}  # the last file, with its identity as key
 
 
 def stack(path: Path, dataset: str | None) -> MultiFrameFile:
@@ -37,8 +39,10 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
 
 @isolated("h5py", "hdf5plugin")
 def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
-    """Return name and number of frames of the stack `dataset`, or of the only one; InputFileError without one, or of a
-    picture of several channels."""
+    """Return the name and number of frames of the stack `dataset`, or of the only stack.
+
+    Raises InputFileError if there is none, or if it is a picture with several channels.
+    """
     root = _open(path)
     held = dict(datasets(root))
     name = _only_stack(path, held) if dataset is None else dataset.strip("/")
@@ -51,9 +55,9 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     return name, 1 if axes.frame is None else frames.shape[axes.frame]
 
 
-@isolated("h5py", "hdf5plugin")  # the second, where it is installed, adds filters to the first
+@isolated("h5py", "hdf5plugin")  # if installed, hdf5plugin adds filters to h5py
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
-    """Return one frame (row, col) of a stack whose name `find_stack` returned."""
+    """Read a frame (row, col) of a stack found by `find_stack`."""
     frames = _open(path, name)[name]
     axes = _axes(path, frames)
     _require_frames(path, frames, axes)
@@ -73,12 +77,12 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
 
 
 def _axes(path: Path, frames: Any) -> Axes:
-    """Return the axes of a dataset, by their names where the file has any, or by how its writer stores arrays."""
+    """Return the axes of a dataset, from their names in the file, or from the conventions of the program that wrote it."""
     name = f"{path}: {frames.name}"
     if _text(frames.attrs.get("IMAGE_SUBCLASS")) == TRUE_COLOUR:
         raise InputFileError(f"{name} says that it is a picture of three channels (IMAGE_SUBCLASS); give the mosaic")
     usual = None
-    if MATLAB in frames.attrs:  # which stores its arrays (row, col, frame) with the last axis first
+    if MATLAB in frames.attrs:  # MATLAB stores an array (row, col, frame) with the last axis first
         usual = Axes(0, 2, 1) if frames.ndim == 3 else Axes(None, 1, 0)
         if frames.ndim == 3 and frames.shape[0] == 3:
             raise InputFileError(f"{name} holds a picture of 3 channels, as MATLAB stores it; give the mosaic")
@@ -86,8 +90,11 @@ def _axes(path: Path, frames: Any) -> Axes:
 
 
 def _axis_names(frames: Any) -> list[str]:
-    """Return the names of a dataset's axes: labels or scales of its dimensions (HDF5), `axes` of the dataset or of the group
-    whose signal it is (NeXus), _ARRAY_DIMENSIONS (xarray); empty without."""
+    """Return the names of a dataset's axes, empty if there are none.
+
+    They are labels or scales of dimensions (HDF5), `axes` of the dataset or of the group whose signal it is (NeXus), or
+    _ARRAY_DIMENSIONS (xarray).
+    """
     stated = [frames.attrs.get("axes"), frames.attrs.get("_ARRAY_DIMENSIONS")]
     group = frames.parent.attrs
     if _text(group.get("signal")) == frames.name.rpartition("/")[2]:
@@ -101,7 +108,9 @@ def _scale_name(dimension: Any) -> str:
 
 
 def _listed(attribute: Any) -> list[str]:
-    """Return the names in an attribute: an array of them, a list in one text, "[t:y:x]" or "t,y,x", or letters, "tyx"."""
+    """Return the names in an attribute: an array of names, a list in one text such as "[t:y:x]" or "t,y,x", or letters
+    "tyx".
+    """
     if isinstance(attribute, np.ndarray):
         return [_text(each) for each in attribute.ravel()[:MOST_AXES]]
     words = re.findall(r"\w+", _text(attribute))
@@ -113,7 +122,7 @@ def _text(attribute: Any) -> str:
 
 
 def missing_filters(dataset: Any) -> list[str]:
-    """Return the names of the filters that a dataset's chunks have passed through and that are not installed."""
+    """Return the names of filters that a dataset's chunks need and that are not installed."""
     import h5py
 
     created = dataset.id.get_create_plist()
@@ -126,7 +135,7 @@ def missing_filters(dataset: Any) -> list[str]:
 
 
 def _open(path: Path, stack: str | None = None) -> Any:
-    """Return the file, kept open from frame to frame of a stack."""
+    """Return the file, which stays open for further frames of a stack."""
     import h5py
 
     key = (str(path), *stamp(path), stack)
@@ -138,7 +147,7 @@ def _open(path: Path, stack: str | None = None) -> Any:
         _opened.clear()
         root = h5py.File(path, "r")
         if stack is not None:
-            # A cache that held more than what is read next would fill as the frames go by.
+            # A larger cache would only fill with frames that have already been read.
             nbytes = min(CHUNK_CACHE, chunks_of_a_frame(root[stack], _axes(path, root[stack])))
             root.close()
             root = h5py.File(path, "r", rdcc_nbytes=nbytes)
@@ -147,7 +156,7 @@ def _open(path: Path, stack: str | None = None) -> Any:
 
 
 def chunks_of_a_frame(frames: Any, axes: Axes = STACK) -> int:
-    """Return the bytes that are unpacked for one frame of a dataset."""
+    """Return the number of bytes that are unpacked to read a frame of a dataset."""
     chunks = frames.chunks or frames.shape
     across = prod(-(-frames.shape[axis] // chunks[axis]) for axis in (axes.row, axes.col))
     return across * prod(chunks) * int(frames.dtype.itemsize)
@@ -166,20 +175,22 @@ def _only_stack(path: Path, held: dict[str, Any]) -> str:
 
 
 def _is_artifact(path: Path) -> bool:
-    """Return whether l3 wrote the file: its arrays of floating-point numbers are no frames."""
+    """Whether l3 wrote the file. Floating-point arrays in artifacts are not frames."""
     with open_regular(path) as stream:
         return stream.read(len(TITLE)) == TITLE
 
 
 def _is_stack(member: Any) -> bool:
-    """Return whether a dataset may hold a frame or frames."""
+    """Whether a dataset may contain a frame or frames."""
     return member.dtype.kind in "uif" and member.ndim in (2, 3) and bool(member.size)
 
 
 def _require_frames(path: Path, frames: Any, axes: Axes) -> None:
-    """Raise InputFileError if the frames lie in another file, or one of them, or what is unpacked with it, is too large."""
+    """Raise InputFileError if the frames are in another file, or if a frame, or the chunks unpacked with it, are too
+    large.
+    """
     require_within_file(path, frames.id)
     for shape in (frames.shape, frames.chunks or frames.shape):
         require_picture(f"{path}: {frames.name}", shape[axes.row], shape[axes.col])
-    if axes.frame not in (None, 0):  # one frame takes part of every row, which HDF5 unpacks or reads through
+    if axes.frame not in (None, 0):  # a frame is part of every row, so HDF5 must read or unpack all of them
         require_values(f"{path}: {frames.name}", frames.chunks or frames.shape[1:], frames.dtype.itemsize)

@@ -1,4 +1,6 @@
-"""Headerless files: the values of frames and nothing else, laid out as the caller or the table says (frames/packings.py)."""
+"""Read headerless files, which contain only the values of frames. The caller or the table states the layout
+(frames/packings.py).
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,18 +20,18 @@ GIVE_LAYOUT = "give its layout with ‹size› ROWSxCOLS, ‹packing›, ‹stri
 
 @dataclass(frozen=True)
 class Layout:
-    """Layout of the pixels of a headerless frame."""
+    """Layout of a headerless frame."""
 
     rows: int
     cols: int
     packing: Packing
-    stride: int | None = None  # bytes from one row to the next; None: rows follow one another without a gap
+    stride: int | None = None  # bytes from one row to the next; None if there are no gaps
     skip: int = 0  # bytes before the first frame
-    big_endian: bool = False  # of 16-bit words
+    big_endian: bool = False  # byte order of 16-bit words
 
     @property
     def bits(self) -> int:
-        """Number of bits of full scale; of words 16, whatever their packing says: exchanged bytes need them."""
+        """Number of bits of full scale. It is 16 for words of any packing, because swapped bytes need all of them."""
         return 16 if self.packing.is_words else self.packing.bits
 
     @property
@@ -39,8 +41,10 @@ class Layout:
 
     @property
     def _lines(self) -> tuple[int, int]:
-        """Return the number of runs of pixels that begin with a new byte, and the pixels of each: rows, or, where a row
-        without padding would end within a byte of a bit stream, the whole frame."""
+        """Number of runs of pixels that begin at a byte boundary, and pixels per run.
+
+        A run is a row. If rows without padding would end within a byte of a bit stream, it is the whole frame.
+        """
         run_on = 8 * self.cols * self.packing.group_bytes % (8 * self.packing.group_pixels)
         if self.stride is None and self.packing.family != "mipi" and run_on:
             return 1, self.rows * self.cols
@@ -48,13 +52,13 @@ class Layout:
 
     @property
     def exchangeable(self) -> bool:
-        """Return whether as many columns and rows fit the same bytes."""
+        """Whether swapped rows and columns fit the same number of bytes."""
         padded = self.stride is not None and self.stride != self.packing.bytes_of(self.cols)
         return not padded and self.frame_bytes == replace(self, rows=self.cols, cols=self.rows, stride=None).frame_bytes
 
     @property
     def pattern(self) -> NDArray[np.int64] | None:
-        """Return the colour codes (row, col) of the CFA that the packing names; None if it names none."""
+        """Colour codes (row, col) of the CFA that the packing names, or None."""
         return codes_of(self.packing.pattern).reshape(2, 2) if self.packing.pattern else None
 
     def __str__(self) -> str:
@@ -63,7 +67,7 @@ class Layout:
         return f"{self.rows}×{self.cols} {words}{padded}"
 
     def unpack(self, content: bytes | bytearray | NDArray[np.uint8]) -> NDArray[np.uint16]:
-        """Return the pixels (row, col) in DN of the `frame_bytes` bytes of one frame."""
+        """Return the pixels (row, col) in DN from the `frame_bytes` bytes of a frame."""
         packing, (lines, pixels) = self.packing, self._lines
         used = np.frombuffer(content, np.uint8).reshape(lines, -1)[:, : packing.bytes_of(pixels)]
         if packing.family == "words":
@@ -79,7 +83,7 @@ class Layout:
         return np.ascontiguousarray(values.reshape(lines, -1)[:, :pixels]).reshape(self.rows, self.cols)
 
     def others(self) -> Iterator[tuple[str, "Layout"]]:
-        """Yield the other layouts of as many bytes, each with the option that asks for it."""
+        """Yield the other layouts with the same number of bytes, each with the option that selects it."""
         if self.packing.is_words:
             yield f"‹byte_order› {'little' if self.big_endian else 'big'}", replace(self, big_endian=not self.big_endian)
         for other in PACKINGS.values():
@@ -94,13 +98,25 @@ class Layout:
 def make_layout(
     size: tuple[int, int], name: str, stride: int | None = None, skip: int = 0, byte_order: str | None = None
 ) -> Layout:
-    """Return the layout of rows × columns in a packing.
+    """Return the layout of a packing.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Rows and columns.
+    name : str
+        Name of the packing.
+    stride : int, optional
+        Bytes from one row to the next.
+    skip : int
+        Bytes before the first frame.
+    byte_order : str, optional
+        "little" or "big", for 16-bit words.
 
     Raises
     ------
     RecipeError
-        If there are no pixels, no such packing, a row does not fit into `stride` bytes, or a byte order is given of pixels
-        that are no 16-bit words.
+        If a parameter is invalid, or if they contradict each other.
     """
     rows, cols = size
     if min(size) < 1:
@@ -122,7 +138,7 @@ def make_layout(
 def layout_of(
     path: Path, size: tuple[int, int], packing: str | None, stride: int | None, skip: int = 0, byte_order: str | None = None
 ) -> Layout:
-    """Return the layout of a headerless file of frames of `size` (rows, columns); its suffix may name the packing."""
+    """Return the layout of a headerless file. Its suffix may name the packing. `size` is rows and columns."""
     suffix = path.suffix.lower().removeprefix(".")
     layout = make_layout(size, packing or (suffix if suffix in PACKINGS else WORDS), stride, skip, byte_order)
     require_picture(str(path), layout.rows, layout.cols)
@@ -131,7 +147,7 @@ def layout_of(
 
 
 def read(path: Path, layout: Layout) -> RawContent:
-    """Return the frame of a file of one frame."""
+    """Read the frame of a file that contains one."""
     size = path.stat().st_size - layout.skip
     if size != layout.frame_bytes:
         raise InputFileError(
@@ -141,14 +157,14 @@ def read(path: Path, layout: Layout) -> RawContent:
 
 
 def _counted(size: int, layout: Layout) -> str:
-    """Return the number of bytes of a file without those skipped."""
+    """Describe the size of a file without the skipped bytes."""
     if size < 0:
         return f"{size + layout.skip} bytes, fewer than the {layout.skip} of ‹skip›"
     return f"{size} bytes after the {layout.skip} of ‹skip›" if layout.skip else f"{size} bytes"
 
 
 def _cure(size: int, layout: Layout) -> str:
-    """Return the options by which a file of `size` bytes would be of this number of pixels."""
+    """Name the options with which a file of `size` bytes would have this number of pixels."""
     fitting = [
         name
         for name, packing in PACKINGS.items()
@@ -160,7 +176,7 @@ def _cure(size: int, layout: Layout) -> str:
 
 
 def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) -> RawContent:
-    """Return the content of the bytes of one frame."""
+    """Return the content of a frame from its bytes."""
     content = RawContent(values=layout.unpack(stored), exchangeable=layout.exchangeable)
 
     def readings() -> Iterator[tuple[str, NDArray[np.uint16], int]]:
@@ -175,7 +191,9 @@ def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) ->
 
 
 def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
-    """Return as many frames as the file has room for; one that is cut is noticed when it is read. None without a second."""
+    """Return as many frames as the file may contain, or None if there is only one. A truncated frame is noticed when it
+    is read.
+    """
     size = path.stat().st_size - layout.skip
     if size < 2 * layout.frame_bytes:
         return None
@@ -183,7 +201,7 @@ def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
 
 
 def read_frame(path: Path, layout: Layout, number: int) -> RawContent:
-    """Return frame `number`, from 0, of a file of frames one after the other; InputFileError if the file is cut there."""
+    """Read frame `number` of a file. Raises InputFileError if it is truncated."""
     stored = np.fromfile(path, np.uint8, layout.frame_bytes, offset=layout.skip + number * layout.frame_bytes)
     if stored.size < layout.frame_bytes:
         raise InputFileError(f"{path} ends within frame {number} of {layout}; {GIVE_LAYOUT}")
@@ -191,8 +209,8 @@ def read_frame(path: Path, layout: Layout, number: int) -> RawContent:
 
 
 def stdin(layout: Layout) -> MultiFrameFile:
-    """Return the frames that come on stdin."""
-    # Unbuffered: a thread that waits in a buffered stream would keep the interpreter from ending.
+    """Return the frames on stdin, read one by one."""
+    # Unbuffered, because a thread that waits in a buffered stream would keep the interpreter from exiting.
     pipe = open(0, "rb", buffering=0, closefd=False)  # noqa: SIM115
     to_skip = layout.skip
 

@@ -1,5 +1,7 @@
-"""Camera raws through LibRaw: pixels, levels and colours as the file states them; and facts about its camera that a raw file
-states beside the frame: names, colour matrices, noise, lens (DNG 1.7, Exif, LibRaw)."""
+"""Read camera raws with LibRaw: pixels, levels and colours as the file states them.
+
+Also facts about the camera that a raw file states: names, colour matrices, noise and lens (DNG 1.7, Exif, LibRaw).
+"""
 
 import contextlib
 from collections.abc import Iterator
@@ -23,7 +25,7 @@ from l3cli.system.limits import require_picture
 
 @isolated("rawpy", "tifffile")
 def read(path: Path) -> RawContent:
-    """Return the content of a camera raw within its visible area; InputFileError as from `opened`."""
+    """Return the content of a camera raw within its visible area. Raises InputFileError like `opened`."""
     with opened(path) as raw:
         content = _visible(path, raw)
         content["camera"], shot = _stated_by_tags(path)
@@ -33,7 +35,9 @@ def read(path: Path) -> RawContent:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """Yield rawpy's object of a file with a mosaic. InputFileError if LibRaw cannot read it, or if it is demosaicked."""
+    """Yield rawpy's object for a file with a mosaic. Raises InputFileError if LibRaw cannot read it, or if it is
+    demosaicked.
+    """
     import rawpy
 
     try:
@@ -51,9 +55,9 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def _visible(path: Path, raw: Any) -> RawContent:
-    """Return LibRaw's frame without masked borders; black and white levels may differ between its colours."""
+    """Return LibRaw's frame without masked borders. Black and white levels may differ between colours."""
     colours, letters = raw.raw_colors_visible, raw.color_desc.decode("ascii", "replace")
-    if raw.num_colors == 1:  # no filters: LibRaw gives 6, which is none of its colours
+    if raw.num_colors == 1:  # without filters, LibRaw returns colour 6, which does not exist
         colours, letters = np.zeros_like(colours), "W"
     black_level = np.array(raw.black_level_per_channel, np.float64)
     whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
@@ -85,9 +89,11 @@ def _visible(path: Path, raw: Any) -> RawContent:
 
 
 def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
-    """Return codes of the colours and the signals that the camera took for those of a grey: one over its multipliers.
-    Multipliers of 1 are those of values that are balanced already. None where the file states none, for which LibRaw has
-    0, or where there is one colour."""
+    """Return the codes of the colours and the camera's signals of a grey, that is, the inverse of its multipliers.
+
+    Multipliers of 1 belong to values that are already balanced. None if the file states no multipliers (LibRaw returns 0),
+    or if there is a single colour.
+    """
     multipliers = np.array(raw.camera_whitebalance[: len(letters)], np.float64)
     stated = {code: 1 / each for code, each in zip(codes_of(letters).tolist(), multipliers, strict=False) if each > 0}
     if len(stated) < max(len(set(letters)), 2):
@@ -96,18 +102,18 @@ def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
 
 
 def _stated_by_tags(path: Path) -> tuple[list[str], dict[str, str | float]]:
-    """Return camera names and settings of the shot of a raw file that is a TIFF file, as most are; nothing of another."""
+    """Return camera names and settings of the shot from a raw file that is a TIFF file, as most are. Empty for others."""
     import tifffile
 
     try:
         with tifffile.TiffFile(path) as file:
             return camera_names(file.pages[0]), shot_of_page(file.pages[0])
-    except Exception:  # LibRaw has read the frame: a library that stumbles over tags is no reason to refuse it
+    except Exception:  # LibRaw has read the frame, so unreadable tags are no reason to reject it
         return [], {}
 
 
 def _shot(raw: Any) -> dict[str, str | float]:
-    """Return the settings that LibRaw reads from a raw file of any structure; rawpy has it since 0.26."""
+    """Return the settings that LibRaw reads from a raw file of any structure (rawpy 0.26 and later)."""
     shot, lens = getattr(raw, "other", None), getattr(raw, "lens", None)
     stated = {
         "lens": getattr(lens, "model", None),
@@ -120,19 +126,21 @@ def _shot(raw: Any) -> dict[str, str | float]:
 
 # ---------------------------------------------------------------------------------------- facts about the camera
 
-LIGHTS = {  # values of Exif's LightSource, which DNG calls calibration illuminants → names of lights
+LIGHTS = {  # values of Exif's LightSource (calibration illuminants of DNG) → names of lights
     1: "D55", 2: "F2", 3: "A", 4: "D55", 9: "D55", 10: "D65", 11: "D75", 12: "F1", 13: "F3", 14: "F2", 15: "F3", 17: "A",
     18: "B", 19: "C", 20: "D55", 21: "D65", 22: "D75", 23: "D50", 24: "3200K",
 }  # fmt: skip
-USUAL_LIGHT = "D65"  # of a matrix without one, as of those in LibRaw
-UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of Exif's FocalPlaneResolutionUnit
-PITCHES_UM = 0.5, 50.0  # that are believed
-LONGEST = 60  # letters of a name
+USUAL_LIGHT = "D65"  # light of matrices that state none, such as those in LibRaw
+UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # units of Exif's FocalPlaneResolutionUnit
+PITCHES_UM = 0.5, 50.0  # range of plausible pixel pitches
+LONGEST = 60  # characters of a name
 
 
 def stated(path: Path) -> Stated:
-    """Return the facts stated by the file in `path`; a wrong statement of its tags counts as none. InputFileError if it
-    is not a raw file that can be opened."""
+    """Return the facts that a raw file states about its camera. Invalid tags count as missing.
+
+    Raises InputFileError if the file is not a raw file that can be opened.
+    """
     require_regular(path, "give a raw file")
     names, figures, matrices = _stated(path)
     found = tuple(
@@ -155,7 +163,7 @@ def stated(path: Path) -> Stated:
 
 
 def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
-    """Return the rows of a matrix by their colour's code, of several of one code the first; nothing of an empty one."""
+    """Return the rows of a matrix by colour code; the first row of each code counts. Empty for an empty matrix."""
     values = np.asarray(values, np.float64)
     if values.size != 3 * len(codes) or not np.isfinite(values).all() or not values.any(axis=-1).all():
         return {}
@@ -166,7 +174,7 @@ def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
 
 
 def _named(names: list[str]) -> str:
-    """Return make and model as one name, the make once: "Canon", "Canon EOS 550D" → "Canon EOS 550D"."""
+    """Return make and model as one name, without repeating the make: "Canon", "Canon EOS 550D" → "Canon EOS 550D"."""
     make, model = (" ".join("".join(c if c.isprintable() else " " for c in name).split())[:LONGEST] for name in names)
     return model if model.lower().startswith(make.lower()) else f"{make} {model}".strip()
 
@@ -180,7 +188,7 @@ def _positive(value: float | None) -> float | None:
 
 @isolated("rawpy", "tifffile")
 def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
-    """Return make and model, numbers by name, matrices with the codes of their light and rows."""
+    """Return make and model, numbers by name, and matrices with the code of their light and the codes of their rows."""
     names, figures, matrices = _facts_of_tags(path)
     with opened(path) as raw:
         if not matrices:
@@ -190,13 +198,13 @@ def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, ND
         shot = getattr(raw, "other", None)  # rawpy has it since 0.26
         known = {"iso": "iso_speed", "focal_length_mm": "focal_length", "f_number": "aperture"}
         if not getattr(shot, "focal_length", 0.0):
-            del known["f_number"]  # LibRaw says 1 where the file says nothing
+            del known["f_number"]  # LibRaw returns 1 if the file states none
         figures = {name: float(getattr(shot, key, 0.0)) for name, key in known.items()} | figures
     return names, figures, matrices
 
 
 def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
-    """Return the facts stated by the tags of a TIFF or DNG; none of other files."""
+    """Return the facts in the tags of a TIFF or DNG. Empty for other files."""
     import tifffile
 
     try:
@@ -204,7 +212,7 @@ def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[
             first = file.pages[0]
             pages = [first, *(first.pages or ())]
             return [str(first.tags.valueof(tag) or "") for tag in ("Make", "Model")], _figures(pages), _matrices(pages)
-    except Exception:  # LibRaw says what is wrong with a file; tags that nobody needs are no reason to refuse it
+    except Exception:  # LibRaw reports damaged files; unreadable tags alone are no reason to reject one
         return ["", ""], {}, []
 
 
@@ -227,7 +235,7 @@ def _figures(pages: list[Any]) -> dict[str, float]:
 
 
 def _matrices(pages: list[Any]) -> list[tuple[int, NDArray, NDArray]]:
-    """Return XYZ → what the camera collects: AnalogBalance · CameraCalibration · ColorMatrix."""
+    """Return the matrices from XYZ to the camera's channels: AnalogBalance · CameraCalibration · ColorMatrix."""
     raw = [page for page in pages if page.tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY]
     codes = np.array(numbers((raw or pages)[0], "CFAPlaneColor", (0, 1, 2)), np.int64)
     return [(each.light, codes, each.camera @ each.colour) for each in calibrations(pages[0], len(codes))]

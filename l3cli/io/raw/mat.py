@@ -1,7 +1,7 @@
-"""Frames in MATLAB files: a variable (row, col) or (row, col, frame), through scipy or, of version 7.3, through HDF5.
+"""Read frames in MATLAB files: a variable (row, col) or (row, col, frame), with scipy or, for version 7.3, as HDF5.
 
-MATLAB's users keep stacks as (row, col, frame). Files of version 5 that Python wrote (scipy.io.savemat) keep numpy's order,
-(frame, row, col); the text at their beginning says which platform wrote them.
+MATLAB users store stacks as (row, col, frame). Files of version 5 written by Python (scipy.io.savemat) keep numpy's order
+(frame, row, col). The text at the beginning of a file states the platform that wrote it.
 """
 
 from pathlib import Path
@@ -19,16 +19,16 @@ from l3cli.system.limits import require_picture, require_values
 
 OF_PYTHON = (b"Platform: posix", b"Platform: nt")
 HDF5_VERSION = b"MATLAB 7.3 MAT-file"
-TEXT = 116  # bytes at the beginning that say in words who wrote the file
+TEXT = 116  # bytes of text at the beginning, which name the program that wrote the file
 COUNTS, NUMBERS = ("uint8", "uint16"), ("uint8", "uint16", "int16", "int32", "uint32", "single", "double")
-BYTES = {"uint8": 1, "int16": 2, "uint16": 2, "double": 8}  # 4 of the others
-LEAST_SIDE = 8  # rows and columns; smaller variables are settings
+BYTES = {"uint8": 1, "int16": 2, "uint16": 2, "double": 8}  # bytes per value; 4 for all other types
+LEAST_SIDE = 8  # smallest number of rows and columns; smaller variables are settings
 
-_loaded: dict[tuple[Any, ...], NDArray] = {}  # the last array, by what would change if its file were another one
+_loaded: dict[tuple[Any, ...], NDArray] = {}  # the last array, with the identity of its file as key
 
 
 def stack(path: Path, dataset: str | None) -> MultiFrameFile:
-    """Return the frames of a variable, the only array of the file or the one called `dataset`."""
+    """Return the frames of a variable: the array named `dataset`, or the only array in the file."""
     with open_regular(path) as stream:
         text = stream.read(TEXT)
     if text.startswith(HDF5_VERSION):
@@ -40,7 +40,10 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
 
 @isolated("scipy.io")
 def find_variable(path: Path, dataset: str | None, of_python: bool) -> tuple[str, int]:
-    """Return name and number of frames of a variable; InputFileError without one, or of a picture of several channels."""
+    """Return the name of a variable and its number of frames.
+
+    Raises InputFileError if it does not exist, or if it is a picture with several channels.
+    """
     import scipy.io
 
     held = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(path)}
@@ -56,7 +59,7 @@ def find_variable(path: Path, dataset: str | None, of_python: bool) -> tuple[str
 
 @isolated("scipy.io")
 def frame(path: Path, name: str, of_python: bool, number: int) -> NDArray:
-    """Return one frame (row, col) of a variable that `find_variable` has found."""
+    """Read a frame (row, col) of a variable found by `find_variable`."""
     import scipy.io
 
     key = (str(path), *stamp(path), name)
@@ -78,7 +81,7 @@ def _axes(path: Path, name: str, shape: tuple[int, ...], of_python: bool) -> Axe
 
 
 def _only_variable(path: Path, held: dict[str, tuple[tuple[int, ...], str]]) -> str:
-    """Return the only array of whole numbers of at most 16 bits or, without one, of any numbers."""
+    """Return the only array of integers of at most 16 bits or, without one, of any numbers."""
     arrays = sorted(name for name, (shape, kind) in held.items() if kind in NUMBERS and _is_stack(shape))
     chosen = [name for name in arrays if held[name][1] in COUNTS] or arrays
     if len(chosen) != 1:

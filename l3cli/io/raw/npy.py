@@ -1,4 +1,4 @@
-"""numpy's .npy files, mapped: raw frames as one (row, col) or several (frame, row, col)."""
+"""Read raw frames from numpy's .npy files: one frame (row, col) or several (frame, row, col). Files are memory-mapped."""
 
 from pathlib import Path
 from typing import Any
@@ -14,15 +14,17 @@ from l3cli.system.limits import require_picture
 
 
 def map_array(path: Path) -> NDArray[Any]:
-    """Return the array of a .npy file, mapped. InputFileError if the file is none, is shorter than its header says, or holds
-    objects, which would be unpickled."""
+    """Map the array of a .npy file.
+
+    Raises InputFileError if the file is not a complete .npy file, or if it contains objects, which would be unpickled.
+    """
     require_regular(path, "give a .npy file")
     try:
-        with np.errstate(over="ignore"):  # of a shape beyond all bounds, which is refused
+        with np.errstate(over="ignore"):  # an absurdly large shape is rejected anyway
             values = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror or error}") from error
-    except Exception as error:  # a damaged header makes Python's tokenizer fail with many exceptions
+    except Exception as error:  # a damaged header makes Python's tokenizer raise various exceptions
         raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save(file, array)") from error
     if not isinstance(values, np.ndarray):
         values.close()
@@ -31,7 +33,7 @@ def map_array(path: Path) -> NDArray[Any]:
 
 
 def read(path: Path) -> RawContent:
-    """Return the frame of a file that holds one."""
+    """Read the frame of a file that contains one."""
     shape = map_array(path).shape
     if len(shape) == 3:
         raise InputFileError(f"{path} holds {shape[0]} frames; give it alone, or give files of one frame each")
@@ -46,13 +48,14 @@ def stack(path: Path) -> MultiFrameFile | None:
     frame_axes(str(path), shape)
 
     def frame(number: int) -> RawContent:
-        return RawContent(values=np.array(_mapped(path, 3)[number]))  # pages of a mapping that is kept count as memory
+        # Mapped anew, because pages of a kept mapping count as memory.
+        return RawContent(values=np.array(_mapped(path, 3)[number]))
 
     return MultiFrameFile(len(_mapped(path, 3)), frame, numbered=False)
 
 
 def _mapped(path: Path, axes: int) -> NDArray:
-    """Return the array of a .npy file, mapped. InputFileError unless it has `axes` axes of numbers, of sizes that may be."""
+    """Map the array of a .npy file. Raises InputFileError unless it has `axes` axes of numbers with acceptable sizes."""
     values = map_array(path)
     if values.ndim != axes or values.dtype.kind not in "iuf":
         held = f"{values.ndim}-dimensional {values.dtype}"

@@ -1,8 +1,8 @@
-"""The opcode lists of a DNG (Adobe DNG 1.7, chapter 7): what a reader is to do to the mosaic, or to what is made of it.
+"""Opcode lists of a DNG (Adobe DNG 1.7, chapter 7): requested changes to the mosaic, or to the picture made from it.
 
-Bad pixels are corrected, gain maps and radial vignetting become a gain of every pixel. All else would move pixels or bend
-values: an opcode that the file calls optional is left out with a note; a file with another one is refused, unless the user
-has it rendered without.
+l3 corrects bad pixels, and converts gain maps and radial vignetting to a gain per pixel. Other opcodes would move pixels or
+change values nonlinearly. Of these, optional ones are ignored with a note. A file with a mandatory one is rejected, unless
+the user asks to ignore it.
 """
 
 import struct
@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # for values as stored, linear, demosaicked
+LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # for stored, linear and demosaicked values
 FIX_VIGNETTE_RADIAL, FIX_BAD_PIXELS_CONSTANT, FIX_BAD_PIXELS_LIST, GAIN_MAP = 3, 4, 5, 9
-CARRIED_OUT = ((4, 5), (5, 3, 9), (3, 9))  # opcodes of each list
+CARRIED_OUT = ((4, 5), (5, 3, 9), (3, 9))  # supported opcodes of each list
 NAMES = (
     "", "WarpRectilinear", "WarpFisheye", "FixVignetteRadial", "FixBadPixelsConstant", "FixBadPixelsList", "TrimBounds",
     "MapTable", "MapPolynomial", "GainMap", "DeltaPerRow", "DeltaPerColumn", "ScalePerRow", "ScalePerColumn",
     "WarpRectilinear2",
 )  # fmt: skip
-OPTIONAL = 1  # bit of an opcode's flags: a reader may leave it out
+OPTIONAL = 1  # bit of an opcode's flags that allows readers to ignore it
 MOST_OPCODES = 1000
 MOST_GAIN = 64.0
 MOST_PLANES = 16
@@ -33,9 +33,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Opcode:
-    """One entry of a list."""
+    """An entry of an opcode list."""
 
-    stage: int  # 0…2, of LISTS
+    stage: int  # index in LISTS
     number: int
     optional: bool
     content: bytes
@@ -43,19 +43,19 @@ class Opcode:
 
 @dataclass(frozen=True)
 class GainMap:
-    """Gains on a coarse grid, for some rows, columns and planes."""
+    """Gains on a coarse grid for some rows, columns and planes."""
 
     stage: int
     area: tuple[slice, slice]  # rows, columns
     planes: range
-    spacing: tuple[float, float]  # of the grid, in heights and widths of the image
+    spacing: tuple[float, float]  # grid spacing in heights and widths of the image
     origin: tuple[float, float]
     gains: Floats  # (row, col, plane)
 
 
 @dataclass(frozen=True)
 class Vignette:
-    """Radial gain 1 + k0 r² + k1 r⁴ + …, r being 1 in the corner that is farthest from the centre."""
+    """Radial gain 1 + k0 r² + k1 r⁴ + …, where r is 1 in the corner farthest from the centre."""
 
     terms: tuple[float, ...]
     centre: tuple[float, float]  # down, across, in heights and widths of the image
@@ -63,13 +63,13 @@ class Vignette:
 
 @dataclass(frozen=True)
 class Opcodes:
-    """Corrections that a file asks for."""
+    """The corrections that a file requests."""
 
-    constants: tuple[int, ...] = ()  # stored values of bad pixels
-    rects: tuple[NDArray[np.int64], ...] = ()  # (rect, 5) stage, top, left, bottom, right
+    constants: tuple[int, ...] = ()  # stored values that mark bad pixels
+    rects: tuple[NDArray[np.int64], ...] = ()  # (rect, 5) stage, top, left, bottom, right of bad pixels
     gains: tuple[GainMap | Vignette, ...] = ()
-    notes: tuple[str, ...] = ()  # on optional opcodes that are left out
-    demanded: tuple[str, ...] = ()  # opcodes that are not carried out, though the file does not call them optional
+    notes: tuple[str, ...] = ()  # notes on ignored optional opcodes
+    demanded: tuple[str, ...] = ()  # unsupported opcodes that are not optional
 
     def __bool__(self) -> bool:
         return bool(self.constants or self.rects or self.gains)
@@ -79,7 +79,7 @@ class Opcodes:
 
 
 def read_opcodes(page: Any) -> Opcodes:
-    """Return the opcodes of a page; ValueError or struct.error if a list is damaged."""
+    """Return the opcodes of a page. Raises ValueError or struct.error if a list is damaged."""
     found: dict[str, list[Any]] = {"constants": [], "rects": [], "gains": [], "notes": [], "demanded": []}
     linearised = page.tags.valueof("LinearizationTable") is not None
     for each in _listed(page):
@@ -121,7 +121,7 @@ def _listed(page: Any) -> list[Opcode]:
 
 
 def _bad_rects(opcode: Opcode) -> NDArray[np.int64]:
-    """Return (rect, 5), points among them: the list's stage, then top, left, bottom, right."""
+    """Return rectangles and points of bad pixels (rect, 5): the list's stage, then top, left, bottom, right."""
     _, points, rects = struct.unpack_from(">III", opcode.content)
     if len(opcode.content) != 12 + 8 * points + 16 * rects:
         raise ValueError("a list of bad pixels of another length")
@@ -142,7 +142,7 @@ def _gain_map(opcode: Opcode) -> GainMap:
     if not (np.isfinite((*spacing, *origin)).all() and min(spacing) > 0 and 0 < gains.min() <= gains.max() <= MOST_GAIN):
         raise ValueError("a gain map of no gains")
     area = slice(top, bottom, down), slice(left, right, across)
-    planes = range(plane, min(plane + count, MOST_PLANES if opcode.stage == 2 else 1))  # of a mosaic there is one
+    planes = range(plane, min(plane + count, MOST_PLANES if opcode.stage == 2 else 1))  # a mosaic has one plane
     return GainMap(opcode.stage, area, planes, spacing, origin, gains.reshape(rows, cols, map_planes))  # type: ignore[arg-type]
 
 
@@ -157,7 +157,7 @@ def _vignette(opcode: Opcode) -> Vignette:
 
 
 def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, int, int, int]) -> NDArray[np.bool_]:
-    """Return the pixels (active row, active col) of a stored image that its opcodes call bad."""
+    """Return the pixels (active row, active col) of a stored image that its opcodes mark as bad."""
     top, left, bottom, right = active
     bad = np.isin(stored[top:bottom, left:right], opcodes.constants)
     origins = ((top, left), (0, 0), (0, 0))
@@ -172,9 +172,25 @@ def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, 
 def gain_of_pixels(
     opcodes: Opcodes, pattern: NDArray[np.int64], planes: Sequence[int], shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Return the gain (active row, active col) of every pixel of an active area of `shape`, whose CFA has the codes
-    `pattern`; `planes` are those of the colour planes. ValueError if it is none that can be."""
-    with np.errstate(all="ignore"):  # what overflows is refused
+    """Return the gain (active row, active col) of every pixel.
+
+    Parameters
+    ----------
+    opcodes : Opcodes
+        The opcodes.
+    pattern : ndarray, (row, col)
+        Colour codes of the CFA.
+    planes : sequence of int
+        Colour code of each plane.
+    shape : tuple of int
+        Rows and columns of the active area.
+
+    Raises
+    ------
+    ValueError
+        If a gain is implausible.
+    """
+    with np.errstate(all="ignore"):  # overflow is rejected below
         gain = _product(opcodes, pattern, planes, shape)
     if not (gain.min() > 0 and gain.max() <= MOST_GAIN):
         raise ValueError(f"gains of {gain.min():.3g}…{gain.max():.3g}")
@@ -209,7 +225,7 @@ def _radial(vignette: Vignette, shape: tuple[int, int]) -> Floats:
 
 
 def _interpolated(each: GainMap, plane: int, shape: tuple[int, int]) -> Floats:
-    """Return gains (row, col) of the map's area: linear between the points of its grid, beyond them as at the last."""
+    """Return the gains (row, col) in the map's area: linear between grid points and constant beyond them."""
     sides = []
     for axis in (0, 1):
         place = (np.arange(shape[axis])[each.area[axis]] + 0.5) / shape[axis]

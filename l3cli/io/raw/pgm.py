@@ -1,6 +1,6 @@
-"""Portable graymaps: binary PGM (P5) of 8 or 16 bits, values as stored.
+"""Read binary portable graymaps (PGM, P5) of 8 or 16 bits as stored.
 
-OpenImageIO stretches values to the whole range of 16 bits, by the header's largest value; a raw mosaic must stay as it is.
+OpenImageIO scales values to the full range of 16 bits by the header's maximum, but a raw mosaic must not be scaled.
 """
 
 import re
@@ -19,8 +19,10 @@ LONGEST_HEADER = 65536  # bytes, comments included
 
 
 def read(path: Path) -> RawContent:
-    """Return the pixels (row, col) of a graymap in DN, uint8 or uint16 as in the file; InputFileError if it is no single,
-    whole P5 graymap."""
+    """Read the pixels (row, col) of a graymap in DN, uint8 or uint16 as in the file.
+
+    Raises InputFileError unless the file is a single complete P5 graymap.
+    """
     with open_regular(path) as stream:
         start = stream.read(LONGEST_HEADER)
     header = HEADER.match(start)

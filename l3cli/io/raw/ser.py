@@ -1,7 +1,8 @@
-"""SER, the raw video of planetary astronomy: a header of 178 bytes, then frames of 8 or 16 bits (SER format description 3).
+"""Read SER, the raw video format of planetary astronomy: a header of 178 bytes, then frames of 8 or 16 bits.
 
-Writers disagree on which value of LittleEndian means little-endian, so the pixels of the first frame decide: with the right
-order neighbours are alike. Times of frames behind the last one are not read.
+The reference is the SER format description 3. Programs disagree on which value of LittleEndian means little-endian, so the
+first frame decides: with the right byte order, neighbouring pixels are similar. The times of frames after the last frame
+are not read.
 """
 
 import struct
@@ -19,7 +20,7 @@ from l3cli.io.raw.headerless import Layout, read_frame
 from l3cli.system.files import open_regular
 from l3cli.system.limits import require_picture
 
-HEADER = struct.Struct("<14s7i")  # then names and two dates
+HEADER = struct.Struct("<14s7i")  # followed by names and two dates
 HEADER_BYTES = 178
 MAGIC = b"LUCAM-RECORDER"
 PATTERNS = {0: "", 8: "RGGB", 9: "GRBG", 10: "GBRG", 11: "BGGR", 16: "CYYM", 17: "YCMY", 18: "YMCY", 19: "MYYC"}  # ColorID
@@ -46,7 +47,7 @@ def stack(path: Path) -> MultiFrameFile:
 
 
 def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
-    """Return the layout of the frames, the colours of their array, None of a monochrome camera, and their number."""
+    """Return the layout of the frames, the colours of the CFA (None for a monochrome camera), and the number of frames."""
     with open_regular(path) as stream:
         stored = stream.read(HEADER_BYTES)
     if len(stored) < HEADER_BYTES or not stored.startswith(MAGIC):
@@ -68,10 +69,10 @@ def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
 
 
 def _in_byte_order(path: Path, layout: Layout) -> Layout:
-    """Return the layout with the byte order in which the first frame is smoother."""
+    """Return the layout with the byte order that makes the first frame smoother."""
     if not layout.packing.is_words:
         return layout
     first = read_frame(path, layout, 0)
-    period = np.arange(4, dtype=np.uint8).reshape(2, 2)  # neighbours two pixels apart have one filter in all its arrays
+    period = np.arange(4, dtype=np.uint8).reshape(2, 2)  # in all SER arrays, pixels two apart have the same filter
     readings = [roughness(values, bits, period) for _, values, bits in first["readings"]()][:2]
     return Layout(layout.rows, layout.cols, layout.packing, skip=layout.skip, big_endian=readings[1] < readings[0])

@@ -1,9 +1,9 @@
-"""Raw frames as pictures of one channel: TIFF and PNG. The pages of a TIFF are the frames of a stack where they are alike, a
-reason to refuse the file where they are not.
+"""Read raw frames from single-channel pictures: TIFF and PNG. The pages of a TIFF are the frames of a stack if they are
+alike, otherwise the file is rejected.
 
-A plain mosaic, as l3 writes it, is read here, in this process; any other file by OpenImageIO, in an isolated one. A plain
-file is little-endian, of one page, of one channel of 8 or 16 bits, not compressed, without a tag but those of ALLOWED, every
-length just what the size of the picture makes it. Nothing is allocated that it does not hold, and nothing is believed.
+A plain mosaic, as l3 writes it, is read in this process; any other file by OpenImageIO in the isolated process. A plain file
+is little-endian and uncompressed, has one page with one channel of 8 or 16 bits and no tags except those in ALLOWED, and all
+lengths match the size of the picture exactly. No memory is allocated beyond the size of the file.
 """
 
 import contextlib
@@ -24,13 +24,13 @@ from l3cli.io.tags import COLOUR_FILTER_ARRAY, ONE_OF_MANY, UPRIGHT, flip_of, sh
 from l3cli.system.files import open_regular, stamp
 from l3cli.system.limits import most_pixels
 
-MOST_PAGES = 1_000_000
+MOST_PAGES = 1_000_000  # largest number of pages
 
-_opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change if it were another one
+_opened: dict[tuple[Any, ...], Any] = {}  # the last file, with its identity as key
 
 
 def read(path: Path) -> RawContent:
-    """Return the frame that a picture of one channel holds."""
+    """Read the frame of a single-channel picture."""
     if (plain := read_plain(path)) is not None:
         return plain
     return read_by_library(path)
@@ -38,14 +38,14 @@ def read(path: Path) -> RawContent:
 
 @isolated("OpenImageIO", "tifffile")
 def read_by_library(path: Path) -> RawContent:
-    """Return the frame of any picture."""
+    """Read the frame of any picture with OpenImageIO."""
     _check_first_page(path)
     with opened(path) as (source, spec):
         return _content(path, source, spec)
 
 
 def _content(path: Path, source: Any, spec: Any) -> RawContent:
-    """Return the frame that an input is at."""
+    """Return the frame at the input's current page."""
     values, exposure = mono_of(path, source, spec)
     flip = flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
     return RawContent(values=values, orientation=flip, exposure=exposure, shot=shot_of_spec(spec))
@@ -55,7 +55,7 @@ def _content(path: Path, source: Any, spec: Any) -> RawContent:
 
 
 def stack(path: Path) -> MultiFrameFile | None:
-    """Return the frames of a TIFF of several pages."""
+    """Return the frames of a TIFF with several pages."""
     if is_plain(path):
         return None
     count = count_pages(path)
@@ -64,8 +64,11 @@ def stack(path: Path) -> MultiFrameFile | None:
 
 @isolated("OpenImageIO", "tifffile")
 def count_pages(path: Path) -> int:
-    """Return the number of pages of a TIFF. InputFileError if there are several that differ in size or kind, as a thumbnail
-    behind a picture does, or if there are images that are no page."""
+    """Return the number of pages of a TIFF.
+
+    Raises InputFileError if several pages differ in size or kind, such as a thumbnail after a picture, or if there are
+    images that are not pages.
+    """
     first = _page(path, 0).spec()
     usual, count = _kind(first), _count(path)
     require_whole_stack(path, first, count)
@@ -81,25 +84,25 @@ def count_pages(path: Path) -> int:
 
 @isolated("OpenImageIO", "tifffile")
 def read_page(path: Path, number: int) -> RawContent:
-    """Return one page of one channel, values as stored; pages count from 0."""
+    """Read a single-channel page as stored. Pages count from 0."""
     source = _page(path, number)
     require_bearable(path, source.spec())
     return _content(path, source, source.spec())
 
 
 def _require_frames(path: Path, spec: Any, count: int) -> None:
-    """Raise InputFileError if the pages are channels of a picture, as ImageJ, tifffile or OME say, or hold its columns."""
+    """Raise InputFileError if the pages are channels of a picture, as ImageJ, tifffile or OME state, or its columns."""
     text = spec.get_string_attribute("ImageDescription")
     channels = re.search(r"^channels=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
     channels = channels or re.search(r'<Pixels [^>]*SizeC="([0-9]{1,9})"', text)
-    # More of them are frames: tifffile writes a stack so where its axes have no names.
+    # A larger number of channels are frames, because tifffile writes stacks with unnamed axes in this way.
     if (channels and 1 < int(channels[1]) <= MOST_CHANNELS) or re.match(r"""\{.*"axes": "[A-Z]*C[A-Z]*\"""", text):
         raise InputFileError(f"{path}: its pages are channels of a picture, as its description says; give the mosaic")
     frame_axes(str(path), (count, spec.height, spec.width))
 
 
 def _page(path: Path, number: int) -> Any:
-    """Return OpenImageIO's input, kept open from page to page, at a page."""
+    """Return OpenImageIO's input, which stays open for further pages, at a page."""
     key = (str(path), *stamp(path))
     if key not in _opened:
         for other in _opened.values():
@@ -113,21 +116,24 @@ def _page(path: Path, number: int) -> Any:
 
 
 def _kind(spec: Any) -> str:
-    """Return size, channels and type of a page, and whether it says that it is none."""
+    """Describe the size, channels and type of a page, and whether it is a copy or a mask."""
     part = ", a smaller copy or a mask" if spec.get_int_attribute("tiff:subfiletype", 0) & ~ONE_OF_MANY else ""
     channels = f"{spec.nchannels} channel{'s' if spec.nchannels > 1 else ''}"
     return f"{spec.height}×{spec.width} pixels, {channels} of {spec.format}{part}"
 
 
 def _count(path: Path) -> int:
-    """Return the number of pages; InputFileError if their chain is broken, or other images than smaller copies hang below
-    one. Libraries take the end of a broken chain for the end of the file: what would be the next page tells."""
+    """Return the number of pages.
+
+    Libraries take the end of a broken chain of pages for the end of the file, so the offset of the next page is checked.
+    Raises InputFileError if the chain is broken, or if images other than smaller copies hang below a page.
+    """
     import tifffile
 
     broken = InputFileError(f"{path}: the chain of its pages is broken; it is damaged, copy it again")
     with tifffile.TiffFile(path) as file:
         with contextlib.suppress(IndexError):
-            file.pages.get(MOST_PAGES)  # no further: a chain may lead back
+            file.pages.get(MOST_PAGES)  # limited, because a chain of pages may form a loop
             raise broken
         file.filehandle.seek(file.pages.next_page_offset)
         following = file.filehandle.read(file.tiff.offsetsize)
@@ -141,7 +147,7 @@ def _count(path: Path) -> int:
 
 
 def _check_first_page(path: Path) -> None:
-    """Check, as `_check_tags`, the first page of a TIFF, if it is one."""
+    """Check the first page of a TIFF, if the file is one, with `_check_tags`."""
     import tifffile
 
     try:
@@ -149,12 +155,12 @@ def _check_first_page(path: Path) -> None:
             _check_tags(path, file.pages.first)
     except InputFileError:
         raise
-    except Exception:  # of a file that is damaged or no TIFF, of which OpenImageIO says what is wrong
+    except Exception:  # the file is damaged or not a TIFF, which OpenImageIO reports
         return
 
 
 def _check_tags(path: Path, page: Any) -> None:
-    """Raise InputFileError for what OpenImageIO passes over: an orientation that TIFF does not know, a DNG's mosaic."""
+    """Raise InputFileError for what OpenImageIO ignores: an orientation that TIFF does not define, or a DNG's mosaic."""
     tags = page.tags
     flip_of(path, tags.valueof("Orientation", UPRIGHT))
     if "DNGVersion" in tags or tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY:
@@ -168,16 +174,16 @@ NEW_SUBFILE_TYPE, WIDTH, LENGTH, BITS, COMPRESSION, PHOTOMETRIC, OFFSETS = 254, 
 ORIENTATION, CHANNELS, ROWS_PER_STRIP, COUNTS, PLANES, DATE_TIME, SAMPLE_FORMAT = 274, 277, 278, 279, 284, 306, 339
 EXIF, EXPOSURE_TIME = 34665, 33434
 BLACK_IS_ZERO = 1
-# tags that may have one value only, which is also what a file means that lacks them
+# tags with a single allowed value, which is also the default if the tag is missing
 FIXED = {NEW_SUBFILE_TYPE: 0, COMPRESSION: 1, ORIENTATION: UPRIGHT, CHANNELS: 1, PLANES: 1, SAMPLE_FORMAT: 1}
 ALLOWED = {WIDTH, LENGTH, BITS, PHOTOMETRIC, OFFSETS, ROWS_PER_STRIP, COUNTS, DATE_TIME, EXIF, *FIXED}
-# Of values: short, long, place of a directory.
+# Types of values: short, long, offset of a directory.
 TYPES: dict[int, np.dtype] = {3: np.dtype("<u2"), 4: np.dtype("<u4"), 13: np.dtype("<u4")}
-EXIF_TYPES: dict[int, np.dtype] = {5: np.dtype(("<u4", 2))}  # rational
+EXIF_TYPES: dict[int, np.dtype] = {5: np.dtype(("<u4", 2))}  # rational numbers
 
 
 class _Plain(NamedTuple):
-    """Content of a plain file, and its place."""
+    """Layout of a plain file, and its exposure time."""
 
     rows: int
     cols: int
@@ -187,11 +193,11 @@ class _Plain(NamedTuple):
 
 
 class _NotPlain(Exception):
-    """Another kind of file, or a damaged one."""
+    """Raised for other kinds of files and for damaged ones."""
 
 
 def is_plain(path: Path) -> bool:
-    """Return whether a file is a plain mosaic, as far as its tags go."""
+    """Whether a file is a plain mosaic, judging by its tags."""
     try:
         with open_regular(path) as stream:
             _parsed(stream)
@@ -201,8 +207,10 @@ def is_plain(path: Path) -> bool:
 
 
 def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | None:
-    """Return the frame of a plain mosaic of one of the `depths` in bits; None if the file is of another kind, or damaged.
-    OSError if its storage fails."""
+    """Read the frame of a plain mosaic with one of the `depths` in bits, or return None for any other or damaged file.
+
+    Raises OSError if the storage fails.
+    """
     with open_regular(path) as stream:
         try:
             plain = _parsed(stream)
@@ -215,13 +223,13 @@ def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | No
         for offset, size in plain.strips:
             stream.seek(offset)
             if stream.readinto(rest[:size]) != size:
-                return None  # it has become shorter
+                return None  # the file has become shorter
             rest = rest[size:]
     return RawContent(values=values.astype(np.uint16, copy=False), exposure=plain.exposure)
 
 
 def _parsed(stream: BinaryIO) -> _Plain:
-    """Return the layout that the file states; _NotPlain unless it is a plain mosaic."""
+    """Return the layout that the file states. Raises _NotPlain unless it is a plain mosaic."""
     size = os.fstat(stream.fileno()).st_size
     if stream.read(4) != HEADER:
         raise _NotPlain
@@ -238,7 +246,7 @@ def _parsed(stream: BinaryIO) -> _Plain:
     lengths = tuple(row_bytes * min(per_strip, rows - first) for first in range(0, rows, per_strip))
     try:
         too_large = rows * cols > most_pixels()
-    except RecipeError:  # of the setting: whoever reads all kinds says so
+    except RecipeError:  # the setting is invalid, which the general reader reports
         too_large = True
     if too_large or rows * row_bytes > size or tags[COUNTS] != lengths:
         raise _NotPlain
@@ -250,7 +258,7 @@ def _parsed(stream: BinaryIO) -> _Plain:
 
 
 def _exposure(stream: BinaryIO, at: int, size: int) -> float | None:
-    """Return the exposure time (s) of an Exif directory that holds nothing else."""
+    """Return the exposure time (s) of an Exif directory that contains nothing else."""
     tags = _directory(stream, at, size, EXIF_TYPES)
     if set(tags) != {EXPOSURE_TIME} or len(tags[EXPOSURE_TIME]) != 2:
         raise _NotPlain
@@ -259,7 +267,7 @@ def _exposure(stream: BinaryIO, at: int, size: int) -> float | None:
 
 
 def _directory(stream: BinaryIO, at: int, size: int, types: dict[int, np.dtype]) -> dict[int, tuple[int, ...]]:
-    """Return the values of a directory that none follows, by tag; texts are left out."""
+    """Return the values in a directory, by tag, without texts. No further directory may follow."""
     stream.seek(at)
     (count,) = struct.unpack("<H", _exactly(stream, 2))
     entries = _exactly(stream, 12 * count)

@@ -1,5 +1,7 @@
-"""Formats that hold no raw frames that l3 reads, each with what to give instead. A file is known by its first bytes or its
-suffix, so that a whole file is never called damaged."""
+"""Formats without raw frames that l3 can read, each with advice what to give instead.
+
+A file is recognised by its first bytes or its suffix, so that an intact file is never called damaged.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +16,12 @@ SPECTRUM = "it holds spectra, no frame; name it in a recipe, as a light or a ref
 
 @dataclass(frozen=True)
 class UnreadFormat:
-    """A format that is recognised and refused."""
+    """A format that is recognised and rejected."""
 
     name: str  # in messages: "is NAME; INSTEAD"
     suffixes: tuple[str, ...]  # in lower case
     instead: str
-    magic: tuple[tuple[int, bytes], ...] = ()  # place of bytes that such files have, any of them; none: the suffix alone
+    magic: tuple[tuple[int, bytes], ...] = ()  # (offset, bytes), any of which identifies the format; empty: suffix only
 
 
 UNREAD = (
@@ -50,17 +52,17 @@ UNREAD = (
     UnreadFormat("an OpenEXR or Radiance picture", (".exr",), DEVELOPED, ((0, b"v/1\x01"), (0, b"#?RADIANCE"))),
     UnreadFormat("a Photoshop picture", (".psd", ".psb"), DEVELOPED, ((0, b"8BPS"),)),
 )
-# First bytes of formats that l3 reads, under another suffix.
+# First bytes of formats that l3 reads, to recognise files with a wrong suffix.
 MISNAMED = {
     b"SIMPLE  =": ".fits", b"\x89HDF\r\n\x1a\n": ".h5", b"\x93NUMPY": ".npy", b"\x89PNG": ".png", b"P5": ".pgm",
     b"LUCAM-RECORDER": ".ser", b"MATLAB 5.0 MAT-file": ".mat", b"MATLAB 7.3 MAT-file": ".mat", b"YUV4MPEG2": ".y4m",
     b"\x1aE\xdf\xa3": ".mkv",
 }  # fmt: skip
-START = 160  # bytes that are looked at
+START = 160  # bytes that are examined
 
 
 def refuse_unread(path: Path) -> None:
-    """Raise InputFileError, with what to give instead, if a file is of a format that is known and not read."""
+    """Raise InputFileError, with advice, if a file is of a known but unsupported format."""
     with open_regular(path) as stream:
         start = stream.read(START)
     suffix = path.suffix.lower()

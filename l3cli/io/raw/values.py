@@ -1,7 +1,7 @@
-"""Pixel values of any number type → DN of 16 bits.
+"""Convert pixel values of any number type to 16-bit DN.
 
-Whole numbers of 0 to 65535 are DN, whatever type stores them. Others, such as floating-point values from 0 to 1 or values
-below zero, have a scale that only the caller knows: the black and the white level in the units of the file.
+Integers from 0 to 65535 are DN, whatever type stores them. For other values, such as floating-point values from 0 to 1 or
+negative values, only the caller knows the scale: the black and the white level in the units of the file.
 """
 
 import numpy as np
@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 
-TOP = 65535
-# DN that the levels of scaled values become: there is room for noise below black and for values above white.
+TOP = 65535  # largest DN
+# Levels of scaled values in DN, with room for noise below black and for values above white.
 SCALED_BLACK, SCALED_WHITE = 8192.0, 57344.0
-FULL_SCALE_ONE = 2.0  # values of a full scale of 1 are below, noise included
-LEAST_DN_LEVEL = 16.0  # white levels from here on are given in DN
+FULL_SCALE_ONE = 2.0  # values with a full scale of 1 stay below this, noise included
+LEAST_DN_LEVEL = 16.0  # white levels from here on are in DN
 
 
 def as_dn(values: NDArray) -> NDArray[np.uint16] | None:
-    """Return values that are whole numbers of 0 to 65535 as uint16; None of other values.
+    """Return integer values from 0 to 65535 as uint16, or None for other values.
 
-    Floating-point values that are all 0 or 1 are no DN: they may be fractions of full scale.
+    Floating-point values that are all 0 or 1 do not count as DN, because they may be fractions of full scale.
     """
     if values.dtype in (np.uint8, np.uint16):
         return values.astype(np.uint16, copy=False)
-    if not values.size or not (values.min() >= 0 and values.max() <= TOP):  # nor if one is not a number
+    if not values.size or not (values.min() >= 0 and values.max() <= TOP):  # also true for NaN
         return None
     if values.dtype.kind == "f" and (values.max() <= 1 or (values != np.rint(values)).any()):
         return None
@@ -31,7 +31,7 @@ def as_dn(values: NDArray) -> NDArray[np.uint16] | None:
 
 
 def require_dn(name: str, values: NDArray) -> NDArray[np.uint16]:
-    """Return values as DN; InputFileError, naming `name`, if they are none."""
+    """Return values as DN. Raises InputFileError that names `name` if they are not DN."""
     dn = as_dn(values)
     if dn is None:
         raise InputFileError(f"{name} holds {_held(name, values)}; give DN, whole numbers of 0 to {TOP}")
@@ -39,12 +39,21 @@ def require_dn(name: str, values: NDArray) -> NDArray[np.uint16]:
 
 
 def scaled_dn(name: str, values: NDArray, black: float | None, white: float | None) -> NDArray[np.uint16]:
-    """Return values of another scale as DN whose black level is SCALED_BLACK and whose white level is SCALED_WHITE.
+    """Convert values with another scale to DN with SCALED_BLACK and SCALED_WHITE as levels.
+
+    Parameters
+    ----------
+    name : str
+        The file, for messages.
+    values : ndarray
+        Stored values.
+    black, white : float or None
+        Levels in the units of the file.
 
     Raises
     ------
     InputFileError
-        If the levels are not given, or not in the units of the values, or a value is not a number.
+        If the levels are missing or not in the units of the values, or if a value is not a number.
     """
     held = _held(name, values)
     if black is None or white is None:

@@ -1,4 +1,4 @@
-"""Raw videos through PyAV (FFmpeg): mosaics from lossless ones of one channel."""
+"""Read raw videos with PyAV (FFmpeg): mosaics from lossless videos with one channel."""
 
 import contextlib
 import itertools
@@ -14,13 +14,15 @@ from l3cli.io.isolated import isolated
 from l3cli.io.raw import InOrder, MultiFrameFile, RawContent
 from l3cli.io.video import CONTAINERS, DecodedVideo, InTurn, StatedTimes, storable_rate
 
-PALETTE = "pal8"  # uncompressed AVI of 8 bits has it
-AT_A_TIME = 500  # frames whose times are read
+PALETTE = "pal8"  # pixel format of uncompressed 8-bit AVI
+AT_A_TIME = 500  # frames whose times are read in one call
 
 
 def stack(path: Path) -> MultiFrameFile:
-    """Return the frames of a video, whose number is not known beforehand. InputFileError if it is none, or not of one grey
-    channel of 8 to 16 bits, such as FFV1 in MKV."""
+    """Return the frames of a video, whose number is not known in advance.
+
+    Raises InputFileError unless it is a video with one grey channel of 8 to 16 bits, such as FFV1 in MKV.
+    """
     fraction, numbers = _rate(path), itertools.count()
     rate = storable_rate(Fraction(*fraction)) if fraction else None
 
@@ -32,11 +34,13 @@ def stack(path: Path) -> MultiFrameFile:
 
 
 def _times(path: Path) -> StatedTimes | None:
-    """Return the times of the frames of a raw video, up to where it is damaged; None where it does not state those of all.
-    All of the file is read, but nothing decoded."""
+    """Return the times of the frames of a raw video up to the first damage, or None if some frames have no time.
+
+    The whole file is read, but not decoded.
+    """
     ticks: list[int | None] = []
     tick = (1, 1)
-    with contextlib.suppress(InputFileError):  # said when that frame is read
+    with contextlib.suppress(InputFileError):  # reported when that frame is read
         while True:
             tick, more = _some_times(path, len(ticks))
             if not more:
@@ -56,15 +60,17 @@ def _rate(path: Path) -> tuple[int, int] | None:
 
 @isolated("av")
 def _some_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | None]]:
-    """Return the seconds of a tick, and ticks of the next frames from a number on, some at a time: files have any length."""
+    """Return the seconds per tick, and the times in ticks of the next frames from `number` on, a limited number per call."""
     video = _timed.video(path, number)
     return (video.tick.numerator, video.tick.denominator), video.times(AT_A_TIME)
 
 
 @isolated("av")
 def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
-    """Return the frame `number` (row, col) of a raw video in DN; None after the last. Frames are asked for one after the
-    other, from 0. InputFileError if it is damaged; the next may be whole."""
+    """Return frame `number` (row, col) of a raw video in DN, or None after the last.
+
+    Frames must be requested in order, from 0. Raises InputFileError if the frame is damaged; the next may be intact.
+    """
     frame = _in_turn.frame(path, number)
     if frame is None:
         return None
@@ -73,7 +79,7 @@ def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
 
 
 def _of_palette(path: Path, pixels: NDArray[np.uint8], palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the numbers of the colours in a palette (colour, ARGB) of greys 0…255, which are raw values then."""
+    """Return the indices of a palette (colour, ARGB) of greys 0…255, which then are the raw values."""
     if not (palette[:, 1:] == np.arange(256)[:, None]).all():
         raise InputFileError(f"{path} holds colours of a palette; a raw video has one channel (gray, gray12le…)")
     return pixels
