@@ -51,11 +51,11 @@ class BodyRecipe(Recipe):
 
 
 class MonitorRecipe(Recipe):
-    """Readings of the lamp along a sweep, a row per wavelength."""
+    """Readings of the lamp during a sweep, one row per wavelength."""
 
     file: str  # wavelength, and readings in any unit
-    column: int | str = 1  # readings during the captures: its name, or its number from 1, the wavelength not counted
-    reference: int | str | None = None  # readings when the spectra were measured; default: `column` holds the ratio of both
+    column: int | str = 1  # readings during the captures, by name or by number from 1 without counting the wavelength
+    reference: int | str | None = None  # readings when the spectra were measured; default: `column` is the ratio of both
 
 
 class CaptureRecipe(Recipe, kw_only=True):

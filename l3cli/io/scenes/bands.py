@@ -27,7 +27,7 @@ def read(path: Path) -> SpectralCube:
     """Read the cube of a folder of pictures, of a picture with several channels, or of the pages of a TIFF.
 
     The pictures of a folder are ordered by the numbers in their names, and their first channels are used. Names of files,
-    channels or pages may state wavelengths ("450nm", "S0.450,5nm"). If some of them do, the others are ignored. Raises
+    channels or pages may state wavelengths ("450nm", "S0.450,5nm"). If only some do, the others are left out. Raises
     InputFileError if there are no pictures, or if their sizes differ.
     """
     if path.is_dir():
@@ -126,9 +126,9 @@ def _tiff_size(path: Path) -> tuple[int, int]:
 
 @isolated("OpenImageIO", "tifffile")
 def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
-    """Return the bands of a TIFF (row, col, band), their names, and what its tags say about values.
+    """Return the bands of a TIFF (row, col, band), their names, and metadata from its tags.
 
-    The tags may state wavelengths, the value of pixels without data, and GDAL's scales and offsets.
+    The metadata are wavelengths, the value of pixels without data, and GDAL's scales and offsets.
     """
     import tifffile
 
@@ -182,7 +182,7 @@ def _bands_of(path: Path, file: Any) -> Any:
 
 
 def _said(file: Any, page: Any, bands: int) -> dict[str, Any]:
-    """Return what the tags say about the values of the bands."""
+    """Return the metadata of the bands from the tags."""
     said: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": [], "DESCRIPTION": []}
     for metadata in file.shaped_metadata or ():
         for name, value in metadata.items():

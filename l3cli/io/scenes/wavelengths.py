@@ -29,20 +29,21 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
 
     Parameters
     ----------
-    values : (band)
-        Wavelengths in `unit`.
+    values : array, (band)
+        Numbers in `unit`.
     unit : str
-        The unit's name as a file states it. Without one, whole numbers that count from 0 or 1 are indices, other numbers
-        that are all below 100 are in µm, and all others in nm.
+        Name of the unit in the file. Without a unit, integers that count from 0 or 1 are indices, other numbers are in µm if
+        all of them are below 100, and all other numbers are in nm.
 
     Returns
     -------
-    (band) in nm, or None if the numbers are indices of bands.
+    ndarray, (band), or None
+        Wavelengths in nm. None if the numbers are indices of bands.
 
     Raises
     ------
     ValueError
-        If the unit is unknown or a number is not above zero.
+        If the unit is unknown, or if a number is not positive.
     """
     numbers, word = np.asarray(values, np.float64).ravel(), " ".join(unit.split()).strip("{}()[] ")
     counted = numbers.size > 1 and numbers[0] in (0, 1) and (np.diff(numbers) == 1).all()
