@@ -1,5 +1,6 @@
-"""Frames of a clip: a scene sampled where the camera looks, leaves laid on it, and where each pixel's content was a frame
-before (docs/method.md#motion)."""
+"""Frames of a clip: the scene as the moving camera sees it, with the moving leaves on top, and the true motion of each pixel
+since the previous frame (docs/method.md#motion).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,39 +18,71 @@ from l3cli.simulation.sources import framed_size, resampled, scale_of, turned
 
 Array = NDArray[np.float64]
 Cube = NDArray[np.float32]  # (row, col, band)
-FINE, MOST = 0.25, 256  # pixels between the samples that a leaf is drawn by, and most such samples in its radius
-TEXTURE = 0.3  # standard deviation of the logarithm of a leaf's brightness
-COVERED = 0.5  # share of a pixel from which on it shows a leaf
-TINY = 1e-6  # pixels
-UNSURE = 2  # pixels about an edge of a leaf whose content is of both sides: lens and demosaicking mix them
+FINEST_STEP = 0.25  # pixels between the samples of a leaf
+MAX_RADIUS_SAMPLES = 256  # larger leaves are sampled more coarsely, which limits their memory
+TEXTURE_CONTRAST = 0.3  # standard deviation of the natural logarithm of the brightness within a leaf
+COVERED = 0.5  # a pixel shows a leaf if the leaf covers more than this fraction of it
+TINY = 1e-6  # pixels; tolerance for rounding at the border of the frame
+EDGE_MARGIN = 2  # pixels; lens blur and demosaicking mix both sides of an edge within this distance
 
 
 @dataclass(frozen=True)
 class Sprite:
-    """A leaf drawn about its place: how much of each sample it covers, and how bright it is there."""
+    """A moving leaf, sampled around its centre: its coverage and its brightness."""
 
-    step: float  # pixels a sample
-    cover: Cube  # (row, col, 2): share covered; share times brightness
-    colour: NDArray[np.float32]  # (band) its reflectance, or signal
+    step: float  # pixels per sample
+    cover: Cube  # (row, col, 2): fraction covered; this fraction times the relative brightness
+    colour: NDArray[np.float32]  # (band) reflectance or signal
 
 
 def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]) -> list[Sprite]:
-    """Return the leaves of a course, of these colours (leaf, band)."""
+    """Draw the shapes and textures of a clip's moving leaves.
+
+    Parameters
+    ----------
+    course : Course
+        The course of the clip, which holds the radii.
+    colours : ndarray, (leaf, band)
+        Reflectance or signal of each leaf.
+    seed : tuple of int
+        The seed. Each leaf has its own random generator, so its look does not depend on the other leaves.
+    """
     drawn = []
     for number, (radius, colour) in enumerate(zip(course.radius, colours, strict=True)):
         rng = np.random.default_rng([*seed, number])
-        step = max(FINE, radius / MOST)
-        half = int(np.ceil(radius / step)) + 2  # the rim is empty
+        step = max(FINEST_STEP, radius / MAX_RADIUS_SAMPLES)
+        half = int(np.ceil(radius / step)) + 2  # two empty samples surround the leaf
         at = ((np.arange(2 * half) + 0.5 - half) * step).astype(np.float32)
         shape, angle, slimness = int(rng.integers(5)), rng.uniform(0, np.pi), rng.uniform(0.4, 1.0)
         mask = leaves.inside(shape, at[:, None], at[None], radius, angle, slimness).astype(np.float32)
-        bright = np.exp(TEXTURE * fields.pink(rng, mask.shape, 1.2)).astype(np.float32)
+        bright = np.exp(TEXTURE_CONTRAST * fields.pink(rng, mask.shape, 1.2)).astype(np.float32)
         drawn.append(Sprite(step, np.stack([mask, mask * bright], axis=2), colour.astype(np.float32)))
     return drawn
 
 
 def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], number: int) -> Cube:
-    """Return the frame `number` (row, col, band) of a clip on a canvas (row, col, band) with `scale` pixels a sample."""
+    """Render one frame of a clip.
+
+    Each frame is the mean over the moments at which the shutter is open.
+
+    Parameters
+    ----------
+    canvas : ndarray, (row, col, band)
+        The scene, which the camera moves over.
+    scale : float
+        Pixels per sample of the canvas, without zoom.
+    course : Course
+        Motion of the camera and of the leaves.
+    things : list of Sprite
+        The leaves, the topmost first.
+    number : int
+        Number of the frame.
+
+    Returns
+    -------
+    ndarray, (row, col, band)
+        The scene as this frame shows it.
+    """
     moments = course.moments()
     total = np.zeros((*course.motion.size, canvas.shape[2]), np.float32)
     for moment in moments:
@@ -59,7 +92,7 @@ def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], numb
         for thing, place in reversed(list(zip(things, places, strict=True))):
             part, cover = _part(seen, thing.cover, thing.step, view, place)
             part *= 1 - cover[..., :1]
-            part += np.minimum(cover[..., 1:] * thing.colour, cover[..., :1])  # no brighter than a perfect white
+            part += np.minimum(cover[..., 1:] * thing.colour, cover[..., :1])  # at most a perfect white
         total += seen
     return total if len(moments) == 1 else total / np.float32(len(moments))
 
@@ -68,8 +101,25 @@ def sampled(
     cube: Cube, view: View, size: tuple[int, int], place: tuple[float, float], scale: float, top: tuple[int, int] = (0, 0),
     window: tuple[int, int] | None = None,
 ) -> Cube:  # fmt: skip
-    """Return a `window` (rows, cols) from the pixel `top` on of a frame of `size` that shows a cube (row, col, band) whose
-    middle is at `place`, with `scale` pixels a sample: each pixel is the mean over its area of the cube."""
+    """Sample a cube on the pixels of a frame: each pixel is the mean of the cube over the area of the pixel.
+
+    Parameters
+    ----------
+    cube : ndarray, (row, col, band)
+        Samples of the scene, or of a leaf.
+    view : View
+        Where the camera looks, and its zoom.
+    size : tuple of int
+        Rows and columns of the whole frame.
+    place : tuple of float
+        Place of the middle of the cube, in pixels of an unzoomed frame.
+    scale : float
+        Pixels per sample of the cube, without zoom.
+    top : tuple of int
+        Row and column of the first pixel that is wanted.
+    window : tuple of int, optional
+        Rows and columns that are wanted. Default: the whole frame.
+    """
     down, across = (
         _resampling(
             length=cube.shape[axis],
@@ -84,8 +134,12 @@ def sampled(
 
 
 def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
-    """Return sparse M (pixel, sample): means over first + pixel · step … + step of straight lines between samples, which lie
-    at 0.5, 1.5, …; beyond the ends their values go on. Exact: what moves by part of a pixel keeps its light."""
+    """Return the sparse matrix (pixel, sample) that averages a line of samples over the extent of each pixel.
+
+    Pixel n extends from first + n · step to first + (n + 1) · step. The line is linear between the samples, which lie at
+    0.5, 1.5, …, and constant beyond the outermost ones. The integral is exact, so a small object keeps its total light when
+    it moves by a fraction of a pixel.
+    """
     from scipy.sparse import csr_array
 
     start = first + step * np.arange(pixels)[:, None]
@@ -98,14 +152,17 @@ def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
 
 
 def _filled(until: Array) -> Array:
-    """Return integral up to there of the triangle that falls from 1 at 0 to 0 at ±1."""
+    """Integrate the triangle that is 1 at 0 and 0 at ±1, from −1 to `until`."""
     inner = np.clip(until, -1.0, 1.0)
     return np.where(inner < 0, 0.5 * (1 + inner) ** 2, 1 - 0.5 * (1 - inner) ** 2)
 
 
 def _part(picture: NDArray[Any], cover: Cube, step: float, view: View, place: Array) -> tuple[NDArray[Any], Cube]:
-    """Return the part of a frame (row, col, …) that a leaf may show in, and its `cover` (row, col, band), of `step` pixels
-    a sample, in the pixels of that part; both may be empty."""
+    """Find the part of a frame that a leaf can cover, and the leaf's coverage there.
+
+    The first result is a view of `picture` (row, col, …), the second is `cover` (row, col, band), which has `step` pixels
+    per sample, resampled to the pixels of that view. Both are empty if the leaf lies outside the frame.
+    """
     size = (picture.shape[0], picture.shape[1])
     half = np.array(cover.shape[:2]) * step / 2
     middle = np.array(size) / 2
@@ -119,18 +176,33 @@ def _part(picture: NDArray[Any], cover: Cube, step: float, view: View, place: Ar
     return part, sampled(cover, view, size, at, step, (top, left), (rows, cols))
 
 
-# ------------------------------------------------------------------------------------------------------ known motion
+# ------------------------------------------------------------------------------------------------------ true motion
 
 
 def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray[np.float32]:
-    """Return the motion of frame `number` since the frame before (3, row, col): pixels down, pixels right, and 1 where
-    the same thing was seen then and its edge is not near. Of the first frame all is 0."""
+    """Return the true motion of each pixel since the previous frame.
+
+    Parameters
+    ----------
+    course : Course
+        Motion of the camera and of the leaves.
+    things : list of Sprite
+        The leaves, the topmost first.
+    number : int
+        Number of the frame.
+
+    Returns
+    -------
+    ndarray, (3, row, col)
+        Pixels down, pixels right, and validity. Validity is 1 where the previous frame showed the same object and no edge is
+        near, otherwise 0. All three are 0 in the first frame.
+    """
     size = course.motion.size
     if number == 0:
         return np.zeros((3, *size), np.float32)
     view, earlier = course.view(number), course.view(number - 1)
     top, was = (_shown(course, things, each) for each in (number, number - 1))
-    velocity = np.vstack([course.velocity, np.zeros(2)])  # -1: the scene itself
+    velocity = np.vstack([course.velocity, np.zeros(2)])  # the last row, index -1, is the scene itself
     source = before(view, earlier, size, velocity[top].transpose(2, 0, 1))
     pixel = np.indices(size)
     nearest = np.rint(source).astype(int)
@@ -143,7 +215,7 @@ def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray
 
 
 def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp]:
-    """Return the leaf that each pixel (row, col) of a frame shows, -1 for the scene itself."""
+    """Return the index of the leaf that each pixel (row, col) of a frame shows; −1 is the scene itself."""
     view, shown = course.view(number), np.full(course.motion.size, -1)
     for leaf, place in reversed(list(enumerate(course.leaves(number)))):
         part, cover = _part(shown, things[leaf].cover[..., :1], things[leaf].step, view, place)
@@ -152,28 +224,49 @@ def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp
 
 
 def _sure(shown: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return the mask (row, col) of pixels near which nothing else is shown."""
+    """Return the mask (row, col) of the pixels whose neighbourhood shows a single object."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    side = 2 * UNSURE + 1
+    side = 2 * EDGE_MARGIN + 1
     return np.asarray(maximum_filter(shown, side) == minimum_filter(shown, side))
 
 
 # ------------------------------------------------------------------------------------------------- clips of a run
 
-MOVING, LEAVES, COLOURS = 1, 2, 3  # parts of a seed: course, shapes, and colours of the leaves
+# Last part of a seed, so that the course, the shapes and the colours of the leaves are drawn independently.
+MOVING, LEAVES, COLOURS = 1, 2, 3
 
 
 def clip_of(
     scene: Scene | ChannelPicture, wanted: sources.WantedScene, run: SimulationRun
 ) -> Callable[[int], Scene | ChannelPicture]:
-    """Return the scene, as it was drawn or read, in each frame of its clip; ValueError if the camera moves beyond it."""
+    """Prepare the clip of a scene.
+
+    Parameters
+    ----------
+    scene : Scene or ChannelPicture
+        The scene as it was drawn or read, before it is cropped and turned.
+    wanted : WantedScene
+        The entry of the recipe that the scene belongs to.
+    run : SimulationRun
+        The simulation.
+
+    Returns
+    -------
+    callable
+        Function of a frame number that returns the scene as that frame shows it.
+
+    Raises
+    ------
+    ValueError
+        If the camera would move beyond the scene, or pixels without data lie in the part that is used.
+    """
     framing = wanted.source
     samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
     framed_size((samples.shape[0], samples.shape[1]), framing, run.camera)
     if isinstance(scene, Scene) and scene.ignored is not None:
         if turned(scene.ignored[..., None].astype(np.float32), framing).any():
-            raise ValueError("pixels without data would move through its clip; crop them away")
+            raise ValueError("has pixels without data, which a clip cannot contain; remove them with crop")
         scene = replace(scene, ignored=None)
     canvas = np.ascontiguousarray(turned(samples, framing))
     scale = scale_of(framing, run.camera, canvas.shape[1]) or 1.0
@@ -188,7 +281,7 @@ def clip_of(
 
 
 def known_motion(wanted: sources.WantedScene, run: SimulationRun) -> Callable[[int], NDArray[np.float32]]:
-    """Return a function of the motion of each frame of a clip since the one before, as `motion_between` gives it."""
+    """Prepare the true motion of a clip: a function of a frame number, which returns what `motion_between` does."""
     course = _course(wanted, run)
     things = sprites(course, np.zeros((len(course.radius), 1)), _seed(wanted, run, LEAVES))
     return lambda number: motion_between(course, things, number)
@@ -203,7 +296,7 @@ def _course(wanted: sources.WantedScene, run: SimulationRun) -> Course:
 def _colours(
     scene: Scene | ChannelPicture, count: int, wanted: sources.WantedScene, run: SimulationRun
 ) -> NDArray[np.float32]:
-    """Return reflectances or signals (leaf, band) of the leaves."""
+    """Draw the reflectance, or the channel signals, of each leaf (leaf, band)."""
     rng = np.random.default_rng(_seed(wanted, run, COLOURS))
     if isinstance(scene, ChannelPicture):
         return rng.uniform(0.05, 0.9, (count, scene.signal.shape[2])).astype(np.float32)

@@ -1,7 +1,8 @@
-"""Geometry of procedural scenes: leaves that cover each other (docs/method.md#procedural-scenes).
+"""Geometry of dead-leaves scenes: shapes of many sizes that occlude each other (docs/method.md#procedural-scenes).
 
-Natural pictures are scale invariant because objects of every size occlude each other: "dead leaves" of density r⁻³ have
-their edges, their power spectrum and their contrast statistics (Lee, Mumford and Huang, 2001).
+Natural pictures are scale invariant because objects of every size occlude each other. Dead leaves whose radii have the
+density r⁻³ share the edges, the power spectrum and the contrast statistics of natural pictures (Lee, Mumford and Huang,
+2001).
 """
 
 import functools
@@ -14,21 +15,21 @@ from numpy.typing import NDArray
 Field = NDArray[np.float32]
 Size = float | Field
 
-EXPONENT = 2.0  # of the cumulative distribution: density r^-3
-UNCOVERED = 0.003  # share of the picture left to the ground, which would take long to cover
-BATCH = 1.5  # leaves drawn before what is still uncovered is counted anew: squares about them in pictures
-BLOCK = 8  # pixels down and across that are asked together whether a leaf may still show: one 64-bit word of bytes
-SMALL = 40.0  # pixels: radius up to which leaves are laid many at once
-WIDER = 1.15  # from one size of windows about small leaves to the next
-CHUNK = 1 << 16  # samples of leaves laid at once, which stay in the cache
-FEW = 0.2  # share of uncovered pixels about a leaf below which these are asked one by one
-FREE = np.iinfo(np.int32).max  # label of what is uncovered: under every leaf
-BEYOND = -1  # label of what is outside of the picture: over every leaf
+EXPONENT = 2.0  # of the cumulative distribution of the radii; their density is then r^-3
+UNCOVERED = 0.003  # fraction of the picture that the background fills, because covering the rest would take long
+BATCH = 1.5  # total area of the bounding squares of a batch of leaves, in areas of the picture
+BLOCK = 8  # pixels; side of the blocks tested for uncovered pixels, so that a row of a block is one 64-bit word
+SMALL = 40.0  # pixels; leaves up to this radius are drawn many at once
+WIDER = 1.15  # ratio of successive window sizes for small leaves
+CHUNK = 1 << 16  # samples drawn at once, few enough to stay in the processor cache
+FEW = 0.2  # if a smaller fraction of the window of a leaf is uncovered, only the uncovered pixels are tested
+FREE = np.iinfo(np.int32).max  # label of uncovered pixels, higher than every leaf
+BEYOND = -1  # label of pixels outside the picture, lower than every leaf
 
 
 @dataclass(frozen=True)
 class Leaves:
-    """Which leaf is seen at each pixel, and where the leaves lie; the last one is the ground."""
+    """The visible leaves of a scene, and which of them each pixel shows. The last leaf is the background."""
 
     label: NDArray[np.int32]  # (row, col) index of the leaf
     row: Field  # (leaf) centre, pixels
@@ -38,27 +39,44 @@ class Leaves:
 
 @dataclass(frozen=True)
 class Drawn:
-    """Leaves from front to back; an array of one value a leaf each."""
+    """A batch of leaves from front to back, with one value per leaf in each array."""
 
     number: NDArray[np.int32]  # rising from front to back
     row: NDArray[np.float64]  # centre, pixels
     col: NDArray[np.float64]
     radius: NDArray[np.float64]  # pixels
-    shape: NDArray[np.int64]  # 0…4, as `inside` counts them
+    shape: NDArray[np.int64]  # 0…4, as in `inside`
     angle: NDArray[np.float64]  # radians
-    slimness: NDArray[np.float64]
+    slimness: NDArray[np.float64]  # ratio of width to length
 
     def of(self, which: NDArray[Any]) -> "Drawn":
-        """Return those that an index or a mask says."""
+        """Return the leaves that an index array or a mask selects."""
         return Drawn(**{name: values[which] for name, values in vars(self).items()})
 
 
 def dead_leaves(rng: np.random.Generator, shape: tuple[int, int], smallest: float, largest: float) -> Leaves:
-    """Draw leaves of five shapes with radii in `smallest`…`largest` pixels laid from front to back over `shape` (rows,
-    cols).
+    """Draw overlapping leaves of five shapes until they cover the picture.
 
-    Each pixel shows the leaf of the lowest number that covers it, so that leaves may be laid in any order, many at once."""
-    room = int(2 * min(SMALL, largest) * WIDER) + 3  # about the picture, for windows that reach beyond it
+    Parameters
+    ----------
+    rng : Generator
+        Source of the random numbers.
+    shape : tuple of int
+        Rows and columns of the picture.
+    smallest, largest : float
+        Range of the radii, in pixels.
+
+    Returns
+    -------
+    Leaves
+        The leaves that show in at least one pixel.
+
+    Notes
+    -----
+    Each pixel shows the leaf with the lowest number among the leaves that cover it. The order in which leaves are laid
+    therefore does not matter, and many can be laid at once.
+    """
+    room = int(2 * min(SMALL, largest) * WIDER) + 3  # margin around the picture, for windows that extend beyond it
     canvas = np.full([-(-(length + 2 * room) // BLOCK) * BLOCK for length in shape], BEYOND, np.int32)
     label = canvas[room : room + shape[0], room : room + shape[1]]
     label[:] = FREE
@@ -75,14 +93,14 @@ def dead_leaves(rng: np.random.Generator, shape: tuple[int, int], smallest: floa
 
 
 def _mean_square(smallest: float, largest: float) -> float:
-    """Return the mean of r² for radii of density r^-3, pixels²."""
+    """Return the mean of r², in pixels², for radii of density r⁻³."""
     return float(2 * np.log(largest / smallest) / (smallest**-EXPONENT - largest**-EXPONENT)) or smallest**2
 
 
 def _drawn(
     rng: np.random.Generator, first: int, count: int, shape: tuple[int, int], smallest: float, largest: float
 ) -> Drawn:
-    """Return `count` leaves that show, or lie just beyond, a picture of `shape` (rows, cols), numbered from `first` on."""
+    """Draw `count` leaves that touch a picture of `shape` (rows, cols), numbered from `first` on."""
     radius = _radii(rng, count, smallest, largest)
     return Drawn(
         number=np.arange(first, first + count, dtype=np.int32),
@@ -96,16 +114,19 @@ def _drawn(
 
 
 def _radii(rng: np.random.Generator, count: int, smallest: float, largest: float) -> NDArray[np.float64]:
-    """Return `count` radii of density ∝ r^-3 between `smallest` and `largest`."""
+    """Draw `count` radii of density r⁻³ between `smallest` and `largest`."""
     share = rng.random(count)
     most, least = smallest**-EXPONENT, largest**-EXPONENT
     return (most + share * (least - most)) ** (-1.0 / EXPONENT)
 
 
 def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.bool_]:
-    """Return whether a block of pixels that the square about each leaf touches holds an uncovered one: most leaves drawn
-    late are hidden. The canvas has `room` pixels about the picture."""
-    free = (canvas == FREE).view(np.uint64)  # BLOCK pixels of a row in each
+    """Return, per leaf, whether the bounding square of the leaf touches a block with an uncovered pixel.
+
+    Leaves that fail this test are hidden and need no drawing, as most of the last ones do. The canvas extends `room` pixels
+    beyond the picture on each side.
+    """
+    free = (canvas == FREE).view(np.uint64)  # each word holds BLOCK pixels of a row
     blocks = functools.reduce(np.bitwise_or, (free[row::BLOCK] for row in range(BLOCK))) != 0
     count = np.zeros((blocks.shape[0] + 1, blocks.shape[1] + 1), np.int32)
     count[1:, 1:] = blocks.cumsum(axis=0, dtype=np.int32).cumsum(axis=1)
@@ -115,14 +136,14 @@ def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.
 
 
 def _span(centre: NDArray, radius: NDArray, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first block and one past the last that the square about each leaf touches."""
+    """Return the first block that the bounding square of each leaf touches, and the one after the last."""
     first = np.clip((centre - radius) // BLOCK, 0, blocks).astype(np.intp)
     last = np.clip((centre + radius) // BLOCK + 1, 0, blocks).astype(np.intp)
     return first, last
 
 
 def _lay(label: NDArray[np.int32], drawn: Drawn, leaf: int) -> None:
-    """Put one leaf where it lies before what is there."""
+    """Draw one leaf into the picture of labels, behind the leaves of lower numbers."""
     row, col, radius = float(drawn.row[leaf]), float(drawn.col[leaf]), float(drawn.radius[leaf])
     top, left = max(0, int(row - radius)), max(0, int(col - radius))
     window = label[top : max(0, int(row + radius + 1)), left : max(0, int(col + radius + 1))]
@@ -139,8 +160,11 @@ def _lay(label: NDArray[np.int32], drawn: Drawn, leaf: int) -> None:
 
 
 def _lay_small(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> None:
-    """Lay as `_lay` does, for many leaves on a canvas with `room` pixels about the picture: those of one shape and about one
-    size have windows of one size, and are laid together."""
+    """Draw many small leaves.
+
+    Leaves of one shape and of similar size have windows of one size and are drawn together. The canvas extends `room` pixels
+    beyond the picture on each side.
+    """
     if not drawn.number.size:
         return
     smallest = drawn.radius.min()
@@ -155,7 +179,7 @@ def _lay_small(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> None:
 
 
 def _lay_alike(canvas: NDArray[np.int32], room: int, drawn: Drawn, side: int) -> None:
-    """Lay as `_lay` does, for leaves of one shape that fit windows of `side` × `side` pixels."""
+    """Draw leaves of one shape that fit into windows of `side` × `side` pixels."""
 
     def each(values: NDArray[Any]) -> Field:
         return values.astype(np.float32)[:, None, None]
@@ -175,7 +199,7 @@ def _lay_alike(canvas: NDArray[np.int32], room: int, drawn: Drawn, side: int) ->
 
 
 def _seen(label: NDArray[np.int32], batches: list[Drawn]) -> Leaves:
-    """Return the leaves that show a pixel, numbered anew, and the ground after them."""
+    """Number the visible leaves anew and add the background after them."""
     row, col, radius = (np.concatenate([getattr(one, name) for one in batches]) for name in ("row", "col", "radius"))
     ground = len(radius)
     label = np.where(label == FREE, np.int32(ground), label)
@@ -190,7 +214,21 @@ def _seen(label: NDArray[np.int32], batches: list[Drawn]) -> Leaves:
 
 
 def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: Size) -> NDArray[np.bool_]:
-    """Return the mask of a disc, an ellipse, a rectangle, a triangle or a lobed leaf about (0, 0) within `radius`."""
+    """Return the mask of the points inside a leaf that is centred at (0, 0).
+
+    Parameters
+    ----------
+    shape : int
+        0 disc, 1 ellipse, 2 rectangle, 3 triangle, 4 lobed leaf.
+    y, x : ndarray
+        Coordinates of the points, down and across, in pixels.
+    radius : float or ndarray
+        Radius within which the leaf lies, in pixels.
+    angle : float or ndarray
+        Orientation in radians.
+    slimness : float or ndarray
+        Ratio of width to length. Discs and lobed leaves ignore it.
+    """
     if shape == 0:
         return x**2 + y**2 < radius**2
     cosine, sine = np.cos(angle, dtype=np.float32), np.sin(angle, dtype=np.float32)
@@ -207,11 +245,14 @@ def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: 
 
 
 def _lobed(along: Field, across: Field, radius: Size, angle: Size) -> NDArray[np.bool_]:
-    """Return the mask of a leaf whose edge is at radius · (0.7 + 0.15 sin(3θ + angle) + 0.12 sin(5θ + 9 angle)) in direction
-    θ; the sines are those of powers of along + i across, without an arc tangent for each pixel."""
+    """Return the mask of a lobed leaf, whose edge in direction θ has the distance
+    radius · (0.7 + 0.15 sin(3θ + angle) + 0.12 sin(5θ + 9 angle)) from the centre.
+
+    The sines are computed from powers of along + i · across, which saves an arc tangent per pixel.
+    """
     squared = along * along + across * across
-    squared += np.float32(1e-12)  # the middle has no direction
-    re, im = along * along - across * across, np.float32(2) * along * across  # of the square
+    squared += np.float32(1e-12)  # avoids a division by zero at the centre
+    re, im = along * along - across * across, np.float32(2) * along * across  # real and imaginary part of the square
     third = re * along - im * across, re * across + im * along
     fifth = third[0] * re - third[1] * im, third[0] * im + third[1] * re
     distance = np.sqrt(squared)
