@@ -100,7 +100,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_worked_example_prints_what_is_shown(small: Path, l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(small)
     monkeypatch.setattr(builtin, "recipe_folder", lambda: small / "configs")
-    session, *_ = sessions(PAGES["tutorial.md"])
+    session = [step for block in sessions(PAGES["tutorial.md"]) for step in block]
     assert [commands(line)[0][0] for line, _ in session] == [
         "lab", "calibrate", "simulate", "train", "simulate", "render", "evaluate",
     ]  # fmt: skip
