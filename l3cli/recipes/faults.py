@@ -1,7 +1,7 @@
-"""All that is wrong with a recipe at once: what its declared types refuse, each fault with the key that it is about.
+"""All faults of a recipe at once: what its declared types refuse, each with the key that it is about.
 
-Checks of what a recipe means are generators of faults, too. Whoever only wants to know whether a recipe can be used takes
-their first one (`refuse_first`); `l3 check` takes all of them.
+Checks of a recipe's meaning are also generators of faults. A stage raises the first one (`refuse_first`); `l3 check` lists
+all of them.
 """
 
 import functools
@@ -15,15 +15,14 @@ from l3cli.errors import RecipeError
 from l3cli.recipes.toml import KeyPath, Recipe, place, plain, refusals
 
 R = TypeVar("R", bound=Recipe)
-LISTED = 100  # faults of a recipe with a message; what is beyond is counted
+LISTED = 100  # faults listed with a message; the rest are only counted
 _fields = functools.cache(msgspec.structs.fields)
 UNIONS = (Union, types.UnionType)
 
 
 class Fault(NamedTuple):
-    """A fault, and the keys that it depends on; it stands at the first of them.
-
-    One without a message is only counted.
+    """A fault and the keys that it depends on, the first of which is where it is reported. Without a message it is only
+    counted.
     """
 
     message: str
@@ -31,8 +30,7 @@ class Fault(NamedTuple):
 
 
 def fault(message: str, *keys: str | KeyPath) -> Fault:
-    """Return a fault; keys may be written with points, and those of entries of lists with their number from 0,
-    "scene.1.size"."""
+    """Return a fault. Keys may be written as "scene.1.size", with list entries counted from 0."""
     return Fault(message, tuple(_path(key) for key in keys))
 
 
@@ -41,20 +39,20 @@ def _path(key: str | KeyPath) -> KeyPath:
 
 
 def inside(faults: Iterable[Fault], *table: str | int) -> Iterator[Fault]:
-    """Yield the faults of a table on its own, as those of the recipe that holds it."""
+    """Yield the faults of a table with keys relative to the recipe that contains the table."""
     return (Fault(message, tuple((*table, *key) for key in keys)) for message, keys in faults)
 
 
 def refuse_first(faults: Iterable[Fault], name: object = None) -> None:
-    """Raise RecipeError that calls the recipe `name`, or leaves that to whoever catches it, if there is a fault."""
+    """Raise RecipeError for the first fault, if there is one. The message begins with `name`, if given."""
     for message, _ in faults:
         raise RecipeError(message if name is None else f"{name}: {message}")
 
 
 def about_others(faults: Iterable[Fault], known: Iterable[Fault]) -> Iterator[Fault]:
-    """Yield those faults that depend on no key that is faulty already, by what is known or by a fault before them."""
+    """Yield the faults that depend on no key that is already known to be faulty, or that an earlier fault is about."""
     broken: set[KeyPath] = set()
-    above: set[KeyPath] = set()  # what broken keys lie in
+    above: set[KeyPath] = set()  # tables and lists that contain broken keys
 
     def add(key: KeyPath) -> None:
         broken.add(key)
@@ -71,8 +69,15 @@ def about_others(faults: Iterable[Fault], known: Iterable[Fault]) -> Iterator[Fa
 
 
 def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Fault]]:
-    """Return `content` as `recipe`, with something of the declared type in the place of what is wrong, and all that is
-    wrong; None where nothing can be put in its place."""
+    """Convert `content` to a recipe and collect the faults of its types.
+
+    Returns
+    -------
+    Recipe or None
+        The recipe, with some valid value in the place of each wrong one. None if that is impossible.
+    list of Fault
+        All faults.
+    """
     faults = list(refusals(content))
     judge = _Judge(recipe, content, [Fault(message, (key,)) for key, message in faults])
     try:
@@ -83,14 +88,14 @@ def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Faul
 
 
 class _Judge:
-    """Comparison of a recipe's content with the declared types, key by key."""
+    """Compares the content of a recipe with the declared types, key by key."""
 
     def __init__(self, recipe: type[Recipe], content: dict[str, Any], faults: list[Fault]) -> None:
         self.recipe, self.content, self.faults = recipe, content, faults
         self._faulty = {key for fault in faults for key in fault.keys}
 
     def table(self, kind: type[Recipe], given: dict[str, Any], path: KeyPath) -> dict[str, Any]:
-        """Return a table as it is or, where it is wrong, as it could be."""
+        """Return a table, with valid values in the place of wrong ones."""
         fields = {field.encode_name: field for field in _fields(kind)}
         tag = kind.__struct_config__.tag_field
         repaired: dict[str, Any] = {tag: kind.__struct_config__.tag} if tag else {}
@@ -106,7 +111,7 @@ class _Judge:
         return repaired
 
     def value(self, kind: Any, value: Any, path: KeyPath) -> Any:
-        """Return a value as it is or, where it is wrong, one of its type."""
+        """Return a value, or some valid value of its type if it is wrong."""
         if path in self._faulty:
             return example(kind)
         table, entries = _table(kind, value), _entries(kind, value)
@@ -129,7 +134,7 @@ class _Judge:
         return value
 
     def _add(self, what: str, where: KeyPath, key: KeyPath) -> None:
-        """Add a fault in msgspec's words, unless the key has one already."""
+        """Add a fault with msgspec's message, unless its key already has one."""
         if key in self._faulty:
             return
         self._faulty.add(key)
@@ -142,7 +147,7 @@ class _Judge:
 
 
 def _plain_types(kind: Any) -> list[Any]:
-    """Return the types that a value may have, without their ranges."""
+    """Return the alternatives of a type, without ranges."""
     if get_origin(kind) is Annotated:
         return _plain_types(get_args(kind)[0])
     if get_origin(kind) in UNIONS:
@@ -151,7 +156,7 @@ def _plain_types(kind: Any) -> list[Any]:
 
 
 def _table(kind: Any, value: Any) -> type[Recipe] | None:
-    """Return the structure that a table is meant to be, if it can be known: by its tag where there are several."""
+    """Return the structure of a table, chosen by its tag if there are several, or None if it is unclear."""
     tables = [each for each in _plain_types(kind) if isinstance(each, type) and issubclass(each, Recipe)]
     if not isinstance(value, dict) or not tables:
         return None
@@ -160,7 +165,9 @@ def _table(kind: Any, value: Any) -> type[Recipe] | None:
 
 
 def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
-    """Return the type of each entry of a list or of a table with free keys; None of another value or too many."""
+    """Return the type of each entry of a list, or of a table with free keys. None for other values or a wrong number of
+    entries.
+    """
     for each in _plain_types(kind):
         origin, arguments = get_origin(each), get_args(each)
         if origin is dict and isinstance(value, dict):
@@ -173,7 +180,7 @@ def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
 
 
 def example(kind: Any) -> Any:
-    """Return some value of a declared type, in its range."""
+    """Return some valid value of a declared type."""
     if get_origin(kind) is Annotated:
         kind, *marks = get_args(kind)
         (meta,) = (mark for mark in marks if isinstance(mark, msgspec.Meta))

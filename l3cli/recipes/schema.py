@@ -1,4 +1,4 @@
-"""JSON schemas (2020-12) of recipes, made of the declared types, for editors that check TOML with them."""
+"""JSON schemas (2020-12) of recipes, derived from the declared types, for editors that check TOML."""
 
 import ast
 import functools
@@ -20,8 +20,24 @@ PLACE = "#/$defs/{name}"
 def schema_of(
     recipes: Sequence[type[Recipe]], title: str, described_by: Mapping[str, Sequence[type[Recipe]]]
 ) -> dict[str, Any]:
-    """Return the schema of a file that is one of `recipes`. What a key means is the comment beside its declaration; for a
-    structure that is put together of others, `described_by` names those, by its name."""
+    """Return the schema of a file that is one of `recipes`.
+
+    The description of a key is the comment beside its declaration.
+
+    Parameters
+    ----------
+    recipes : sequence of type
+        Structures that the file may have.
+    title : str
+        Title of the schema.
+    described_by : mapping
+        For structures that are built at run time: the classes with the comments, by the name of the structure.
+
+    Returns
+    -------
+    dict
+        The schema, ready for JSON.
+    """
     roots, tables = msgspec.json.schema_components(recipes, ref_template=PLACE)
     classes = _structures(recipes)
     for name, table in tables.items():
@@ -38,7 +54,7 @@ def schema_of(
 
 
 def _plain(value: Any) -> Any:
-    """Return a property without what TOML has not, null, and in words that older dialects understand alike."""
+    """Return a property without null, which TOML does not have, and in terms that older schema dialects share."""
     if isinstance(value, list | tuple):
         return [_plain(each) for each in value]
     if not isinstance(value, dict):
@@ -48,14 +64,14 @@ def _plain(value: Any) -> Any:
         kinds = [each for each in value.pop("anyOf") if each != {"type": "null"}]
         value = (kinds[0] if len(kinds) == 1 else {"anyOf": kinds}) | value
     first, *others = value.get("prefixItems", [None])
-    if first is not None and all(each == first for each in others):  # so many of one type
+    if first is not None and all(each == first for each in others):  # a tuple of equal types
         del value["prefixItems"]
         value["items"] = first
     return value
 
 
 def _structures(recipes: Sequence[type[Recipe]]) -> dict[str, type[Recipe]]:
-    """Return the structures that recipes are made of, by name."""
+    """Return all structures that the recipes contain, by name."""
     found: dict[str, type[Recipe]] = {}
     left = list(recipes)
     while left:
@@ -68,7 +84,7 @@ def _structures(recipes: Sequence[type[Recipe]]) -> dict[str, type[Recipe]]:
 
 @functools.cache
 def _comments(kind: type) -> dict[str, str]:
-    """Return the comment of each key of a structure: above its declaration, or at the ends of the declaration's lines."""
+    """Return the comment of each key of a structure: above its declaration, or at the ends of its lines."""
     try:
         source = textwrap.dedent(inspect.getsource(kind))
     except (OSError, TypeError):
@@ -87,7 +103,7 @@ def _comments(kind: type) -> dict[str, str]:
 
 
 def _comment_lines(source: str) -> dict[int, tuple[bool, str]]:
-    """Return, for every line with a comment, whether it holds nothing else, and the comment."""
+    """Return the comment of each line that has one, and whether the line holds nothing else."""
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     return {
         token.start[0]: (token.line.strip().startswith("#"), token.string.lstrip("# "))

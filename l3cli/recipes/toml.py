@@ -1,5 +1,7 @@
-"""TOML recipes → typed structures: every key is declared, units stand in the keys' names, unknown keys are refused; and the
-lines of keys, which tomllib does not tell."""
+"""TOML recipes as typed structures, and the line of each key, which tomllib does not report.
+
+Every key is declared, its unit is part of its name, and unknown keys are refused.
+"""
 
 import copy
 import json
@@ -15,17 +17,17 @@ from l3cli.errors import MOST_SHOWN, InputFileError, RecipeError, shortened, sug
 from l3cli.system.limits import read_bounded
 from l3cli.system.text import LARGEST_WHOLE, counted
 
-LARGEST = 1e24  # of any number in a recipe: beyond lies what no lamp gives and floats run over at
-DEEPEST = 100  # tables and lists in one another
+LARGEST = 1e24  # of any number in a recipe: more photons than any lamp gives, and far from overflow
+DEEPEST = 100  # nested tables and lists
 STRING = (
     r'"""[^"\\]*(?:(?:\\.|"{1,2}(?!"))[^"\\]*)*"{3,5}'  # up to two quotation marks may stand before the three that end it
     r"|'''[^']*(?:'{1,2}(?!')[^']*)*'{3,5}"
     r'|"[^"\\\n]*(?:\\.[^"\\\n]*)*"'
     r"|'[^'\n]*'"
 )
-TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # of TOML: a word has the blanks around it
-PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # of a place as msgspec writes it, `$.scene[1].size`: a key or a number
-MOST = 1_000_000  # of anything that can be counted
+TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # of TOML; words include surrounding blanks
+PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # key or number in a place that msgspec writes as `$.scene[1].size`
+MOST = 1_000_000  # largest count in a recipe
 Count = Annotated[int, msgspec.Meta(ge=1, le=MOST)]
 CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MOST)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
@@ -39,11 +41,11 @@ BOUNDS = {">=": "the least is", "<=": "the most is", ">": "give more than", "<":
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
     """Base of all recipe structures; a field without a default is a required key."""
 
-    title: ClassVar[str] = "a recipe"  # of a whole file, and what is asked for where another kind is given
-    former: ClassVar[Mapping[str, str]] = {}  # by a key of before what to write now
+    title: ClassVar[str] = "a recipe"  # name of this kind of file in messages
+    former: ClassVar[Mapping[str, str]] = {}  # earlier name of a key → what to write now
 
 
-KIND_KEYS = {  # keys at the top of a file by which its kind is known: no other kind has them
+KIND_KEYS = {  # top-level keys that only one kind of file has, which identify the kind
     "a measurement file": ("common", "sweep", "curves", "band", "photo", "prior", "datasheet", "uncertainty"),
     "a camera recipe": ("responsivity", "noise"),
     "a lab recipe": ("defects", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
@@ -60,8 +62,13 @@ R = TypeVar("R", bound=Recipe)
 
 
 def read_text(path: Path, title: str = Recipe.title) -> str:
-    """Return the text of a recipe file, without what some editors add: a mark at the beginning, a character more at the end
-    of each line. InputFileError, which asks for `title`, if it cannot be read as UTF-8."""
+    """Return the text of a recipe file, without a byte order mark and carriage returns.
+
+    Raises
+    ------
+    InputFileError
+        If the file cannot be read as UTF-8. The message asks for `title`.
+    """
     try:
         return read_bounded(path, f"give {title} (TOML)").decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
@@ -69,12 +76,12 @@ def read_text(path: Path, title: str = Recipe.title) -> str:
 
 
 def load_recipe(path: Path, recipe: type[R]) -> R:
-    """Read a TOML file as `recipe`; RecipeError names the file, the key and what is wrong with it."""
+    """Read a TOML file as `recipe`. RecipeError names the file, the key and the fault."""
     return parse_recipe(read_text(path, recipe.title), recipe, str(path))
 
 
 def parse_recipe(text: str, recipe: type[R], name: str) -> R:
-    """Return `text` as `recipe`; `name` stands in the error messages."""
+    """Return `text` as `recipe`. Error messages begin with `name`."""
     content = parse_toml(text, name)
     given = {kind for kind, keys in KIND_KEYS.items() if any(key in content for key in keys)}
     if given and recipe.title in KIND_KEYS and recipe.title not in given:
@@ -90,19 +97,19 @@ def parse_recipe(text: str, recipe: type[R], name: str) -> R:
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """Return the keys and tables of `text`; RecipeError, which calls it `name`, if it is not TOML."""
+    """Parse TOML. Raise RecipeError, which begins with `name`, if the text is not TOML."""
     if any(line.count(".") > DEEPEST for line in text.splitlines()):
         _refuse_deep_keys(text, name)
     try:
         return tomllib.loads(text)
-    except ValueError as error:  # of msgspec's kind, or of a number too long to be one
+    except ValueError as error:  # a syntax error, or a number with too many digits
         raise RecipeError(f"{name} is not valid TOML: {error}") from error
     except RecursionError as error:
         raise RecipeError(f"{name} is not valid TOML: its lists or tables are too deep") from error
 
 
 def _refuse_deep_keys(text: str, name: str) -> None:
-    """Raise RecipeError for a key of more than DEEPEST parts, before it is parsed: that takes the square of their number."""
+    """Raise RecipeError for a key of more than DEEPEST parts. Parsing such keys takes quadratic time."""
     parts = 0
     for token in TOKEN.finditer(text):
         found = token.group()
@@ -117,27 +124,27 @@ def _refuse_deep_keys(text: str, name: str) -> None:
 
 
 def line_of(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
-    """Return the line of a key or, where it is missing, of the table that lacks it; 1 of what is missing at the top."""
+    """Return the line of a key. If it is missing, return the line of its table, or 1 at the top level."""
     return next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), 1)
 
 
 def key_lines(text: str) -> dict[KeyPath, int]:
-    """Return the line, from 1, of every key, table and entry of a list in `text`, which tomllib accepts."""
+    """Return the line, from 1, of every key, table and list entry in a valid TOML text."""
     return _Scanner(text.replace("\r\n", "\n")).document()
 
 
 class _Scanner:
-    """Scanner of a text in one pass; each method begins at a token and leaves the one behind what it is named after."""
+    """Finds the lines of keys in one pass. Each method starts at a token and stops behind the element it is named after."""
 
     def __init__(self, text: str) -> None:
         self.text, self.tokens = text, TOKEN.finditer(text)
         self.token, self.start, self.line = "", 0, 1
         self.lines: dict[KeyPath, int] = {}
-        self.entries: dict[KeyPath, int] = {}  # tables that a list of tables has so far
+        self.entries: dict[KeyPath, int] = {}  # number of the last table in each list of tables
         self._next()
 
     def _next(self) -> str:
-        """Return the token, and pass on to the next one, "" at the end."""
+        """Return the current token and advance to the next one, which is "" at the end."""
         before, self.token = self.token, ""
         for found in self.tokens:
             token = found.group().strip(" \t")
@@ -165,7 +172,7 @@ class _Scanner:
         for name in outer if several else (*outer, last):
             table = (*table, name)
             self.lines.setdefault(table, line)
-            if table in self.entries:  # of a list of tables its last one
+            if table in self.entries:  # the last table of a list of tables
                 table = (*table, self.entries[table])
         if several:
             table = (*table, last)
@@ -202,7 +209,7 @@ class _Scanner:
             self._next()
 
     def _entries(self, path: KeyPath, end: str) -> None:
-        """Read a list, or an inline table, whose bracket is behind."""
+        """Read a list or an inline table, whose opening bracket has been read."""
         number = 0
         while self.token != end:
             if self.token in (",", "\n"):
@@ -217,8 +224,7 @@ class _Scanner:
 
 
 def toml_value(value: Any) -> str:
-    """Return a number, a text, or a list or table of them as TOML, which writes what is plain as JSON does. Names of files
-    may hold what no text can: a byte that is none of UTF-8 becomes "?"."""
+    """Return a number, text, list or table as TOML. Undecodable bytes of file names become "?"."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{toml_key(name)} = {toml_value(each)}" for name, each in value.items()) + "}"
     if isinstance(value, Sequence) and not isinstance(value, str):
@@ -227,12 +233,12 @@ def toml_value(value: Any) -> str:
 
 
 def toml_key(name: str) -> str:
-    """Return a key as TOML writes it, in quotation marks unless it is of plain letters."""
+    """Return a key as TOML, quoted if needed."""
     return name if re.fullmatch("[A-Za-z0-9_-]+", name) else toml_value(name)
 
 
 def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
-    """Yield keys and faults of numbers that are not finite and texts with the character that no file name can hold."""
+    """Yield the keys and faults of non-finite or huge numbers, texts with null characters, and values nested too deeply."""
     if len(key) > DEEPEST:
         yield key, f"tables and lists are more than {DEEPEST} deep; recipes are not"
     elif isinstance(value, dict):
@@ -242,7 +248,9 @@ def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
         for number, item in enumerate(value):
             yield from refusals(item, (*key, number))
     elif isinstance(value, int) and not -LARGEST_WHOLE <= value <= LARGEST_WHOLE:
-        written = str(value) if abs(value) < 10**MOST_SHOWN else hex(value)  # Python writes no long number in decimals
+        written = (
+            str(value) if abs(value) < 10**MOST_SHOWN else hex(value)
+        )  # Python refuses to print long integers in decimal
         yield key, f"{_named(key)} is {shortened(written)}; a whole number has at most 64 bits"
     elif isinstance(value, float) and not abs(value) <= LARGEST:
         yield key, f"{_named(key)} is {value:g}; give a number within ±{LARGEST:g}"
@@ -255,7 +263,7 @@ def _named(key: KeyPath) -> str:
 
 
 def plain(message: str, recipe: type[Recipe], content: Any) -> str:
-    """Return msgspec's message in the words of a recipe: keys and tables, not fields and objects, and what was meant."""
+    """Rewrite msgspec's message in the terms of TOML, with keys and tables, and suggest what was meant."""
     what, _, where = message.partition(" - at ")
     if bound := re.fullmatch(r"Expected `(?:int|float|array|object)` (of length )?(<=|>=|<|>) (\S+)", what):
         value = _value_at(content, where)
@@ -284,27 +292,27 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
 
 
 def place(message: str) -> KeyPath:
-    """Return the place that msgspec's message names: of an unknown key there, of a missing one the table without it."""
+    """Return the place that msgspec's message names, including an unknown key. For a missing key it is the table."""
     what, _, where = message.partition(" - at ")
     unknown = re.findall("unknown field `(.*)`", what, re.DOTALL)
     return (*(int(number) if number else key for key, number in re.findall(PART, where)), *unknown)
 
 
 def _written(where: str) -> str:
-    """Return a place of msgspec's, entries counted from 1."""
+    """Return a place of msgspec's with list entries counted from 1."""
     inner = re.sub(r"^`\$\.?|`$", "", where)
     return re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", inner)
 
 
 def _value_at(content: Any, where: str) -> Any:
-    """Return the value at the place that msgspec names; None for a key with a point in it."""
+    """Return the value at a place that msgspec names. None for a key that contains a point."""
     for key, number in re.findall(PART, where):
         content = content[int(number)] if number else content.get(key, {})
     return content
 
 
 def _with_free_keys(message: str, recipe: type[Recipe], content: Any) -> str:
-    """Return msgspec's message with the key in the place of each "[...]", which stands for any of a table of free keys."""
+    """Replace each "[...]" in msgspec's message, which stands for any free key of a table, by the key that is wrong."""
     while "[...]" in message:
         content = copy.deepcopy(content)
         before = message.partition(" - at ")[2].partition("[...]")[0]
@@ -324,13 +332,13 @@ def _with_free_keys(message: str, recipe: type[Recipe], content: Any) -> str:
 
 
 def _keys(tables: Sequence[type[Recipe]]) -> tuple[str, ...]:
-    """Return the keys that a table may have which is one of some structures."""
+    """Return the keys that a table of one of these structures may have."""
     tags = [each.__struct_config__.tag_field for each in tables if each.__struct_config__.tag_field]
     return tuple(dict.fromkeys(tags + [field.encode_name for each in tables for field in msgspec.structs.fields(each)]))
 
 
 def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
-    """Return the words that the key `name` may have in a table which is one of some structures."""
+    """Return the words that key `name` may have in a table of one of these structures."""
     words = [str(each.__struct_config__.tag) for each in tables if each.__struct_config__.tag_field == name]
     for each in tables:
         for field in msgspec.structs.fields(each):
@@ -368,7 +376,7 @@ def tables_in(kind: Any) -> list[type[Recipe]]:
 
 
 def _member_types(kind: Any) -> Iterator[Any]:
-    """Yield a type and, of lists, unions and the like, the types that it is made of."""
+    """Yield a type and all types that it contains, such as the entries of lists and the alternatives of unions."""
     yield kind
     if get_origin(kind) is not Literal:
         for part in get_args(kind):

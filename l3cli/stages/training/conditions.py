@@ -1,4 +1,4 @@
-"""Conditions of a table: its frames learned once more for other noise, and those under each light, by the classes of all
+"""Conditions of a table: additional transforms for other noise and for single lights, with the classes of the whole table
 (docs/method.md#noise-sets, docs/method.md#several-lights)."""
 
 import itertools
@@ -19,15 +19,15 @@ from l3cli.system.console import Silent
 from l3cli.training.table import passes_of, with_noises
 from l3cli.training.training_pass import TrainingPass, spread_patches
 
-SAME_LIGHT = 1e-3  # relative difference of whites that are of one light, as spectra of one name give them
+SAME_LIGHT = 1e-3  # relative difference up to which two whites count as one light
 
 
 def learn_conditions(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
-    """Return the table with transforms for each condition that the recipe wants: each light, and all, at each noise."""
+    """Return the table with transforms for each condition in the recipe: every combination of light and noise."""
     table = _with_noises(run, pass_of(run, table), table, table, execution)
     for name, of_light in runs_by_light(run):
         execution.console.info(f"transforms for {name}: {len(of_light.patches)} frames")
-        pass_ = first_pass(of_light, replace(execution, console=Silent()))  # its white and light; classes are the table's
+        pass_ = first_pass(of_light, replace(execution, console=Silent()))  # for white and light; its rule is replaced
         pass_ = replace(pass_, rule=table.first.rule, exposure=table.exposure)
         usual = learn_refinement_layers(of_light, learn_first(of_light, pass_, execution), execution, like=table)
         made = _with_noises(of_light, pass_, usual, table, execution)
@@ -41,7 +41,7 @@ def learn_conditions(run: TrainingRun, table: TransformTable, execution: Executi
 def _with_noises(
     run: TrainingRun, pass_: TrainingPass, usual: TransformTable, like: TransformTable, execution: Execution
 ) -> TransformTable:
-    """Return the usual table, which a run has learned, with transforms for each other noise that the recipe wants."""
+    """Return a trained table with transforms for each other noise in the recipe."""
     made = []
     for noise, each in zip(run.recipe.learning.noises, passes_of(pass_, run.given)[1:], strict=True):
         execution.console.info(f"transforms for {noise}")
@@ -50,8 +50,15 @@ def _with_noises(
 
 
 def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
-    """Return each light that a run's recipe names, the warmest first, with the run over its frames alone, as many patches
-    and mosaics as over all. InputFileError if there are no frames under one, or they do not differ."""
+    """Return each light in the recipe, the warmest first, with a run over the frames under this light only.
+
+    Each run takes as many patches and mosaics as a run over all frames.
+
+    Raises
+    ------
+    InputFileError
+        If no frame is under a light, or if two lights have the same colour temperature.
+    """
     if not (lights := run.recipe.learning.lights):
         return []
     named = ", ".join(str(source.path) for source in run.training)
@@ -77,8 +84,11 @@ def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
 
 
 def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, list[int]]], dict[str, float]]:
-    """Return the indices of each light's frames by set, and its reciprocal colour temperature (mired); InputFileError if
-    frames under a light of one name have different whites. Real pairs are of no light that is known."""
+    """Return the indices of each light's frames by set, and its reciprocal colour temperature (mired).
+
+    Real pairs are left out, because their light is unknown. Raise InputFileError if frames under a light of one name have
+    different whites.
+    """
     whites: dict[str, NDArray[np.float64]] = {}
     frames: dict[str, dict[int, list[int]]] = {}
     for place, source in enumerate(run.training):
@@ -96,7 +106,7 @@ def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, 
 
 
 def _chosen(run: TrainingRun, frames: dict[int, list[int]]) -> TrainingRun:
-    """Return the run over some frames, indices by set."""
+    """Return the run over some frames, given as indices by set."""
     shares = None if run.shares is None else tuple(run.shares[place] for place in frames)
     sources: list[TrainingSource] = []
     for place, indices in frames.items():

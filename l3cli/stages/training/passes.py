@@ -1,4 +1,4 @@
-"""Work of a training run's processes: take a pilot of all frames, sum up the patches of a pass, learn from whole sums."""
+"""Work of the processes of a training run: a pilot of all frames, the sums of a pass, and the transforms."""
 
 import collections
 from collections.abc import Callable, Iterator
@@ -21,20 +21,20 @@ from l3cli.training.sums import add
 from l3cli.training.table import Pilot, assemble, learn_site, pilot_patches, survey, take_pilot
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, WorkShare, frame_blocks, has_two_passes, work_shares
 
-MOST_PILOTED = 256  # frames that a worker looks at in one go before the passes
+MOST_PILOTED = 256  # frames in one work unit of the pilot
 
 
 @dataclass(frozen=True)
 class Execution:
-    """Workers of a run, and the console that they report to."""
+    """Workers of a run, and the console for its messages."""
 
     pool: WorkerPool
-    remote: bool  # on other machines, which have to see the same files
+    remote: bool  # whether workers are on other machines, which must see the same files
     console: Console
 
 
 def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
-    """Return the first pass, or the only one, with the class rule that a pilot over all frames finds."""
+    """Return the first pass, or the only one, with the class rule from a pilot of all frames."""
     learning = run.recipe.learning
     refuse_first(learning_faults(learning))
     refuse_first(layer_faults(run.recipe.layer))
@@ -59,7 +59,7 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
 
 
 def pass_of(run: TrainingRun, table: TransformTable, number: int | None = None) -> TrainingPass:
-    """Return the first pass, or the pass `number`, of a run whose class rule and white are those of a table."""
+    """Return the first pass, or pass `number`, with the class rule and white of a table."""
     about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
     return TrainingPass(*about, number or _first_number(run), table.exposure, table.light)
 
@@ -70,7 +70,7 @@ def _first_number(run: TrainingRun) -> int:
 
 @dataclass(frozen=True)
 class PilotUnit:
-    """A work unit of the pilot: some frames."""
+    """Work unit of the pilot: some frames."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # as of WorkUnit
@@ -88,10 +88,10 @@ def _pilot(unit: PilotUnit) -> Pilot:
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """A work unit of a pass: some sites of some blocks of frames to sum up."""
+    """Work unit of a pass: the sums of some sites over some blocks of frames."""
 
     training: tuple[TrainingSource, ...]
-    remote: bool  # on another machine: its files are to be compared with ours
+    remote: bool  # whether a worker on another machine must verify that its files are the same
     pass_: TrainingPass
     share: WorkShare
     weightings: dict[int, RowWeighting | None]
@@ -101,8 +101,10 @@ def summed(
     function: Callable[[WorkUnit], dict[int, Any]], run: TrainingRun, pass_: TrainingPass, first: TransformTable | None,
     blocks: list[range], execution: Execution,
 ) -> Iterator[tuple[int, Any]]:  # fmt: skip
-    """Yield the result of `function` for the work units, for each canonical site in order: its sums over `blocks`, added
-    up where several processes share a site, or what has been learned from them already."""
+    """Apply `function` to the work units, and yield its result for each canonical site in order.
+
+    The result is the sums over `blocks`, added up if several units share a site, or what the workers have solved already.
+    """
     units = []
     for share in work_shares(pass_, pass_.divisors, blocks, execution.pool.size):
         weightings = {
@@ -123,7 +125,7 @@ def summed(
 
 
 def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> TransformTable:
-    """Return the table of one layer that this pass and those after it make."""
+    """Return the one-layer table that this pass and the following ones produce."""
     table = None
     for number in range(pass_.number, LAST + 1):
         pass_ = replace(pass_, number=number)
@@ -135,14 +137,14 @@ def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> 
 
 
 def sum_unit(unit: WorkUnit) -> dict[int, ClassSums]:
-    """Return the sums of every site."""
+    """Return the sums of each site of a work unit."""
     training = unit.training
     blocks = ((block[0], sites, frames_of(training, block, unit.remote)) for block, sites in unit.share.blocks)
     return sum_sites(unit.pass_, blocks, unit.weightings)
 
 
 def learn_unit(unit: WorkUnit) -> dict[int, ClassSums | Solution]:
-    """Return solutions of the sites whose sums are whole, which then need not travel; sums of the others."""
+    """Return solutions for the sites whose sums are complete, which avoids sending them, and sums for the others."""
     results: dict[int, Any] = dict(sum_unit(unit))
     for site in unit.share.whole:
         results[site] = learn_site(unit.pass_, [results[site]], site)

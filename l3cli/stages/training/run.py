@@ -1,5 +1,4 @@
-"""A training run: what all of its passes and shards have in common, and the frames of its training sets, of which a process
-keeps those of small ones."""
+"""A training run: what all its passes and shards share, and a cache of the frames of its training sets."""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -23,8 +22,10 @@ from l3cli.training.training_pass import FIRST, SUM_BYTES, spread_patches
 
 
 class FrameCache:
-    """Frames by the digest of their set and their index in it, as many as fit into the bytes that sums may take. The first
-    stay: a pass begins again with them."""
+    """Cache of frames, by the digest of their set and their index in it, up to the memory that sums may take.
+
+    When the cache is full, the first frames stay, because every pass starts with them.
+    """
 
     def __init__(self, most: int = SUM_BYTES) -> None:
         self.most, self.bytes = most, 0
@@ -47,19 +48,19 @@ class FrameCache:
         self.bytes = 0
 
 
-FRAMES = FrameCache()  # of this process
+FRAMES = FrameCache()  # shared by all passes in this process
 
 
 @contextlib.contextmanager
 def cached_for_a_run() -> Iterator[None]:
-    """Cache the frames that this process reads within, until the end."""
+    """Keep the frame cache until the end of the block, then clear it."""
     try:
         yield
     finally:
         FRAMES.clear()
 
 
-FIRST_PASS = "first"  # whose table is not the end of a run, as those of layers after which others follow are not
+FIRST_PASS = "first"  # marks the table of a first pass, from which a run continues, as LAYERS do for intermediate layers
 LAYERS = ("first layer", "second layer", "third layer", "fourth layer")
 
 
@@ -70,56 +71,64 @@ class TrainingSource:
     path: Path
     frames: int
     digest: str  # SHA-256
-    stamp: tuple[int, ...]  # of the file that has it
-    chosen: tuple[int, ...] | None = None  # indices of the frames in the file; None: all that it has
+    stamp: tuple[int, ...]  # of the file, to notice when it is replaced
+    chosen: tuple[int, ...] | None = None  # indices of the frames to use; None: all of the file
 
     def places(self, frames: range) -> Iterable[int]:
-        """Return indices in the file of some of the frames."""
+        """Return the indices in the file of a range of frames."""
         return frames if self.chosen is None else self.chosen[frames.start : frames.stop]
 
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """A training run as it is asked for: what every shard of it has in common."""
+    """A training run as requested, the same for every shard."""
 
     training: tuple[TrainingSource, ...]
     head: TrainingSet
-    patches: tuple[int, ...]  # (frame)
-    given: TrainingRecipe  # as its file states it
-    recipe: TrainingRecipe  # with what the file leaves to the camera
-    shares: tuple[Fraction, ...] | None  # (set)
+    patches: tuple[int, ...]  # (frame) patches to take
+    given: TrainingRecipe  # as the file states it
+    recipe: TrainingRecipe  # completed with values that depend on the camera
+    shares: tuple[Fraction, ...] | None  # (set) proportions of patches; None: in proportion to frames
     seed: int
     stage: Stage
 
     @property
     def has_refinement_layers(self) -> bool:
-        """Return whether layers follow the first one: any read luminance and chroma of three outputs, and a single one of
-        structures alone leading components of a spectrum."""
+        """Whether refinement layers apply.
+
+        Three-output tables take any number of layers. Spectral tables take exactly one structure layer, which refines the
+        leading components.
+        """
         layers = self.recipe.layer
         corrects = len(layers) == 1 and not (layers[0].leaves or layers[0].coarse_chroma) and has_components(self.head)
         return bool(layers) and (len(self.head.outputs) == PLANES or corrects)
 
     def history_of_pass(self, number: int) -> tuple[Stage, ...]:
-        """Return the history of what a pass of the first layer makes."""
+        """Return the history of the table of a pass of the first layer."""
         return self.history(FIRST_PASS) if number == FIRST else self.history_of_layers(1)
 
     def history_of_layers(self, count: int) -> tuple[Stage, ...]:
-        """Return the history of a table of so many layers."""
+        """Return the history of a table with `count` layers."""
         whole = 1 + len(self.recipe.layer) if self.has_refinement_layers else 1
         return self.history(LAYERS[count - 1] if count < whole else "")
 
     def history(self, before: str = "") -> tuple[Stage, ...]:
-        """Return the history of what the run makes, or makes `before` its end: the table of a pass, by its name."""
+        """Return the history of the final table, or of the intermediate table that is called `before`."""
         stage = replace(self.stage, options={**self.stage.options, "pass": before}) if before else self.stage
         return (*self.head.history, stage)
 
 
 def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
-    """Return the run of these training sets; InputFileError or RecipeError if they or the recipe cannot be used. A set whose
-    share is zero is as if it were not given."""
+    """Return the run over some training sets. A set whose share is zero is ignored.
+
+    Raises
+    ------
+    InputFileError, RecipeError
+        If training sets or recipe cannot be used.
+    """
     classes, shares = options.classes or known_recipes("classes")["default"], options.shares
     if shares is not None and len(shares) != len(training):
-        raise RecipeError(f"‹shares› gives {len(shares)} shares for {len(training)} training sets")
+        raise RecipeError(f"‹shares› has {len(shares)} shares for {len(training)} training sets; give one for each")
     recipe = load_recipe(classes, TrainingRecipe)
     recipe = draft_of(recipe) if options.draft else recipe
     stamps = {path: stamp(path) for path in training}
@@ -138,8 +147,13 @@ def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
 
 
 def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool) -> Iterator[TrainingPair]:
-    """Yield the frames whose index among those of all training sets is `wanted`, in order. InputFileError if a set is not
-    the one that the run began with; `remote`: its bytes are compared with those of the machine that asks."""
+    """Yield the frames with the indices `wanted` among those of all training sets, in order.
+
+    Raises
+    ------
+    InputFileError
+        If a set has changed since the run began. On a worker (`remote`), the bytes of the file are compared.
+    """
     before = 0
     for source in training:
         part = range(max(0, wanted.start - before), min(source.frames, wanted.stop - before))
@@ -176,8 +190,13 @@ def _held_or_read(source: TrainingSource, wanted: Iterable[int]) -> Iterator[Tra
 
 
 def _common_head(training: tuple[Path, ...], noisy: bool) -> tuple[TrainingSet, tuple[int, ...]]:
-    """Return the head that all sets share and the frames of each; InputFileError if they are of different cameras, or some
-    are real and may not be as `noisy` as they are."""
+    """Return the head that all sets share, and the number of frames of each.
+
+    Raises
+    ------
+    InputFileError
+        If the sets have different cameras, or if some frames are real and the recipe needs other noise than they have.
+    """
     frames, head = [], None
     for path in training:
         with open_training_set(path) as reader:

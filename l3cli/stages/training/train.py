@@ -1,5 +1,4 @@
-"""Training in one go: all passes, layers and conditions of the table; or in shards, as over several machines: partial sums
-of each, of the first layer or of a later one, merged into the table."""
+"""Training stage: a table in one run, or in shards whose partial sums are merged, as on several machines."""
 
 import contextlib
 import itertools
@@ -46,8 +45,29 @@ from l3cli.training.training_pass import FIRST, LAST, TrainingPass, frame_blocks
 
 
 def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> TransformTable:
-    """Learn a transform table from training sets and write it. InputFileError or RecipeError if sets or recipe cannot be
-    used, L3Error if the output cannot be written."""
+    """Train a transform table and write it.
+
+    Parameters
+    ----------
+    training : tuple of Path
+        Training sets.
+    output : Path
+        Table to write.
+    options : TrainOptions
+        Options of `l3 train`.
+
+    Returns
+    -------
+    TransformTable
+        The table.
+
+    Raises
+    ------
+    InputFileError, RecipeError
+        If training sets or recipe cannot be used.
+    L3Error
+        If the output cannot be written.
+    """
     with execution_of(training, output, options, "transform table") as (run, execution):
         table = _learn(run, execution)
         save(table, output)
