@@ -1,10 +1,11 @@
-"""Random fields with the spectra of nature, textures and fine patterns of leaves (docs/method.md#procedural-scenes).
+"""Textures of dead leaves: random fields with natural power spectra, and fine regular patterns
+(docs/method.md#procedural-scenes).
 
-A leaf shows a random part of a periodic piece of a random field, which is wider than it: fields as large as the picture
-would cost four times as much, and seven eighths of each would lie under leaves of another texture.
+Random fields are drawn as periodic pieces, and each leaf shows a random part of a piece. Fields as large as the picture
+would cost four times as much time, and seven eighths of each field would be hidden under leaves with another texture.
 
-Fences, windows, blinds, cloth and print repeat with a few pixels a period, where a colour filter array cannot tell light
-from colour; dead leaves alone have next to none of it.
+Fences, windows, blinds, cloth and print repeat every few pixels, where a colour filter array confuses luminance with colour.
+Dead leaves alone contain almost no such detail, so some leaves carry regular patterns.
 """
 
 import functools
@@ -17,37 +18,71 @@ from numpy.typing import NDArray
 from l3cli.physics.spectra import with_saturation
 
 Field = NDArray[np.float32]
-Direction = tuple[float, float]  # by how much a field is drawn out, and where, radians
+Direction = tuple[float, float]  # elongation and its angle in radians
 
-LENGTHS, PHASES = 256, 256  # of the random coefficients: one draw of 16 bits each
-SLOW = 1 / 16  # cycles a pixel: what is faster has the same power in a piece as in the whole
-# Exponent range of the amplitude spectrum and stretch of the pink textures: from sand to clouds, and a brushed one.
+LENGTHS, PHASES = 256, 256  # of the random coefficients, so that 16 random bits select one
+SLOW = 1 / 16  # cycles per pixel; above it a piece has the same power as the whole field
+# Range of the exponent of the amplitude spectrum, and stretch: from sand to clouds; the last texture looks brushed.
 PINK = ((0.3, 0.9, 1.0), (0.8, 1.3, 1.0), (1.6, 1.6, 1.0), (1.0, 1.0, 1.0), (0.6, 0.6, 1.0), (1.1, 1.1, 4.0))
-BLOTCHES, STRIPES = len(PINK), len(PINK) + 1  # beside them
+BLOTCHES, STRIPES = len(PINK), len(PINK) + 1  # indices of the two textures that follow the pink ones
 TEXTURES = len(PINK) + 2
-WIDEST = 1024  # samples of a piece down and across, a power of two; leaves are up to 400 wide
+WIDEST = 1024  # samples; largest side of a piece, a power of two. Leaves are at most 400 samples wide
 Array = NDArray[np.floating]
 
-KINDS = {"grating": 0.4, "lattice": 0.35, "lettering": 0.25}  # share of each
+KINDS = {"grating": 0.4, "lattice": 0.35, "lettering": 0.25}  # fraction of the patterns
 PERIODS = (2.0, 16.0)  # pixels of the scene, log-uniform
-DUTIES = (0.15, 0.6)  # share of a period that the second reflectance covers
-NEUTRAL, PALE = 0.5, 0.2  # share of patterns of near-neutral reflectances; the highest saturation of these
-CONTRAST = 0.5  # standard deviation of the logarithm by which the second reflectance is scaled
-LINES = (2.0, 3.5)  # distance of lines of lettering, in strokes
+DUTIES = (0.15, 0.6)  # fraction of a period that the second reflectance covers
+NEUTRAL, PALE = 0.5, 0.2  # fraction of patterns with nearly neutral reflectances; their highest saturation
+CONTRAST = 0.5  # standard deviation of the natural logarithm of the factor that scales the second reflectance
+LINES = (2.0, 3.5)  # distance between lines of lettering, in periods of the strokes
 
 
 def pink(rng: np.random.Generator, shape: tuple[int, int], exponent: float, stretch: float = 1.0) -> Field:
-    """Return a Gaussian random field (row, col) with amplitude ∝ 1/frequency^exponent, mean 0 and variance 1; `stretch` > 1
-    draws it out in a random direction."""
+    """Draw a Gaussian random field with an amplitude spectrum ∝ 1/frequency^exponent.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of the random numbers.
+    shape : tuple of int
+        Rows and columns.
+    exponent : float
+        Exponent of the amplitude spectrum.
+    stretch : float
+        Factor by which the structures are elongated in a random direction; 1 is isotropic.
+
+    Returns
+    -------
+    ndarray, (row, col)
+        The field, with mean 0 and variance 1.
+    """
     return _drawn(rng, _amplitudes(shape, exponent, _direction(rng, stretch), max(shape)), shape[1], 1.0)
 
 
 def piece(
     rng: np.random.Generator, side: int, shape: tuple[int, int], exponent: float, stretch: float = 1.0
 ) -> tuple[Field, float]:
-    """Return a periodic piece (side, side) of such a field over a picture of `shape` (rows, cols), and the standard
-    deviation of what the field has beyond it: change so slow that a piece is all alike. The squares of both deviations add
-    up to 1."""
+    """Draw a periodic piece of a Gaussian random field, for a picture that is larger than the piece.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of the random numbers.
+    side : int
+        Rows and columns of the piece.
+    shape : tuple of int
+        Rows and columns of the picture.
+    exponent, stretch : float
+        As in `pink`.
+
+    Returns
+    -------
+    piece : ndarray, (side, side)
+        The field without its slowest changes.
+    level : float
+        Standard deviation of the changes that are too slow to show within a piece. Its square and the variance of the piece
+        add up to 1.
+    """
     direction, longest = _direction(rng, stretch), max(shape)
     small = (side, side)
     amplitude = _amplitudes(small, exponent, direction, longest)
@@ -61,19 +96,19 @@ def _direction(rng: np.random.Generator, stretch: float) -> Direction:
 
 
 def _amplitudes(shape: tuple[int, int], exponent: float, direction: Direction, longest: float) -> Field:
-    """Return the amplitude of each coefficient of a real transform; the mean has none."""
+    """Return the amplitude of each coefficient of a real Fourier transform; the mean of the field is 0."""
     amplitude: Field = np.exp(_log_frequencies(shape, direction, longest) * np.float32(-exponent))
     amplitude[0, 0] = 0.0
     return amplitude
 
 
 def _drawn(rng: np.random.Generator, amplitude: Field, cols: int, variance: float) -> Field:
-    """Return a field of `cols` columns and this variance, drawn as the coefficients of its transform."""
+    """Draw a field of `cols` columns with a given variance, by drawing the coefficients of its Fourier transform."""
     from scipy import fft
 
     spectrum = _normals()[rng.integers(LENGTHS * PHASES, size=amplitude.shape, dtype=np.uint16)]
     spectrum *= amplitude
-    alone = [0] if cols % 2 else [0, cols // 2]  # columns that have their mirror image in themselves
+    alone = [0] if cols % 2 else [0, cols // 2]  # columns that contain their own complex conjugates
     for column in alone:
         mirrored = np.roll(spectrum[::-1, column], 1).conj()
         spectrum[:, column] = (spectrum[:, column] + mirrored) * np.float32(np.sqrt(0.5))
@@ -85,8 +120,11 @@ def _drawn(rng: np.random.Generator, amplitude: Field, cols: int, variance: floa
 
 @functools.lru_cache(maxsize=1)
 def _normals() -> NDArray[np.complex64]:
-    """Return complex normal variates of E|z|² = 1 (LENGTHS · PHASES) to be drawn from: each of equal probability. What is a
-    sum of many of these is Gaussian; one generated by itself would cost three times as much."""
+    """Return LENGTHS · PHASES equally probable complex numbers that follow a normal distribution with E|z|² = 1.
+
+    Coefficients are picked from this list, because generating normal numbers would take three times as long. Each sample of
+    the field is a sum of many coefficients and is therefore Gaussian.
+    """
     length = np.sqrt(-np.log((np.arange(LENGTHS) + 0.5) / LENGTHS))
     length /= np.sqrt(np.mean(length**2))
     phase = np.exp(2j * np.pi * (np.arange(PHASES) + 0.5) / PHASES)
@@ -94,15 +132,17 @@ def _normals() -> NDArray[np.complex64]:
 
 
 def _power(spectrum: NDArray[np.complex64]) -> float:
-    """Return the sum of |z|², row by row: nothing of it is left to the number of threads."""
+    """Return the sum of |z|². It is summed row by row, so the result does not depend on the number of threads."""
     parts = np.ascontiguousarray(spectrum).view(np.float32)
     return float(np.einsum("ij,ij->i", parts, parts).sum(dtype=np.float64))
 
 
-@functools.lru_cache(maxsize=4)  # most fields of a frame have no direction
+@functools.lru_cache(maxsize=4)  # most fields of a scene are isotropic and share one result
 def _log_frequencies(shape: tuple[int, int], direction: Direction, longest: float) -> Field:
-    """Return the logarithm of the frequency (cycles a pixel) of each coefficient of a real transform, times the stretch in
-    the direction; no period is longer than `longest` pixels."""
+    """Return the logarithm of the frequency, in cycles per pixel, of each coefficient of a real Fourier transform.
+
+    Frequencies along the direction of the stretch count `stretch` times. The lowest frequency is 1 / `longest`.
+    """
     from scipy import fft
 
     down = fft.fftfreq(shape[0])[:, None].astype(np.float32)
@@ -118,7 +158,7 @@ def _logarithm(down: Field, across: Field, direction: Direction, longest: float)
 
 
 def _slow_power(shape: tuple[int, int], exponent: float, direction: Direction, longest: float) -> float:
-    """Return the power a pixel of frequencies up to SLOW, 0 left out, for unit power a coefficient."""
+    """Return the power per pixel at frequencies up to SLOW, except 0, if a coefficient of amplitude 1 has power 1."""
     down, across = (np.arange(-int(n * SLOW), int(n * SLOW) + 1, dtype=np.float32) / np.float32(n) for n in shape)
     power = np.exp(_logarithm(down[:, None], across, direction, longest) * np.float32(-2 * exponent))
     power[len(down) // 2, len(across) // 2] = 0.0
@@ -126,7 +166,7 @@ def _slow_power(shape: tuple[int, int], exponent: float, direction: Direction, l
 
 
 def _mean_power(amplitude: Field, cols: int) -> float:
-    """Return the mean power of all coefficients, from the amplitudes of those of a real transform of `cols` columns."""
+    """Return the mean power of all coefficients, given the amplitudes of a real transform of `cols` columns."""
     columns = np.einsum("ij,ij->j", amplitude, amplitude, dtype=np.float64)
     columns[1 : (cols + 1) // 2] *= 2
     return float(columns.sum() / (len(amplitude) * cols))
@@ -134,28 +174,40 @@ def _mean_power(amplitude: Field, cols: int) -> float:
 
 @dataclass(frozen=True)
 class Textures:
-    """The textures of a frame, each with a variance of about 1, and which part of which one each leaf shows."""
+    """The textures of a scene, each with a variance of about 1, and the part of them that each leaf shows."""
 
     pieces: NDArray[np.float32]  # (texture, row, col), periodic
     texture: NDArray[np.intp]  # (leaf)
-    start: NDArray[np.int32]  # (leaf) index in the pieces of where the leaf's own begins
+    start: NDArray[np.int32]  # (leaf) flat index of the first sample of the leaf's piece
     shift: NDArray[np.int32]  # (2, leaf) samples down and across
-    level: NDArray[np.float32]  # (leaf) what is added to the piece: its slower changes
-    direction: tuple[float, float]  # stripes a sample, down and across
-    waver: float  # stripes
-    duty: float  # share of a period
+    level: NDArray[np.float32]  # (leaf) constant added to the piece in place of its slow changes
+    direction: tuple[float, float]  # stripes per sample, down and across
+    waver: float  # stripes; standard deviation of their displacement
+    duty: float  # fraction of a period that is bright
 
 
 def draw_textures(
     rng: np.random.Generator, shape: tuple[int, int], texture: NDArray[np.intp], oversampling: int
 ) -> Textures:
-    """Draw textures for a picture of `shape` (rows, cols) in samples, for leaves that show these of them, (leaf)."""
+    """Draw the textures of a scene.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of the random numbers.
+    shape : tuple of int
+        Rows and columns of the oversampled picture.
+    texture : ndarray of int, (leaf)
+        Index of the texture of each leaf, below TEXTURES.
+    oversampling : int
+        Samples per pixel in each direction.
+    """
     side = min(WIDEST, 1 << (max(shape) - 1).bit_length())
     pieces = np.empty((TEXTURES, side, side), np.float32)
     level = np.empty(TEXTURES)
     fields = [(rng.uniform(low, high), stretch) for low, high, stretch in PINK]
-    fields.append((rng.uniform(0.8, 1.8), np.exp(rng.uniform(0.0, 2.0))))  # of the blotches
-    fields.append((1.8, 1.0))  # by which stripes waver
+    fields.append((rng.uniform(0.8, 1.8), np.exp(rng.uniform(0.0, 2.0))))  # blotches
+    fields.append((1.8, 1.0))  # displacement of the stripes
     for number, (exponent, stretch) in enumerate(fields):
         pieces[number], level[number] = piece(rng, side, shape, exponent, stretch)
     angle, period = rng.uniform(0, np.pi), oversampling * np.exp(rng.uniform(np.log(2.0), np.log(14.0)))
@@ -172,7 +224,24 @@ def draw_textures(
 
 
 def sampled(textures: Textures, label: NDArray[np.integer], down: NDArray, across: NDArray) -> NDArray[np.float32]:
-    """Return the texture of the leaf `label` (row, col) at samples `down` (row, 1) and `across` (col)."""
+    """Return the texture of the leaf that each sample shows.
+
+    Parameters
+    ----------
+    textures : Textures
+        The textures of the scene.
+    label : ndarray of int, (row, col)
+        Index of the leaf at each sample.
+    down : ndarray, (row, 1)
+        Row of each sample.
+    across : ndarray, (col)
+        Column of each sample.
+
+    Returns
+    -------
+    ndarray, (row, col)
+        Value of the texture.
+    """
     side = textures.pieces.shape[1]
     row = (textures.shift[0].take(label) + down.astype(np.int32)) & np.int32(side - 1)
     row *= np.int32(side)
@@ -187,8 +256,10 @@ def sampled(textures: Textures, label: NDArray[np.integer], down: NDArray, acros
 def _set_contrast(
     value: NDArray[np.float32], textures: Textures, label: NDArray[np.integer], down: NDArray, across: NDArray
 ) -> None:
-    """Make two tones of the values of blotches, with sharp borders as on fur, bark and prints, and of stripes, as on cloth,
-    blinds and letters."""
+    """Turn blotches and stripes into two tones, in place.
+
+    Blotches get sharp borders, as on fur, bark and prints. Stripes look like cloth, blinds and letters.
+    """
     texture = textures.texture.astype(np.uint8).take(label)
     blotched = np.nonzero(texture == BLOTCHES)
     value[blotched] = np.tanh(np.float32(8) * value[blotched])
@@ -202,16 +273,19 @@ def _set_contrast(
 
 @dataclass(frozen=True)
 class Patterns:
-    """Patterns that cover shares of each leaf; lengths in samples. Arrays of one value a leaf but where said."""
+    """Regular patterns on the leaves: strokes of a second reflectance on a first one.
+
+    Lengths are in samples. Arrays hold one value per leaf unless their comment says otherwise.
+    """
 
     present: NDArray[np.bool_]  # whether a leaf has a pattern
-    first: NDArray[np.float32]  # (leaf, band) reflectance between the strokes, or all over
+    first: NDArray[np.float32]  # (leaf, band) reflectance between the strokes, or of a leaf without a pattern
     second: NDArray[np.float32]  # (leaf, band) reflectance of the strokes
     kind: NDArray[np.intp]  # index into KINDS
-    angle: NDArray[np.float32]  # radians, of the direction across the strokes
+    angle: NDArray[np.float32]  # radians; direction at right angles to the strokes
     period: NDArray[np.float32]  # (2, leaf) across and along the strokes
-    width: NDArray[np.float32]  # (2, leaf) of the strokes across, of the bars along
-    phase: NDArray[np.float32]  # (2, leaf) shares of a period
+    width: NDArray[np.float32]  # (2, leaf) width of the strokes, and of the bars at right angles
+    phase: NDArray[np.float32]  # (2, leaf) fractions of a period
 
 
 def draw_patterns(
@@ -222,8 +296,28 @@ def draw_patterns(
     oversampling: int,
     drawn: NDArray[np.bool_] | slice = slice(None),
 ) -> Patterns:
-    """Draw patterns on `share` of the leaves of `reflectance` (leaf, band), their second colours from `materials` (material,
-    band), whose bands `drawn` say how saturated they are; scenes are drawn with `oversampling` samples a pixel."""
+    """Draw the regular patterns of a scene.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of the random numbers.
+    share : float
+        Fraction of the leaves that carry a pattern.
+    materials : ndarray, (material, band)
+        Reflectances from which the colours of the strokes are chosen.
+    reflectance : ndarray, (leaf, band)
+        Reflectance of each leaf.
+    oversampling : int
+        Samples per pixel in each direction.
+    drawn : ndarray of bool, (band), or slice
+        Bands from which the saturation is calculated.
+
+    Returns
+    -------
+    Patterns
+        Colours and geometry for every leaf, including the leaves without a pattern.
+    """
     count = len(reflectance)
     first, second = reflectance.copy(), materials[rng.integers(len(materials), size=count)]
     present = rng.random(count) < share
@@ -252,8 +346,24 @@ def draw_patterns(
 
 
 def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across: Array) -> NDArray[np.float32]:
-    """Return the share of each sample (row, col) that the strokes on its leaf `label` cover: 0…1, 0 on leaves without a
-    pattern. `down` (row, 1) and `across` (col) are the samples' positions."""
+    """Return the fraction of each sample that strokes cover.
+
+    Parameters
+    ----------
+    patterns : Patterns
+        The patterns of the scene.
+    label : ndarray of int, (row, col)
+        Index of the leaf at each sample.
+    down : ndarray, (row, 1)
+        Row of each sample.
+    across : ndarray, (col)
+        Column of each sample.
+
+    Returns
+    -------
+    ndarray, (row, col)
+        0 to 1; 0 on leaves without a pattern.
+    """
     cosine, sine = np.cos(patterns.angle)[label], np.sin(patterns.angle)[label]
     u, v = across * cosine + down * sine, down * cosine - across * sine
     stroke, place = _strokes(patterns, 0, label, u)
@@ -268,7 +378,11 @@ def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across
 def _strokes(
     patterns: Patterns, axis: int, label: NDArray[np.integer], position: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return the share of each sample that strokes across `axis` cover, as if along the samples, and their numbers."""
+    """Return the fraction of each sample that parallel strokes cover, and the number of the nearest stroke.
+
+    `axis` selects the strokes (0) or the bars at right angles to them (1). The coverage is exact for strokes parallel to the
+    sampling grid.
+    """
     period, width = patterns.period[axis][label], patterns.width[axis][label]
     turns = position / period + patterns.phase[axis][label]
     number = np.floor(turns)
@@ -278,6 +392,6 @@ def _strokes(
 
 
 def _coin(one: NDArray[np.int64], other: NDArray[np.int64], label: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Return heads or tails for each pair of numbers on a leaf, without a generator: a multiplicative hash."""
+    """Toss a reproducible coin for each pair of numbers on a leaf, by a multiplicative hash."""
     mixed = (one * 73856093) ^ (other * 19349663) ^ (label.astype(np.int64) * 83492791)
     return ((mixed * 2654435761) >> 16) & 1 == 1

@@ -1,4 +1,6 @@
-"""Scenes that need no file: dead leaves to train on, a composition to look at, charts (docs/method.md#procedural-scenes)."""
+"""Scenes that need no files: dead leaves for training, a composition for viewing, and charts
+(docs/method.md#procedural-scenes).
+"""
 
 import functools
 from collections.abc import Callable
@@ -19,19 +21,22 @@ from l3cli.simulation.reflectances import DRAWN, drawn_bands, dyed, materials, p
 Array = NDArray[np.floating]
 Cube = NDArray[np.float32]  # (row, col, band)
 
-OVERSAMPLING = 2  # scenes are drawn finer and averaged, so that their edges fall between pixels
+OVERSAMPLING = 2  # samples per pixel in each direction; averaging them gives edges between pixels
 SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # pixels of the scene
-BRIGHTEST = 3.0  # of a perfect white, highlights included
-STRIP = 8  # rows drawn at once, which stay in the cache
+BRIGHTEST = 3.0  # perfect whites; highest value of a scene, including highlights
+STRIP = 8  # rows drawn at once, few enough to stay in the processor cache
 Wavelength = NDArray[np.float64]
 Painter = Callable[[Any, np.random.Generator, Wavelength], NDArray[np.float32]]
 
-BOARD = 0.03  # reflectance of the dark ground of charts
-FINER = 8  # samples a pixel's side that edges are averaged from
+BOARD = 0.03  # reflectance of the dark board of charts
+FINER = 8  # samples per pixel in each direction, from which edges are averaged
 
 
 def grid(wavelength: Array) -> NDArray[np.float64]:
-    """Return the wavelengths (band) in nm that a procedural scene has for a camera: DRAWN, and on by 10 where it sees."""
+    """Return the wavelengths (band), in nm, of a procedural scene for a camera that sees `wavelength`.
+
+    They are those of DRAWN, extended in steps of 10 nm to the range that the camera sees.
+    """
     first = max(np.floor(min(wavelength[0], DRAWN[0]) / 10.0) * 10.0, 10.0)  # materials are formulas of 1/wavelength
     last = np.ceil(max(wavelength[-1], DRAWN[-1]) / 10.0) * 10.0
     return np.arange(first, last + 5.0, 10.0)
@@ -42,24 +47,41 @@ def grid(wavelength: Array) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Coat:
-    """Appearance of each leaf: its material, and the light on it. Positions are relative to centre and radius."""
+    """Appearance of each leaf: its material and its shading. Positions are relative to the centre and the radius."""
 
     reflectance: NDArray[np.float32]  # (leaf, band)
-    brightness: NDArray[np.float32]  # (leaf) logarithm
-    slope: NDArray[np.float32]  # (2, leaf) gradient down and across of the logarithm
-    hollow: NDArray[np.float32]  # (leaf) fall of the logarithm towards the rim
-    texture: NDArray[np.float32]  # (leaf) amplitude of the logarithm
-    highlight: NDArray[np.float32]  # (leaf) peak of a white reflection, in perfect whites
+    brightness: NDArray[np.float32]  # (leaf) natural logarithm
+    slope: NDArray[np.float32]  # (2, leaf) gradient of the logarithm of the brightness, down and across
+    hollow: NDArray[np.float32]  # (leaf) decrease of the logarithm of the brightness from the centre to the rim
+    texture: NDArray[np.float32]  # (leaf) amplitude of the texture in the logarithm of the brightness
+    highlight: NDArray[np.float32]  # (leaf) peak of the white highlight, in perfect whites; 0 for matt leaves
     sharpness: NDArray[np.float32]  # (leaf) of the highlight
     position: NDArray[np.float32]  # (2, leaf) of the highlight, down and across
 
 
 def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array, patterned: float = 0.0) -> Cube:
-    """Return the reflectance (row, col, band) of leaves that hide each other, in light, shadow and gloss; a share
-    `patterned` of them carries fine patterns, drawn apart, so that all else is the same with and without."""
+    """Draw a dead-leaves scene: overlapping leaves with texture, shading, shadows and gloss.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of the random numbers.
+    size : tuple of int
+        Rows and columns.
+    wavelength : ndarray, (band)
+        Wavelengths in nm.
+    patterned : float
+        Fraction of the leaves that carry fine regular patterns. The patterns have their own random generator, so nothing
+        else in the scene depends on this fraction.
+
+    Returns
+    -------
+    ndarray, (row, col, band)
+        Reflectance. Highlights exceed 1.
+    """
     fine = (size[0] * OVERSAMPLING, size[1] * OVERSAMPLING)
     materials = palette(rng, surfaces(tuple(wavelength)))
-    smallest = SMALLEST_RADIUS * (4.0 if rng.random() < 0.5 else 1.0)  # half the frames are of larger things
+    smallest = SMALLEST_RADIUS * (4.0 if rng.random() < 0.5 else 1.0)  # half of the scenes have only larger leaves
     cover = leaves.dead_leaves(rng, fine, smallest * OVERSAMPLING, LARGEST_RADIUS * OVERSAMPLING)
     coat = _coats(rng, materials, len(cover.radius))
     textures = draw_textures(rng, fine, rng.integers(TEXTURES, size=len(cover.radius)), OVERSAMPLING)
@@ -76,7 +98,10 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
 
 
 def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
-    """Return the coats of `count` leaves, each one of the materials (material, band) or, in 40 %, a mixture of two."""
+    """Draw the appearance of `count` leaves.
+
+    Each leaf has one of the materials (material, band), or a mixture of two with a probability of 40 %.
+    """
     one, other = materials[rng.integers(len(materials), size=(2, count))]
     share = np.where(rng.random(count) < 0.4, rng.random(count), 1.0)[:, None]
     angle = rng.uniform(0, 2 * np.pi, count)
@@ -95,7 +120,9 @@ def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
 
 
 def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return the relative light (row, col): uneven everywhere, in 30 % of the frames with shadows of soft, ragged edges."""
+    """Draw the relative illumination (row, col). It is uneven everywhere, and 30 % of the scenes can have shadows with soft,
+    ragged edges.
+    """
     logarithm = 0.4 * fields.pink(rng, shape, 1.8)
     shadows = rng.poisson(1.0) if rng.random() < 0.3 else 0
     down, across = np.ogrid[: shape[0], : shape[1]]
@@ -118,7 +145,7 @@ def _draw(
     light: NDArray[np.float32],
     rows: slice,
 ) -> None:
-    """Fill some rows of the picture with reflectance (row, col, band), averaged to the scene's own size."""
+    """Fill some rows of a scene with reflectance, averaged from samples to pixels."""
     label = cover.label[rows].astype(np.intp)
     down = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
     across = np.arange(label.shape[1], dtype=np.float32)
@@ -134,12 +161,12 @@ def _draw(
     shine = _block_mean(gloss)
     glossy = np.nonzero(shine)
     cube[glossy] += shine[glossy][:, None]
-    bright = np.nonzero(_block_mean(amount) + shine > BRIGHTEST)  # no material reflects more than it receives
+    bright = np.nonzero(_block_mean(amount) + shine > BRIGHTEST)  # limits the values to what is plausible
     cube[bright] = np.minimum(cube[bright], np.float32(BRIGHTEST))
 
 
 def _block_mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the mean over each OVERSAMPLING × OVERSAMPLING block of samples (row, col)."""
+    """Return the mean of each block of OVERSAMPLING × OVERSAMPLING samples (row, col)."""
     step = OVERSAMPLING
     samples = [values[row::step, col::step] for row in range(step) for col in range(step)]
     return functools.reduce(np.add, samples) / np.float32(step**2)
@@ -148,8 +175,11 @@ def _block_mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
 def _shading(
     cover: leaves.Leaves, coat: Coat, label: NDArray[np.intp], place: tuple[Array, Array], textures: Textures
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return, for leaves (row, col) at a place (rows, columns), the factor by which each is brighter than its material,
-    and the light that it reflects as a mirror does."""
+    """Return the shading and the gloss of each sample.
+
+    Shading is the factor by which a sample is brighter than its material. Gloss is a mirror-like reflection that is added to
+    it.
+    """
 
     def of(values: NDArray[Any]) -> NDArray[Any]:
         return np.take(values, label, mode="clip")
@@ -164,13 +194,16 @@ def _shading(
     leaf = label[glossy]
     distance = (v[glossy] - coat.position[0][leaf]) ** 2 + (u[glossy] - coat.position[1][leaf]) ** 2
     shine = coat.highlight[leaf] * np.exp(np.float32(0.3) * texture[glossy] - coat.sharpness[leaf] * distance)
-    gloss[glossy] = shine * (shine > 0.004)  # a highlight ends somewhere
+    gloss[glossy] = shine * (shine > 0.004)  # cuts off the faint tail of the Gaussian
     return np.exp(logarithm), gloss
 
 
 def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integer], amount: NDArray[np.float32]) -> None:
-    """Fill `cube` with the mean over each OVERSAMPLING × OVERSAMPLING block of the materials (leaf, band) of a label, times
-    an amount, (row, col) both. Most blocks show one leaf: spectra are added up where they do not."""
+    """Fill `cube` with the mean over each block of OVERSAMPLING × OVERSAMPLING samples.
+
+    Each sample contributes the spectrum of its leaf (`materials` (leaf, band), selected by `label` (row, col)) times its
+    `amount` (row, col). Most blocks show a single leaf; their amounts are summed first, and the spectrum is multiplied once.
+    """
     step = OVERSAMPLING
     samples = [np.s_[row::step, col::step] for row in range(step) for col in range(step)]
     amount = amount / np.float32(len(samples))
@@ -185,8 +218,11 @@ def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integ
 
 
 def _blurred(cube: Cube, sigma: float) -> Cube:
-    """Blur by a Gaussian of `sigma` pixels, since no lens is perfect; below 0.2 it would change nothing. Beyond its border
-    the picture is mirrored. In place and row by row, so that all is in the cache: a fifth of the time of scipy.ndimage."""
+    """Blur a scene with a Gaussian of `sigma` pixels, in place, to imitate the lens of a real picture.
+
+    A blur below 0.2 pixels would change nothing and is skipped. The scene is mirrored at its border. Working row by row
+    keeps the data in the processor cache and takes a fifth of the time of scipy.ndimage.
+    """
     if sigma <= 0.2:
         return cube
     reach = int(4 * sigma + 0.5)
@@ -196,10 +232,10 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
     around = np.pad(np.arange(rows), reach, mode="symmetric").tolist()
     sides = np.pad(np.arange(cols), reach, mode="symmetric")
     scratch, window = np.empty((cols, bands), np.float32), np.empty((reach, cols, bands), np.float32)
-    wide = np.empty((cols + 2 * reach, bands), np.float32)  # a row, blurred down, and what is beyond its ends
+    wide = np.empty((cols + 2 * reach, bands), np.float32)  # a row after the vertical blur, with its mirrored ends
     for row in range(rows):
 
-        def sharp(at: int, row: int = row) -> Array:  # the rows above are blurred already
+        def sharp(at: int, row: int = row) -> Array:  # the rows above are already blurred; `window` keeps their sharp values
             return window[at % reach] if at < row else cube[at]
 
         line = wide[reach : reach + cols]
@@ -220,8 +256,22 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
 
 
 def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Array) -> Cube:
-    """Return the reflectance (row, col, band) of a demonstration picture: before dead leaves stand a ColorChecker, a grey
-    ramp, a zone plate and slanted bars."""
+    """Draw the demonstration scene: a ColorChecker, a grey ramp, a zone plate and slanted bars in front of dead leaves.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of the random numbers.
+    size : tuple of int
+        Rows and columns.
+    wavelength : ndarray, (band)
+        Wavelengths in nm.
+
+    Returns
+    -------
+    ndarray, (row, col, band)
+        Reflectance.
+    """
     cube = dead_leaves(rng, size, wavelength)
     for units, centre, panel in (
         (*CHART_PANEL, colorchecker),
@@ -234,21 +284,32 @@ def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     return cube
 
 
-CHART_PANEL = (8, 12), (0.66, 0.25)  # of a composition: rows and columns of its 18 × 32 units, centre as a share of the size
+# ColorChecker in a composition of 18 × 32 units: rows and columns in units, centre as a fraction of the size.
+CHART_PANEL = (8, 12), (0.66, 0.25)
 
 
 def _placed(
     size: tuple[int, int], units: tuple[int, int], centre: tuple[float, float]
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the upper left corner and shape in pixels of a panel of a composition of `size`."""
+    """Return the upper left corner and the shape, in pixels, of a panel in a composition of `size`."""
     unit = min(size[0] // 18, size[1] // 32)
     height, width = units[0] * unit, units[1] * unit
     return (round(size[0] * centre[0] - height / 2), round(size[1] * centre[1] - width / 2)), (height, width)
 
 
 def chart_places(size: tuple[int, int]) -> list[list[tuple[slice, slice]]]:
-    """Return the regions of a picture of `size` (rows, cols) that may show the 24 patches of a ColorChecker: those of one
-    that fills it, and those of one in a composition."""
+    """Return where a ColorChecker may lie in a picture.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Rows and columns of the picture.
+
+    Returns
+    -------
+    list of list of (slice, slice)
+        Rows and columns of the 24 patches: first for a chart that fills the picture, then for the chart in a composition.
+    """
     (top, left), shape = _placed(size, *CHART_PANEL)
     within = [
         (slice(rows.start + top, rows.stop + top), slice(cols.start + left, cols.stop + left))
@@ -273,9 +334,21 @@ PAINTERS: dict[type, Painter] = {
 
 
 def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) -> Scene:
-    """Return the scene `wanted` for a camera that sees `camera_wavelength`: the same for the same `seed`.
+    """Draw a scene for a camera. Equal seeds give equal scenes.
 
-    The ColorChecker lies on the wavelengths where it was measured, everything else on procedural.grid.
+    Parameters
+    ----------
+    wanted : WantedScene
+        The scene, as the recipe describes it.
+    seed : int
+        The seed of the simulation.
+    camera_wavelength : ndarray, (wavelength)
+        Wavelengths that the camera sees, in nm.
+
+    Returns
+    -------
+    Scene
+        The ColorChecker keeps the wavelengths at which it was measured. All other scenes have those of `grid`.
     """
     source = wanted.source
     measured = isinstance(source, sources.ColorChecker)
@@ -297,7 +370,10 @@ def colorchecker(size: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
-    """Return the rows and columns of the 24 patches, row by row, on a board of `size`: squares a fifth apart."""
+    """Return the rows and columns of the 24 square patches on a board of `size`, row by row.
+
+    The gap between patches is a fifth of their side.
+    """
     pitch = min(size[0] / 4.2, size[1] / 6.2)
     side = max(1, int(pitch / 1.2))
     corners = [
@@ -309,7 +385,7 @@ def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
 
 
 def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
-    """Return the patches (patch, band), row by row in `rows` rows, filling `size`; where there is room, with dark rims."""
+    """Arrange patches (patch, band) in `rows` rows that fill `size`, with dark borders if the patches are large enough."""
     cols = len(reflectance) // rows
     row = np.arange(size[0]) * rows // size[0]
     col = np.arange(size[1]) * cols // size[1]
@@ -323,22 +399,42 @@ def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
 def material_patches(
     kind: str, rng: np.random.Generator, patches: tuple[int, int], size: tuple[int, int], wavelength: Array
 ) -> Cube:
-    """Return a chart of `patches` (rows, cols) draws of one kind of material, "skin" or "leaf", no two alike."""
+    """Draw a chart of `patches` (rows, columns) different samples of one material: `kind` is "skin" or "leaf"."""
     drawn = materials(kind, rng, surfaces(tuple(wavelength)), patches[0] * patches[1])
     return patch_grid(drawn, patches[0], size)
 
 
 def surface_patches(rng: np.random.Generator, patches: tuple[int, int], size: tuple[int, int], wavelength: Array) -> Cube:
-    """Return a chart of `patches` (rows, cols) dyed surfaces, vivid and pale, no two alike."""
+    """Draw a chart of different dyed surfaces, from vivid to pale.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of the random numbers.
+    patches : tuple of int
+        Rows and columns of patches.
+    size : tuple of int
+        Rows and columns of the scene.
+    wavelength : ndarray, (band)
+        Wavelengths in nm.
+
+    Returns
+    -------
+    ndarray, (row, col, band)
+        Reflectance.
+    """
     return patch_grid(dyed(rng, surfaces(tuple(wavelength)), patches[0] * patches[1]), patches[0], size)
 
 
-MUNSELL_HUES, MUNSELL_VALUES, MUNSELL_CHROMAS = 20, (30, 50, 70, 85), (8, 20, 35, 55)
+MUNSELL_HUES, MUNSELL_VALUES, MUNSELL_CHROMAS = 20, (30, 50, 70, 85), (8, 20, 35, 55)  # number of hues, L*, C*ab
 
 
 def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
-    """Return the colours in equal steps of hue (across), lightness and chroma (down) of CIE LCh under D65, as the smoothest
-    reflectances; a colour outside sRGB is drawn towards grey until it is inside."""
+    """Return a chart of equal steps of hue (across), lightness and chroma (down) in CIE LCh under D65.
+
+    The patches have the smoothest reflectances of these colours. A colour outside sRGB is moved towards grey until it is
+    inside.
+    """
     hue = np.arange(MUNSELL_HUES) * (2 * np.pi / MUNSELL_HUES)
     value, chroma, hue = (axis.ravel() for axis in np.meshgrid(MUNSELL_VALUES, MUNSELL_CHROMAS, hue, indexing="ij"))
     linear = srgb_from_lab(np.stack([value, chroma * np.cos(hue), chroma * np.sin(hue)], axis=1))
@@ -354,7 +450,24 @@ def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def slanted_edge(size: tuple[int, int], wavelength: Array, angle: float, dark: float, bright: float) -> Cube:
-    """Return a straight edge through the middle, `angle` degrees from the vertical, `dark` on its left (ISO 12233)."""
+    """Return a straight edge through the middle of the scene (ISO 12233).
+
+    Parameters
+    ----------
+    size : tuple of int
+        Rows and columns.
+    wavelength : ndarray, (band)
+        Wavelengths in nm.
+    angle : float
+        Angle from the vertical, in degrees.
+    dark, bright : float
+        Reflectance on the left and on the right of the edge.
+
+    Returns
+    -------
+    ndarray, (row, col, band)
+        Reflectance.
+    """
     down, across = _centred(size, FINER)
     side = across + np.tan(np.radians(angle)) * down > 0
     share = side.reshape(size[0], FINER, size[1], FINER).mean(axis=(1, 3))
@@ -362,15 +475,17 @@ def slanted_edge(size: tuple[int, int], wavelength: Array, angle: float, dark: f
 
 
 def zone_plate(size: tuple[int, int], wavelength: Array, highest: float) -> Cube:
-    """Return the rings about the middle whose frequency grows to `highest` cycles a pixel at the shorter sides."""
+    """Return concentric rings whose frequency grows linearly to `highest` cycles per pixel at the nearest sides."""
     down, across = _centred(size)
     phase = np.pi * highest * (down**2 + across**2) / (min(size) / 2)
     return _grey(0.475 + 0.425 * np.cos(phase), wavelength)
 
 
 def frequencies(size: tuple[int, int], wavelength: Array, orders: int) -> Cube:
-    """Return the columns of gratings, each of twice the frequency of the one to its left up to 0.5 cycles a pixel; their
-    contrast falls from 1 at the top to 1/100 at the bottom."""
+    """Return columns of gratings, each with twice the frequency of its left neighbour; the last has 0.5 cycles per pixel.
+
+    The contrast falls from 1 at the top to 1/100 at the bottom.
+    """
     across = np.arange(size[1])
     order = across * orders // size[1]
     wave = np.cos(2 * np.pi * across * 0.5 ** (orders - order))
@@ -379,7 +494,10 @@ def frequencies(size: tuple[int, int], wavelength: Array, orders: int) -> Cube:
 
 
 def grey_ramp(size: tuple[int, int], wavelength: Array, octaves: float) -> Cube:
-    """Return greys from 2^-octaves on the left to 1: continuous in the upper half, in steps of half an octave below."""
+    """Return greys from 2^-octaves on the left to 1 on the right.
+
+    The upper half is continuous. The lower half has steps of half an octave.
+    """
     position = np.arange(size[1]) / (size[1] - 1)
     steps = max(1, round(2 * octaves))
     stepped = np.floor(np.minimum(position, 1 - 1e-9) * (steps + 1)) / steps
@@ -391,7 +509,7 @@ def grey_ramp(size: tuple[int, int], wavelength: Array, octaves: float) -> Cube:
 
 
 def ramp_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Return greys from 1 % to 100 %: continuous above, 16 steps below."""
+    """Return greys from 1 % to 100 %: continuous in the upper half, in 16 steps in the lower half."""
     position = (np.arange(shape[1]) + 0.5) / shape[1]
     smooth, steps = 0.01 ** (1 - position), 0.01 ** (1 - np.floor(position * 16) / 15)
     panel = np.where((np.arange(shape[0]) < shape[0] // 2)[:, None], smooth, steps)
@@ -399,7 +517,7 @@ def ramp_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def zone_plate_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Return the rings that grow finer towards the rim, up to 0.4 cycles a pixel: what any mosaic has trouble with."""
+    """Return a zone plate that reaches 0.4 cycles per pixel at its rim, a hard test for every demosaicking method."""
     down, across = _centred(shape)
     panel = zone_plate(shape, wavelength, 0.4)
     panel[down**2 + across**2 >= (min(shape) / 2) ** 2] = BOARD
@@ -407,7 +525,7 @@ def zone_plate_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Draw five-degree slanted black and white bars, narrower from left to right (edges for an ISO 12233 reading)."""
+    """Return black and white bars, slanted by 5° and narrower from left to right. Their edges suit ISO 12233 analysis."""
     down, across = _centred(shape, 4)
     position = (across + np.tan(np.radians(5)) * down) / shape[1] + 0.5
     bars = np.sin(2 * np.pi * (1.5 * position + 8 * position**3)) > 0
@@ -416,7 +534,7 @@ def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def _centred(shape: tuple[int, int], finer: int = 1) -> tuple[Array, Array]:
-    """Return pixel coordinates down and across from the centre of `shape`, sampled `finer` times."""
+    """Return the coordinates, in pixels, down and across from the centre of `shape`, at `finer` samples per pixel."""
     down, across = ((np.arange(length * finer) + 0.5) / finer - length / 2 for length in shape)
     return down[:, None], across[None]
 

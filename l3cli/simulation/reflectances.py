@@ -1,8 +1,13 @@
-"""Reflectance spectra: wide, smooth, physically valid (docs/method.md#procedural-scenes), or of RGB pictures.
+"""Reflectance spectra: random materials for procedural scenes, and spectra for RGB pictures.
 
-A third is drawn from measured surfaces as they are or mixed, a third from a Gaussian fitted to them in logit space, the
-rest are the materials that pictures are full of: skin, leaves, hair. Saturation is low and varies from frame to frame.
-Pictures get the smoothest reflectances of their colours (docs/method.md#pictures-raised-to-spectra).
+Random materials are varied, smooth and physically valid (docs/method.md#procedural-scenes). They come from three sources:
+
+1. measured surfaces, unchanged or mixed,
+2. a Gaussian distribution fitted to the measured surfaces in logit space,
+3. models of materials that are common in pictures: skin, leaves and hair.
+
+Saturation is low and varies between scenes. Pictures get the smoothest reflectances that have their colours
+(docs/method.md#pictures-raised-to-spectra).
 """
 
 import functools
@@ -19,15 +24,19 @@ from l3cli.simulation.light import make_light, matching_weights
 
 Array = NDArray[np.floating]
 
-COMPONENTS = 8  # of the Gaussian in logit space
-DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)  # nm: where colours are drawn for every camera; others follow them
+COMPONENTS = 8  # principal components of the Gaussian in logit space
+DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)  # nm; the same for every camera, so that colours are
 
-# Share of each kind of material (docs/method.md#procedural-scenes).
+# Fraction of each kind of material (docs/method.md#procedural-scenes).
 KINDS = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
-DYED = ("library", "mixture", "gaussian")  # kinds whose saturation a frame draws; the others have their own
-VIVID = (0.0, 1.2)  # saturation of the dyed materials of a chart, greys included
-VESSEL = 0.007  # cm, radius of those that hold the blood of skin
-PAINTED = 0.75  # of the dyed materials scatter by titanium white, as paint, plastic and paper do
+DYED = (
+    "library",
+    "mixture",
+    "gaussian",
+)  # kinds whose saturation is drawn per scene; the other kinds have their natural saturation
+VIVID = (0.0, 1.2)  # range of the saturation in charts of dyed materials; 0 is grey
+VESSEL = 0.007  # cm; radius of the blood vessels of the skin
+PAINTED = 0.75  # fraction of the dyed materials that contain titanium white, as paint, plastic and paper do
 
 # Molar extinction of oxygenated and deoxygenated haemoglobin, cm-1/M, 390…780 nm by 10 (S. Prahl, omlc.org).
 HAEMOGLOBIN_WAVELENGTH = np.arange(390.0, 781.0, 10.0)
@@ -42,24 +51,32 @@ DEOXYGENATED = np.array(
     + [1102, 1116, 1405, 1549, 1312, 1075]
 )
 
-EXACTNESS = 1e4  # weight of the colour equations against roughness
+EXACTNESS = 1e4  # weight of the colour equations relative to smoothness
 
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Measured surfaces and the Gaussian that describes them in logit space."""
+    """Measured surfaces and the Gaussian distribution fitted to them in logit space."""
 
     wavelength: Array  # (band) nm
     measured: Array  # (sample, band) reflectance
     mean: Array  # (band) logit
     components: Array  # (component, band) logit, each scaled to one standard deviation
-    drawn: NDArray[np.bool_]  # (band) those of DRAWN
+    drawn: NDArray[np.bool_]  # (band) whether the wavelength belongs to DRAWN
 
 
 @functools.lru_cache(maxsize=2)
 def surfaces(wavelength: tuple[float, ...]) -> Surfaces:
-    """Return the measured surfaces of colour-science on a grid in nm, no ColorChecker among them. The Gaussian is that of
-    DRAWN, which other wavelengths follow as they do among them, so that a draw has the same colour on any grid."""
+    """Return the measured surfaces of colour-science, without the ColorChecker, and their Gaussian distribution.
+
+    The Gaussian is fitted at the wavelengths of DRAWN. Other wavelengths follow by their regression on it, so a draw has the
+    same colour on every grid.
+
+    Parameters
+    ----------
+    wavelength : tuple of float
+        The grid in nm.
+    """
     grid = np.array(wavelength)
     every = np.union1d(DRAWN, grid)
     library = spectra.reflectance_library(every)
@@ -79,12 +96,15 @@ def _logit(reflectance: Array) -> Array:
 
 
 def drawn_bands(wavelength: Array) -> NDArray[np.bool_]:
-    """Return whether colours are drawn on each `wavelength` (band) in nm."""
+    """Return the mask (band) of the wavelengths, in nm, that belong to DRAWN."""
     return np.isin(wavelength, DRAWN)
 
 
 def palette(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Return the materials of one frame: 6–60 reflectances (material, band). Half the frames have one dominant kind."""
+    """Draw the materials of one scene: 6 to 60 reflectances (material, band).
+
+    One kind of material dominates in half of the scenes.
+    """
     count = int(np.exp(rng.uniform(np.log(6), np.log(60))))
     shares = np.array(list(KINDS.values()))
     if rng.random() < 0.5:
@@ -95,12 +115,12 @@ def palette(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def materials(kind: str, rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """Return `count` reflectances (material, band) of one of KINDS."""
+    """Draw `count` reflectances (material, band) of one of KINDS."""
     return np.array([_material(rng, of, kind, 1.0) for _ in range(count)])
 
 
 def dyed(rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """Return `count` dyed reflectances (material, band) as vivid as measured ones are."""
+    """Draw `count` reflectances (material, band) of dyed surfaces, from grey to slightly more vivid than measured ones."""
     shares = np.array([KINDS[kind] for kind in DYED])
     kinds = rng.choice(DYED, size=count, p=shares / shares.sum())
     return np.array([_dye(rng, of, kind, rng.uniform(*VIVID)) for kind in kinds])
@@ -118,7 +138,7 @@ def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -
 
 
 def _painted(rng: np.random.Generator, reflectance: Array, wavelength: Array) -> Array:
-    """Return reflectance (band) with an edge of titanium white as paints, plastics and papers have it."""
+    """Add the absorption edge of titanium white to a reflectance (band), as in paints, plastics and papers."""
     edge = np.exp(rng.normal(np.log(0.2), 0.7))
     return with_titanium_white(reflectance, wavelength, edge, rng.uniform(5.0, 11.0))
 
@@ -128,7 +148,7 @@ def _library(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _mixture(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Return two measured surfaces side by side (arithmetic mean) or one over the other (geometric mean)."""
+    """Mix two measured surfaces, side by side (arithmetic mean) or one over the other (geometric mean)."""
     one, other = of.measured[rng.integers(0, len(of.measured), 2)]
     share = rng.random()
     return one * share + other * (1 - share) if rng.random() < 0.5 else one**share * other ** (1 - share)
@@ -137,22 +157,30 @@ def _mixture(rng: np.random.Generator, of: Surfaces) -> Array:
 def _gaussian(rng: np.random.Generator, of: Surfaces) -> Array:
     scores = rng.standard_normal(COMPONENTS)
     logit = of.mean + scores @ of.components
-    # By a product of its own, which rounds alike on every grid.
+    # A separate product, so that rounding does not depend on the grid.
     logit[of.drawn] = of.mean[of.drawn] + scores @ np.compress(of.drawn, of.components, axis=1)
     return 1.0 / (1.0 + np.exp(-logit))
 
 
 def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Return skin: a dermis with blood under an epidermis with melanin.
+    """Draw a skin: a dermis with blood under an epidermis with melanin.
 
-    Absorption in cm⁻¹: whole blood of 150 g/l haemoglobin (64 500 g/mol), the blood-free baseline and melanin ∝ λ^−3.33
-    of S. Jacques, "Skin optics" (omlc.org, 1998); reduced scattering 46 (λ/500)^−b cm⁻¹. Vessels hide the blood in their
-    middle (van Veen and others 2002). Blood, melanin and VESSEL are those whose mean is that of 41 measured skins (Vhrel
-    and others 1994; University of Utah): within 2 %, and 5 % of the mean of 71 others.
+    Notes
+    -----
+    Absorption, in cm⁻¹, is that of whole blood with 150 g/l haemoglobin (64 500 g/mol), plus the blood-free baseline and
+    melanin ∝ λ^−3.33 of [1]_. Reduced scattering is 46 (λ/500)^−b cm⁻¹. Light does not reach the blood in the middle of a
+    vessel [2]_. The mean blood and melanin contents and VESSEL are chosen so that the mean skin agrees with that of 41
+    measured skins (Vrhel and others 1994; University of Utah) within 2 %. It agrees with the mean of 71 other skins within 5
+    %.
+
+    References
+    ----------
+    .. [1] S. Jacques, "Skin optics", omlc.org, 1998.
+    .. [2] van Veen and others, 2002.
     """
     wavelength = of.wavelength
-    melanin = min(np.exp(rng.normal(np.log(0.09), 0.6)), 0.5)  # volume share in the epidermis
-    blood = np.exp(rng.normal(np.log(0.11), 0.5))  # volume share in the dermis
+    melanin = min(np.exp(rng.normal(np.log(0.09), 0.6)), 0.5)  # volume fraction in the epidermis
+    blood = np.exp(rng.normal(np.log(0.11), 0.5))  # volume fraction in the dermis
     oxygen = rng.uniform(0.5, 0.95)
     haemoglobin = np.interp(wavelength, HAEMOGLOBIN_WAVELENGTH, oxygen * OXYGENATED + (1 - oxygen) * DEOXYGENATED)
     whole_blood = 2.303 * 150.0 / 64500.0 * haemoglobin
@@ -165,7 +193,10 @@ def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Return a leaf: chlorophyll and carotenoid bands as Gaussians over a clear tissue, a quarter with anthocyanin."""
+    """Draw a plant leaf: Gaussian absorption bands of chlorophyll and carotenoids in a clear tissue.
+
+    A quarter of the leaves also contain anthocyanin.
+    """
 
     def band(centre: float, width: float) -> Array:
         return np.exp(-0.5 * ((of.wavelength - centre) / width) ** 2)
@@ -180,7 +211,7 @@ def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _hair(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Return hair and fur: a grey gloss over a melanin slope, dark brown to blond."""
+    """Draw hair or fur, from dark brown to blond: a grey gloss and the slope of melanin."""
     slope = (of.wavelength / 680.0) ** rng.uniform(0.3, 5.0)
     return rng.uniform(0.01, 0.04) + np.exp(rng.normal(np.log(0.06), 0.8)) * slope
 
@@ -189,27 +220,57 @@ _DRAW = {"library": _library, "mixture": _mixture, "gaussian": _gaussian, "skin"
 
 
 def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64], name: str) -> Scene:
-    """Return the scene of a linear sRGB picture (row, col, 3): reflectance = red · R + green · G + blue · B.
+    """Turn a linear sRGB picture into a spectral scene: reflectance = red · R + green · G + blue · B.
 
-    The three spectra are at least 0 and sum to 1 at every wavelength, so that values in 0…1 give reflectances in 0…1.
-    `wavelength` (band) in nm are some of DRAWN and any beyond, where spectra are held.
+    The three spectra of `primaries` are non-negative and sum to 1 at every wavelength, so values from 0 to 1 give
+    reflectances from 0 to 1.
+
+    Parameters
+    ----------
+    linear : ndarray, (row, col, 3)
+        Linear sRGB; 1 is white.
+    wavelength : ndarray, (band)
+        Wavelengths in nm: some of DRAWN, and any beyond its ends, where the spectra are held constant.
+    name : str
+        Name of the scene.
+
+    Returns
+    -------
+    Scene
+        The scene, without an illuminant of its own.
     """
     cube = np.maximum(linear, np.float32(0.0)) @ primaries().astype(np.float32)
-    if not np.array_equal(wavelength, DRAWN):  # taken of one product, so that every camera is shown the same values
+    if not np.array_equal(wavelength, DRAWN):  # selecting bands of the same product gives every camera the same values
         cube = cube[..., abs(np.subtract.outer(wavelength, DRAWN)).argmin(axis=1)]
     return Scene(name, wavelength, cube, NO_ILLUMINANT)
 
 
 def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:
-    """Return a linear picture (row, col, 3) with each `by` × `by` pixels averaged to one; a rest at the end is cut."""
+    """Average each block of `by` × `by` pixels of a linear picture.
+
+    Parameters
+    ----------
+    linear : ndarray, (row, col, 3)
+        The picture.
+    by : int
+        Side of a block, in pixels. Incomplete blocks at the ends are cut off.
+
+    Returns
+    -------
+    ndarray, (row, col, 3)
+        The smaller picture.
+    """
     rows, cols = (length // by * by for length in linear.shape[:2])
     return linear[:rows, :cols].reshape(rows // by, by, cols // by, by, 3).mean(axis=(1, 3))
 
 
 @functools.cache
 def primaries() -> Array:
-    """Return reflectances (3, band) at DRAWN whose colours under D65 are the sRGB primaries: the smoothest that are not
-    negative and sum to 1 (after Mallett and Yuksel, "Spectral primary decomposition", 2019)."""
+    """Return the smoothest reflectances (3, band), at DRAWN, whose colours under D65 are the sRGB primaries.
+
+    They are non-negative and sum to 1 at every wavelength (after Mallett and Yuksel, "Spectral primary decomposition",
+    2019).
+    """
     from scipy.optimize import lsq_linear
 
     count = DRAWN.size
@@ -222,7 +283,7 @@ def primaries() -> Array:
         EXACTNESS * np.kron(np.eye(3), to_rgb),
         EXACTNESS * np.kron(np.ones(3), np.eye(count)),
     ]
-    colours = np.eye(3) * to_rgb.sum(axis=1)  # a perfect white is (1, 1, 1) but for the grid's own error
+    colours = np.eye(3) * to_rgb.sum(axis=1)  # a perfect white is (1, 1, 1), except for the sampling error of the grid
     wanted = np.concatenate([np.zeros(3 * (count - 1)), EXACTNESS * colours.ravel(), EXACTNESS * np.ones(count)])
     solution = lsq_linear(np.concatenate(rows), wanted, bounds=(0.0, 1.0), tol=1e-12).x.reshape(3, count)
     return solution / solution.sum(axis=0)
