@@ -7,7 +7,8 @@
 #   ./slurm.sh 16                submit everything: arrays of 16 tasks simulate, then learn; each step waits for the one before
 #   tail -n 3 slurm/16/log/*     show progress
 # Existing outputs are not made again, so after a failure run the same call again; after a change of a recipe remove slurm/16 first.
-# The table has the same bytes as from one l3 train over all training sets. sbatch takes options from its SBATCH_ variables; the
+# The table has the same bytes as from one l3 train over all training sets. It has one set of transforms for all lights, since
+# shards cannot learn a set for each: the line "lights" of classes.toml is left out. sbatch takes options from its SBATCH_ variables; the
 # Makefile makes the camera, by CAMERA and MEASUREMENTS of the environment.
 set -euo pipefail
 
@@ -41,7 +42,7 @@ learn() { # PASS: the partial sums of this task's share
     [[ $pass != "$1" ]] || break
     before=$folder/$pass.h5
   done
-  make_of "$folder/$1_$shard.h5" l3 train "$folder"/training_*.h5 --classes classes.toml \
+  make_of "$folder/$1_$shard.h5" l3 train "$folder"/training_*.h5 --classes "$folder/classes.toml" \
     --shard "$SLURM_ARRAY_TASK_ID/$tasks" --jobs "$jobs" ${before:+--first "$before"}
 }
 
@@ -65,6 +66,7 @@ case $step in
   "$tasks")
     make -n inputs >/dev/null # refuses what make cannot do, before anything waits in a queue
     mkdir -p "$folder/log"
+    sed '/^lights = /d' classes.toml >"$folder/classes.toml"
     submit camera
     submit simulate --array="1-$tasks"
     for pass in "${passes[@]}"; do

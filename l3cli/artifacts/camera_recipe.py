@@ -40,6 +40,7 @@ from l3cli.recipes.toml import (
     parse_toml,
     read_text,
 )
+from l3cli.spectra.table import CurveTable
 
 MOST_NOISE = 1e4  # e-
 MOST_ISO = 1e7  # of any camera's base
@@ -244,14 +245,20 @@ def camera_files(path: Path) -> list[Path]:
     return list(dict.fromkeys([path, whole, *([] if named is None else [whole.parent / named])]))
 
 
-def columns_left_out(path: Path) -> str | None:
-    """Return a line on the columns of a recipe's file of curves that are of none of its channels, if there are any."""
+def curves_in_file(path: Path) -> CurveTable | None:
+    """Return the curves in the file that a camera recipe names; None if `path` is no recipe or names no such file."""
     if path.suffix != ".toml":
         return None
     recipe, whole = read_recipe(path)
     if recipe.responsivity.file is None:
         return None
-    return curve_table(recipe.responsivity, _filters(recipe), whole.parent).note
+    return curve_table(recipe.responsivity, _filters(recipe), whole.parent)
+
+
+def columns_left_out(path: Path) -> str | None:
+    """Return a line on the columns of a recipe's file of curves that are of none of its channels, if there are any."""
+    curves = curves_in_file(path)
+    return None if curves is None else curves.note
 
 
 def _filters(recipe: CameraRecipe) -> list[str]:

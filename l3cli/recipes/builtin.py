@@ -31,6 +31,13 @@ KNOWN = {  # what the pipelines take for the camera where its recipe is no inven
     "Snakefile": ('config.get("camera", "snakemake/camera.h5")', 'config.get("camera", "camera.toml")'),
     "slurm.sh": ("${CAMERA:-camera.h5}", "${CAMERA:-camera.toml}"),
 }
+# What the recipes of a folder say for several lights: a scene recipe, a class recipe.
+LIGHTS = '["A", "D65"]'
+ILLUMINANTS = 'illuminants = ["D65"]\n', f"illuminants = {LIGHTS}\n"
+LEARNING = (
+    "[learning]\n",
+    f"[learning]\nlights = {LIGHTS}    # each has transforms of its own; a frame's white chooses\n",
+)
 # Camera recipes whose classes are not those of `default`: their class recipe, by name.
 CLASSES = {"nona_bayer_hdr": "blocks", "rgbir4x4": "long_period"}
 
@@ -104,8 +111,21 @@ def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 def common_files(rows: int, cols: int) -> dict[str, bytes]:
     """Return what a folder holds beside the recipe of a camera of `rows` × `cols` pixels, whose scenes fit that sensor."""
     files = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
-    scenes = {name: fitting_scenes(files[name].decode(), rows, cols).encode() for name in SCENES}
-    return files | known_camera(files) | scenes
+    files |= known_camera(files) | for_lights(files)
+    return files | {name: fitting_scenes(files[name].decode(), rows, cols).encode() for name in SCENES}
+
+
+def for_lights(contents: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Return the scene and class recipe among `contents` as they train for daylight and for lamps.
+
+    The recipes that come with l3 name one light, so that each can be used without the other.
+    """
+    changed = {}
+    for name, (before, after) in {"scenes.toml": ILLUMINANTS, "classes.toml": LEARNING}.items():
+        text = contents[name].decode()
+        assert text.count(before) == 1
+        changed[name] = text.replace(before, after).encode()
+    return changed
 
 
 def fitting_scenes(text: str, rows: int, cols: int) -> str:

@@ -90,6 +90,11 @@ class LabRecipe(Recipe):
     monitor_error: NotNegative = 0.001  # relative standard deviation of the reading that follows them
     falloff: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.1  # share of every lamp's light missing in the corners
 
+    @property
+    def lights(self) -> tuple[str, ...]:
+        """Return the names of the lights that fall on charts and white."""
+        return tuple(dict.fromkeys((*self.chart.illuminants, self.white.illuminant)))
+
 
 def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]:
     """Yield all that a lab cannot do, of `camera` if there is one."""

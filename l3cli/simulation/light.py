@@ -3,20 +3,22 @@
 import hashlib
 import itertools
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import curves_in_file
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import fit_through
-from l3cli.spectra.file import read_table
+from l3cli.spectra.file import names_file, read_table
 from l3cli.spectra.table import NOISE, gaps
 
 Array = NDArray[np.floating]
@@ -98,7 +100,50 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     return Light(text, 1.0, wavelength, radiance / sum(share for share, _ in names), digest)
 
 
-def beyond_known(light: Light, measured: Mapping[str, Curve], camera: CameraModel) -> str:
+class Sees(Protocol):
+    """What collects electrons of a light: a camera, or filters on a pixel."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels or filters."""
+
+    @property
+    def wavelength(self) -> NDArray[np.float64]:
+        """Wavelengths (wavelength) in nm."""
+
+    @property
+    def electron_weights(self) -> NDArray[np.float64]:
+        """Electrons (channel, wavelength) of unit radiance in photons, of any scale."""
+
+
+class Filters(NamedTuple):
+    """Filters on a pixel, as `Sees` has them."""
+
+    channels: tuple[str, ...]
+    wavelength: NDArray[np.float64]
+    electron_weights: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, curves: Mapping[str, Array], wavelength: Array) -> "Filters":
+        """Return the filters of these quantum efficiencies (wavelength), by name."""
+        return cls(tuple(curves), np.asarray(wavelength), np.array(list(curves.values())) * spectra.bin_widths(wavelength))
+
+
+def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
+    """Return a warning for each light that `beyond_known` warns of, of those that have a name.
+
+    Measured lights and the light of a scene are left out: their spectra are not at hand where only names are.
+    """
+    named = [
+        name
+        for name in dict.fromkeys(names)
+        if name != SCENE_LIGHT and not any(names_file(part) for _, part in mixture(name))
+    ]
+    warnings = (beyond_known(make_light(name, {}, camera.wavelength), {}, camera) for name in named)
+    return list(filter(None, warnings))
+
+
+def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> str:
     """Say which light is not known at wavelengths that a channel collects a hundredth or more of its electrons at.
 
     A named light is held constant beyond its table. A measured light counts as dark there; what it would give if it went on
@@ -131,6 +176,67 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: CameraMode
     return found[1]
 
 
+def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: CameraModel) -> str:
+    """Return a warning if a lens of a measured transmittance, which passes nothing beyond it, would let a channel collect a
+    hundredth or more of its electrons there if it went on as it ends; else "". `camera` is that without the lens."""
+    grid, held = transmittance[0], _held(transmittance, camera.wavelength)[0]
+    passing = Filters(camera.channels, camera.wavelength, camera.electron_weights * held)
+    taken, channel = share_beyond(passing, light, light, (grid.min(), grid.max()))
+    return _file_ends(name, grid, f"channel {channel} would collect {taken:.0%} of its electrons", taken, span_of(camera))
+
+
+def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], light: Light) -> str:
+    """Return a warning if an output of measured matching functions, which are zero beyond them, would have a hundredth or
+    more of its value for a white from there if they went on as they end; else ""."""
+    grid, wavelength = functions[0], light.wavelength
+    weights = np.abs(spectra.matching_weights(_held(functions, wavelength), wavelength) * light.radiance)
+    outside = (wavelength < grid.min()) | (wavelength > grid.max())
+    every = weights.sum(axis=1)
+    shares = weights[:, outside].sum(axis=1) / np.where(every > 0, every, np.inf)
+    output, taken = int(shares.argmax()), float(shares.max())
+    wanted = f"{wavelength[0]:g}…{wavelength[-1]:g} nm"
+    return _file_ends(name, grid, f"output {names[output]} would have {taken:.0%} of its value for a white", taken, wanted)
+
+
+def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
+    """Return a warning if the responsivities of a camera recipe come from a file that ends within the recipe's wavelengths,
+    where a channel would collect a hundredth or more of its electrons if its curve went on as it ends; else "".
+
+    The model of the camera has zeros there.
+    """
+    curves = curves_in_file(recipe)
+    if curves is None:
+        return ""
+    grid, wavelength = curves.wavelength, camera.wavelength
+    inside = (wavelength >= grid.min()) & (wavelength <= grid.max())
+    held = _held((wavelength[inside], camera.responsivity[:, inside]), wavelength)
+    seen = Filters.of(dict(zip(camera.channels, held, strict=True)), wavelength)
+    taken, channel = share_beyond(seen, light, light, (grid.min(), grid.max()))
+    there = f"channel {channel} would collect {taken:.0%} of its electrons"
+    return _file_ends(str(curves.path), grid, there, taken, span_of(camera))
+
+
+def camera_unknown(path: Path, camera: CameraModel, lights: Sequence[str]) -> list[str]:
+    """Return warnings of what is not known of a camera of that file, and of the light it is used under, where its channels
+    collect electrons: one for each named light, and one for the file of curves of a recipe."""
+    ends = (curves_beyond_known(path, make_light(name, {}, camera.wavelength), camera) for name in lights)
+    return [*named_beyond_known(lights, camera), *itertools.islice(filter(None, ends), 1)]
+
+
+def _held(curves: Curve, wavelength: Array) -> Array:
+    """Return curves (curve, wavelength) that go on as they end."""
+    order = np.argsort(curves[0])
+    return np.array([np.interp(wavelength, curves[0][order], each[order]) for each in curves[1]])
+
+
+def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) -> str:
+    """Return the warning on a file of curves; "" if the share `taken` is not noticeable."""
+    if taken <= NOTICEABLE:
+        return ""
+    known = f"{name} is known at {grid.min():g}…{grid.max():g} nm and counts as zero beyond"
+    return f"{known}; if it went on as it ends, {there} there; give values at {wanted}"
+
+
 def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
     """Return a warning if a channel collects a hundredth or more of its electrons where measured surfaces are held constant,
     else ""."""
@@ -144,7 +250,7 @@ def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
     )
 
 
-def share_beyond(camera: CameraModel, part: Light, whole: Light, ends: tuple[float, float]) -> tuple[float, str]:
+def share_beyond(camera: Sees, part: Light, whole: Light, ends: tuple[float, float]) -> tuple[float, str]:
     """Return the largest share of a channel's electrons from white under a light, that a part of it gives beyond two
     wavelengths in nm, and the channel."""
     outside = (part.wavelength < ends[0]) | (part.wavelength > ends[1])
@@ -155,7 +261,7 @@ def share_beyond(camera: CameraModel, part: Light, whole: Light, ends: tuple[flo
     return float(shares[channel]), camera.channels[channel]
 
 
-def span_of(camera: CameraModel) -> str:
+def span_of(camera: Sees) -> str:
     """Return the wavelengths that a camera sees."""
     return f"{camera.wavelength[0]:g}…{camera.wavelength[-1]:g} nm"
 
@@ -235,7 +341,7 @@ def _digest(*arrays: Array) -> str:
     return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
-def electron_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
+def electron_weights(camera: Sees, light: Light, bands: Array) -> Array:
     """Return the photo-electrons a second (channel, band) of unit reflectance in each band.
 
     The responsivity is taken as linear between its samples, so each sample sees the light's mean under its own hat.
@@ -258,7 +364,7 @@ def matching_weights(functions: Array, light: Light, bands: Array) -> Array:
     return weights @ spectra.held_interpolation(bands, light.wavelength)
 
 
-def white_rates(camera: CameraModel, light: Light) -> Array:
+def white_rates(camera: Sees, light: Light) -> Array:
     """Return the photo-electrons a second (channel) of a perfect white."""
     return electron_weights(camera, light, light.wavelength).sum(axis=1)
 

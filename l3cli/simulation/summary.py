@@ -11,7 +11,7 @@ from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, columns_lef
 from l3cli.artifacts.recipe_source import Meaning, RecipeSource
 from l3cli.errors import InputFileError, listed
 from l3cli.simulation.lab import LabRecipe, plan
-from l3cli.simulation.light import make_light, white_rates
+from l3cli.simulation.light import camera_unknown, make_light, named_beyond_known, white_rates
 from l3cli.system.text import array_lines, columns, seconds_text, size_text
 
 LIGHTS = ("D65", "A")
@@ -59,7 +59,9 @@ def camera_figures(camera: CameraModel) -> dict[str, Any]:
 
 def camera_meaning(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Meaning:
     """Return the camera in figures, and a note on columns of its file of curves."""
-    return camera_figures(load_camera(source.path)) | {"note": columns_left_out(source.path)}, []
+    camera = load_camera(source.path)
+    unknown = {"warnings": camera_unknown(source.path, camera, LIGHTS)}
+    return camera_figures(camera) | {"note": columns_left_out(source.path)} | unknown, []
 
 
 def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:
@@ -100,7 +102,8 @@ def lab_meaning(recipe: LabRecipe, source: RecipeSource) -> Meaning:
     frames = sum(capture.trials for capture in captures)
     kinds = dict(Counter(capture.kind for capture in captures))
     size = frames * camera.rows * camera.cols * 2
-    return {"camera": camera.name, "captures": kinds, "frames": frames, "bytes": size}, []
+    warnings = named_beyond_known(recipe.lights, camera)
+    return {"camera": camera.name, "captures": kinds, "frames": frames, "bytes": size, "warnings": warnings}, []
 
 
 def lab_lines(lab: dict[str, Any], width: int | None) -> list[str]:

@@ -28,10 +28,11 @@ from l3cli.recipes.schema import schema_of
 from l3cli.recipes.toml import KIND_KEYS, KeyPath, Recipe, key_lines, line_of, parse_toml, read_text
 from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.lab import LabRecipe, lab_recipe_faults
+from l3cli.simulation.light import Filters, named_beyond_known
 from l3cli.simulation.recipe import SceneRecipe, curve_faults, scene_faults, shots
 from l3cli.simulation.sources import wanted_scenes
 from l3cli.simulation.summary import camera_lines, camera_meaning, lab_lines, lab_meaning, scene_lines
-from l3cli.stages.simulation.preparation import prepare, refusals, scene_files, size_of
+from l3cli.stages.simulation.preparation import prepare, refusals, scene_files, size_of, unknown_of
 from l3cli.system.files import note_inputs
 from l3cli.training.recipe import TrainingRecipe, class_recipe_faults
 from l3cli.training.summary import class_lines, class_meaning
@@ -65,8 +66,14 @@ def _design_curves(recipe: DesignRecipe, source: RecipeSource) -> Any:
 
 def design_meaning(recipe: DesignRecipe, source: RecipeSource) -> Meaning:
     """Return the peak efficiency of each filter, and the lights and exposures."""
-    peaks = _design_curves(recipe, source).max(axis=1).tolist()
-    return {"filters": dict(zip(recipe.filters, peaks, strict=True)), "levels": list(map(level_name, recipe.level))}, []
+    curves = _design_curves(recipe, source)
+    camera = pixel_of(recipe.pixel, source.path.parent)
+    filters = Filters.of(dict(zip(recipe.filters, curves, strict=True)), camera.wavelength)
+    return {
+        "filters": dict(zip(recipe.filters, curves.max(axis=1).tolist(), strict=True)),
+        "levels": list(map(level_name, recipe.level)),
+        "warnings": named_beyond_known((level.illuminant for level in recipe.level), filters),
+    }, []
 
 
 def design_lines(figures: dict[str, Any], width: int | None) -> list[str]:
@@ -112,7 +119,9 @@ def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
         for number, errors in enumerate(refusals(run, files))
         for error in errors.values()
     ]
-    return (document, bad) if bad else (document | _sizes(recipe, run, files), [])
+    assert source.camera is not None
+    whole = document | _sizes(recipe, run, files) | {"warnings": unknown_of(run, source.camera)}
+    return (document, bad) if bad else (whole, [])
 
 
 def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> dict[str, Any]:
@@ -362,6 +371,7 @@ def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
     assert judgement.kind is not None
     inside = None if width is None else width - len(INDENT)
     lines = JUDGES[judgement.kind].lines(judgement.meaning, inside) if judgement.meaning else []
+    lines += [f"warning: {text}" for text in judgement.meaning.get("warnings", [])]
     return [f"{judgement.path}: {KINDS[judgement.kind].title}", *(f"{INDENT}{line}".rstrip() for line in lines)]
 
 

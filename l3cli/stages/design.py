@@ -46,11 +46,11 @@ from l3cli.physics.display import displayed, srgb_codes, white_luminance
 from l3cli.recipes.builtin import find_recipe
 from l3cli.recipes.toml import load_recipe, read_text, toml_value
 from l3cli.simulation.frame import SimulationRun, spectral_planes
-from l3cli.simulation.light import SCENE_LIGHT, photon_weights
+from l3cli.simulation.light import SCENE_LIGHT, Filters, named_beyond_known, photon_weights
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.simulation.sources import Spectral, WantedScene, holds_codes, wanted_scenes
 from l3cli.stages.evaluation import FrameRenderers
-from l3cli.stages.simulation.preparation import fitting, input_files, prepare, scene_over_time
+from l3cli.stages.simulation.preparation import fitting, input_files, prepare, scene_over_time, unknown_of
 from l3cli.stages.simulation.simulate import simulate
 from l3cli.stages.simulation.units import is_of_run, key_of
 from l3cli.stages.training.train import train
@@ -107,6 +107,8 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
         parts = Parts(parts_folder(output), key_of(stage))
         if _begin(output, "scene moments", parts, {"scene recipe": [scenes], **inputs}, options):
             return load(SceneMoments, output)
+        for unknown in unknown_of(run, pixel):
+            console.warn(unknown)
         wanted = [
             each for source, paths in zip(run.recipe.scene, files, strict=True) for each in wanted_scenes(source, paths)
         ]
@@ -313,6 +315,9 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> Design:
         parts = Parts(parts_folder(output), key_of(stage))
         if _begin(output, "design", parts, {"recipe": files, "moments": [options.moments]}, options):
             return load(Design, output)
+        filters = Filters.of(dict(zip(task.names, task.curves, strict=True)), task.scenes.wavelength)
+        for unknown in named_beyond_known((light.illuminant for light in task.lights), filters):
+            console.warn(unknown)
         with parts.held(options.resume, options.force), workers(options.jobs) as pool:
             run = _Run(task, parts, pool, options)
             arrays = list(run.candidates(lists))

@@ -41,7 +41,7 @@ from l3cli.rendering.display import require_xyz
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.simulation.frame import AtGain, frames_like, simulate, target_of
-from l3cli.simulation.light import Light, Target, automatic_exposure, make_light
+from l3cli.simulation.light import Light, Target, automatic_exposure, make_light, named_beyond_known
 from l3cli.simulation.procedural import slanted_edge, surface_patches
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sensor import expose
@@ -220,6 +220,9 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
             by_gain = figures_by_gain(transforms, reader, options.backend, console, options.viewing, options.border)
             document = document_of(evaluation, renderers, reader.head, by_gain)
             frames_lights = map(reader.light, range(len(reader)))
+            lights = [reader.light(index).illuminant for index in range(reader.simulated)]
+            for unknown in named_beyond_known((*lights, standards.LIGHT), reader.head.camera):
+                console.warn(unknown)
             warn_of_other_lights(at_own, document, {each.illuminant: each.white for each in frames_lights}, console)
         if reason := cache_warning():
             console.warn(reason)

@@ -20,6 +20,7 @@ from l3cli.physics.display import XYZ
 from l3cli.rendering.conditions import at_gain, known_gains, mix_for, mixed, noise_limits
 from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import given_white
+from l3cli.simulation.light import named_beyond_known
 from l3cli.stages.rendering.render import mix_of_given
 from l3cli.system.console import Console
 from l3cli.system.files import write_whole
@@ -135,6 +136,9 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
         balance = shown.balance if shown else None
         if white and shown and form == "c" and (doubt := far_from_training(white, shown, transforms)):
             console.warn(doubt)
+        if white and shown and transforms.camera is not None and "," not in white:
+            for unknown in named_beyond_known((white,), transforms.camera):
+                console.warn(unknown)
         if form == "c":
             files = c_files(transforms, words or "float32", balance, PREFIX if prefix is None else prefix)
         else:

@@ -16,7 +16,7 @@ from l3cli.options.commands import LabOptions
 from l3cli.parallel import workers
 from l3cli.recipes.toml import load_recipe
 from l3cli.simulation.lab import FOLDERS, LabCapture, LabRecipe, chart_corners, plan, take
-from l3cli.simulation.light import beyond_known, make_light
+from l3cli.simulation.light import camera_unknown
 from l3cli.simulation.sensor import DefectRecipe
 from l3cli.spectra.units import PHOTON_RADIANCE
 from l3cli.system.files import note_output, refuse_existing, refuse_protected
@@ -73,9 +73,8 @@ def measure(camera: Path, output: Path, options: LabOptions) -> Path:
         )
         if note := columns_left_out(camera):
             console.info(note)
-        for name in dict.fromkeys((*chosen.chart.illuminants, chosen.white.illuminant)):
-            if unknown := beyond_known(make_light(name, {}, model.wavelength), {}, model):
-                console.warn(unknown)
+        for unknown in camera_unknown(camera, model, chosen.lights):
+            console.warn(unknown)
         file.unlink(missing_ok=True)  # written last, so that it never names frames of two runs
         work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
         write_frame = functools.partial(_write_frame, model, chosen.defects, output, seed)

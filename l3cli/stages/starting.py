@@ -34,7 +34,17 @@ from l3cli.io.raw.cfa_codes import LETTERS, code_of
 from l3cli.io.raw.files import BY_SUFFIX, is_photo
 from l3cli.io.raw.libraw import stated
 from l3cli.options.commands import InitOptions
-from l3cli.recipes.builtin import COMMON, CURVES, common_files, curves_of, folder_files, known_camera, known_recipes, summary
+from l3cli.recipes.builtin import (
+    COMMON,
+    CURVES,
+    common_files,
+    curves_of,
+    folder_files,
+    for_lights,
+    known_camera,
+    known_recipes,
+    summary,
+)
 from l3cli.simulation.lab import SMALLEST_SENSOR
 from l3cli.system.console import Console
 from l3cli.system.files import atomic_output, blamed_on, refuse_protected, require_regular
@@ -78,6 +88,7 @@ def start(starter: Path, folder: Path, options: InitOptions) -> None:
         curves = curves_of(starter)
         contents = {name: origin.read_bytes() for name, origin in origins.items()}
         contents |= known_camera(contents) if curves else {}
+        contents |= {} if starter.is_dir() else for_lights(contents)
         made = [Made(folder / name, "copy", len(content)) for name, content in contents.items()]
         before_work({"recipes": origins.values()}, *made)
         write_folder(folder, contents)

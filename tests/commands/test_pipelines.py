@@ -97,6 +97,25 @@ def test_a_white_is_asked_for_once(workplace: Workplace, folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("lights", "white"), [('"D65"', ["D65"]), ('"3200K", "A"', ["3200K"]), ('"lamp.csv"', []), ('"0.7 D65 + 0.3 A"', [])]
+)
+def test_unseen_frames_are_rendered_under_their_light(
+    lights: str, white: list[str], workplace: Workplace, folder: Path
+) -> None:
+    """A named light is the white of the picture, unless another is asked for; a photo has its own."""
+    (folder / "unseen.toml").write_text(f"illuminants = [{lights}] # of a lamp\n{SMALL['unseen']}")
+    (folder / "photo.dng").touch()
+
+    def whites(call: str) -> list[str]:
+        words = shlex.split(workplace.do(folder, f"make -n picture.png {call}")[0])
+        return [words[place + 1] for place, word in enumerate(words) if word == "--white"]
+
+    assert whites("") == white
+    assert whites("WHITE=D50") == ["D50"]
+    assert whites("PHOTO=photo.dng") == []
+
+
+@pytest.mark.parametrize(
     ("changed", "again"),
     [
         ("classes.toml", {"train table.h5", "render picture.png", "evaluate", "report report.html"}),
@@ -379,6 +398,7 @@ def test_a_wrong_call_of_the_slurm_script_is_refused(call: str, workplace: Workp
 
 SNAKEMAKE = "snakemake --cores 2 --config shards=2 camera=camera.toml"
 RULES = {
+    "classes": 1,
     "simulate": 2,
     "learn": 4,
     "merge": 1,
@@ -415,7 +435,7 @@ def test_snakemake_learns_further_layers(workplace: Workplace, three_layers: Pat
 @pytest.mark.slow
 def test_snakemake_learns_in_shards(workplace: Workplace, folder: Path) -> None:
     _, calls = workplace.do(folder, SNAKEMAKE)
-    assert len(calls) == sum(RULES.values())
+    assert len(calls) == sum(RULES.values()) - RULES["classes"]
     made = folder / "snakemake"
     assert all((made / name).stat().st_size for name in ("table.h5", "picture.png", "quality.txt", "report.html"))
     whole = folder / "whole.h5"

@@ -1,6 +1,7 @@
 """Spectra on other grids: what a table holds between the samples of another is neither lost nor counted twice."""
 
 import dataclasses
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import column_faults
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import save
 from l3cli.calibration import captures, responsivity
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import BandCapture
@@ -20,12 +22,15 @@ from l3cli.frames.scene import Scene, SpectralCube
 from l3cli.io.curves import read_cameras, read_finished
 from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.physics import spectra
+from l3cli.recipes.builtin import known_recipes
 from l3cli.simulation import light, recipe
 from l3cli.simulation.light import make_target, output_weights
 from l3cli.simulation.sources import Cube, scene_of, source_faults
 from l3cli.spectra.file import read_table
+from l3cli.stages import evaluation
 from tests.helpers.calls import L3
 from tests.helpers.cameras import bayer_camera
+from tests.helpers.tables import colorimetric_table
 
 HALVES = np.arange(380.0, 780.1, 0.5)
 SEEN = np.arange(400.0, 701.0, 10.0)
@@ -322,3 +327,139 @@ def test_what_is_held_constant_where_a_channel_sees_it_is_said(
         assert stated is not None
         assert stated[1] == camera.channels[channel]
         assert int(stated[2]) == pytest.approx(100 * shares[channel], abs=2)
+
+
+def infrared_camera(folder: Path) -> CameraModel:
+    """A camera in camera.toml whose third channel sees 760 nm, beyond the tables of most lamps."""
+    text = bayer_camera().replace("[400, 700, 10]", "[400, 900, 10]").replace("centre_nm = 600", "centre_nm = 760")
+    (folder / "camera.toml").write_text(text)
+    return load_camera(folder / "camera.toml")
+
+
+def share_outside(camera: CameraModel, light: str, first: float, last: float) -> tuple[str, float]:
+    """The channel that collects the largest share of its electrons beyond two wavelengths, and the share."""
+    grid = np.arange(400.0, 901.0)
+    seen = np.array([np.interp(grid, camera.wavelength, each) for each in camera.responsivity])
+    seen = seen * spectra.illuminant(light, grid)
+    shares = seen[:, (grid < first) | (grid > last)].sum(axis=1) / seen.sum(axis=1)
+    return camera.channels[int(shares.argmax())], float(shares.max())
+
+
+def require_stated(text: str, camera: CameraModel, light: str, first: float = 400, last: float = 780) -> None:
+    """A warning names the channel and its share."""
+    channel, share = share_outside(camera, light, first, last)
+    stated = re.search(r"channel (\w+) (?:collects|would collect) (\d+)% of its electrons", text)
+    assert stated is not None
+    assert stated[1] == channel
+    assert int(stated[2]) == pytest.approx(100 * share, abs=2)
+
+
+LIT = 'illuminants = ["F2"]\nexposure_share = [0.9]\n[[scene]]\nsource = "grey ramp"\nsize = [64, 64]\n'
+PIXEL = """name = "one"
+pixel = { camera = "camera.toml", bare = 0.5 }
+pattern = [{ shape = [2, 2], filters = ["r", "g", "b"] }]
+level = [{ illuminant = "F2", share = 0.9 }]
+filters = { r = { channel = "r" }, g = { channel = "g" }, b = { channel = "b" } }
+"""
+
+
+def test_every_command_that_takes_a_light_says_where_it_is_not_known(
+    tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation, "document_of", lambda *_: {})  # figures take long
+    monkeypatch.setattr(evaluation, "warn_of_other_lights", lambda *_: None)
+    camera = infrared_camera(tmp_path)
+    (tmp_path / "scenes.toml").write_text(LIT)
+    (tmp_path / "design.toml").write_text(PIXEL)
+    save(colorimetric_table(camera), tmp_path / "table.h5")
+    np.save(tmp_path / "raw.npy", np.full((camera.rows, camera.cols), 900, np.uint16))
+
+    def warnings(*call: object) -> list[str]:
+        code, out, err = l3(*call)
+        assert code == 0, err
+        return [line for line in (out + err).splitlines() if line.strip().startswith("warning: light F2")]
+
+    frames = tmp_path / "frames.h5"
+    moments, pixel = tmp_path / "moments.h5", tmp_path / "design.toml"
+    render = ("render", tmp_path / "table.h5", tmp_path / "raw.npy", "--backend", "reference", "-o", tmp_path / "a.png")
+    calls = [
+        ("check", tmp_path / "camera.toml", tmp_path / "scenes.toml"),
+        ("check", tmp_path / "design.toml"),
+        ("simulate", tmp_path / "scenes.toml", "--camera", tmp_path / "camera.toml", "-o", frames),
+        ("evaluate", tmp_path / "table.h5", frames, "--backend", "reference", "--json"),
+        ("design", "moments", tmp_path / "scenes.toml", "--camera", pixel, "-o", moments, "--patches", 200),
+        ("design", tmp_path / "design.toml", "--moments", moments, "-o", tmp_path / "design.h5"),
+        (*render, "--white", "F2"),
+        ("export", tmp_path / "table.h5", "--to", "c", "--white", "F2", "-o", tmp_path / "c"),
+    ]
+    for call in calls:
+        (warning,) = warnings(*call)
+        require_stated(warning, camera, "F2")
+    assert warnings(*render, "--white", "A", "--force") == []
+
+
+def test_files_that_end_where_a_channel_sees_are_said(tmp_path: Path, l3: L3) -> None:
+    """A lens, matching functions and the camera's own curves: what would be there if they went on as they end."""
+    camera = infrared_camera(tmp_path)
+    (tmp_path / "lens.csv").write_text("nm,lens\n400,0.8\n730,0.8\n")
+    (tmp_path / "outputs.csv").write_text("nm,one,two\n400,1,0\n500,1,0\n600,0,1\n700,0,1\n")
+    grid = np.arange(400, 741, 10)
+    rows = [f"{nm}," + ",".join(f"{value:.6f}" for value in camera.responsivity[:, place]) for place, nm in enumerate(grid)]
+    head = ",".join(f"{name} (e-/photon)" for name in camera.channels)
+    (tmp_path / "curves.csv").write_text(f"nm,{head}\n" + "\n".join(rows) + "\n")
+    own = (tmp_path / "camera.toml").read_text()
+    start, end = own.index("[responsivity]"), own.index("[noise]")
+    (tmp_path / "own.toml").write_text(
+        own[:start] + '[responsivity]\nfile = "curves.csv"\nwavelength_nm = [400, 900, 10]\n' + own[end:]
+    )
+    scenes = LIT.replace("F2", "A")
+    (tmp_path / "lens.toml").write_text(f'lens.transmittance = "lens.csv"\n{scenes}')
+    (tmp_path / "outputs.toml").write_text(f'target.outputs = "outputs.csv"\n{scenes}')
+    (tmp_path / "scenes.toml").write_text(scenes)
+
+    def warned(camera_file: str, scenes_file: str) -> str:
+        call = ("--camera", tmp_path / camera_file, "-o", tmp_path / "set.h5", "--force")
+        code, _, err = l3("simulate", tmp_path / scenes_file, *call)
+        assert code == 0, err
+        (line,) = [line for line in err.splitlines() if line.startswith("warning")]
+        return line
+
+    require_stated(warned("camera.toml", "lens.toml"), camera, "A", last=730)
+    stated = re.search(r"outputs.csv .* output two would have (\d+)%", warned("camera.toml", "outputs.toml"))
+    every = np.arange(360.0, 901.0)
+    weights = np.interp(every, [500, 600], [0, 1]) * spectra.illuminant("A", every) / every
+    assert stated is not None
+    assert int(stated[1]) == pytest.approx(100 * weights[every > 700].sum() / weights.sum(), abs=1)
+    held = dataclasses.replace(
+        camera, responsivity=np.where(camera.wavelength > 740, camera.responsivity[:, [34]], camera.responsivity)
+    )
+    require_stated(warned("own.toml", "scenes.toml"), held, "A", last=740)
+    meaning = json.loads(l3("check", tmp_path / "own.toml", "--json")[1])["files"][0]["meaning"]
+    assert any("curves.csv" in each for each in meaning["warnings"])
+
+
+def test_a_pixel_of_an_infrared_camera_fills_under_a_as_its_formula_says(tmp_path: Path, l3: L3) -> None:
+    """Up to 1050 nm; the table of A, held constant beyond 780 nm, gives longer times."""
+    text = known_recipes("cameras")["rgbir"].read_text().replace("[390, 830, 5]", "[390, 1050, 5]")
+    (tmp_path / "camera.toml").write_text(text)
+    camera, grid = load_camera(tmp_path / "camera.toml"), np.arange(360.0, 1051.0)
+    luminous = np.interp(grid, *observer())
+
+    def filled(power: np.ndarray) -> float:
+        radiance = power / (683.0 * np.sum(power * luminous)) * grid * 1e-9 / (6.62607015e-34 * 2.99792458e8)
+        weights = np.array([np.interp(grid, camera.wavelength, each, 0, 0) for each in camera.responsivity])
+        photons = radiance * camera.pixel_pitch**2 * camera.optics.irradiance_per_radiance
+        return camera.full_scale / (weights @ photons).max()
+
+    planck = grid**-5.0 / (np.exp(1.435e7 / (2848 * grid)) - 1)
+    meaning = json.loads(l3("check", tmp_path / "camera.toml", "--json")[1])["files"][0]["meaning"]
+    stated = meaning["saturation_exposure_cd_s_per_m2"]["A"]
+    assert stated == pytest.approx(filled(planck), rel=3e-3)
+    assert filled(np.where(grid > 780, planck[420], planck)) > 1.02 * stated
+    assert ["light D65" in each for each in meaning["warnings"]] == [True]
+
+
+def observer() -> tuple[np.ndarray, np.ndarray]:
+    """Wavelengths (nm) and V(λ)."""
+    grid = np.arange(360.0, 831.0)
+    return grid, spectra.colour_matching_functions(grid)[1]

@@ -215,6 +215,11 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
     balance = usual_balance(table) if white is None or given is None else given.balance
     if white is not None and given is not None and (doubt := far_from_training(white, given, table)):
         options.console.warn(doubt)
+    if white is not None and given is not None and table.camera is not None and "," not in white:
+        from l3cli.simulation.light import named_beyond_known
+
+        for unknown in named_beyond_known((white,), table.camera):
+            options.console.warn(unknown)
     exposure = options.exposure
     rendition = Rendition(
         balance, exposure.factor, options.bits, space_of, stops=exposure.stops, stated_exposure=exposure.stated,

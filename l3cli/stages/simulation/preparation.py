@@ -22,6 +22,9 @@ from l3cli.simulation.light import (
     SCENE_LIGHT,
     beyond_known,
     column_names,
+    curves_beyond_known,
+    functions_beyond_known,
+    lens_beyond_known,
     make_light,
     make_target,
     read_curve,
@@ -168,16 +171,40 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     return SimulationRun(recipe, fitted, target, lights, recorded, seed, path.parent), files
 
 
-def warn_of_unknown(run: SimulationRun, console: Console) -> None:
-    """Warn if channels collect electrons at wavelengths at which a light, the surfaces or the lens are not known."""
+def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = None) -> list[str]:
+    """Return what is not known at wavelengths at which channels collect electrons.
+
+    Parameters
+    ----------
+    run : SimulationRun
+    camera : CameraModel
+        The camera of the run without the lens of the scene recipe.
+    recipe : Path or None
+        The file of the camera, whose curves are judged, too, if it is a recipe.
+
+    Returns
+    -------
+    list of str
+        A warning for each light, and one each for the surfaces, the lens, the matching functions and the camera's curves.
+    """
     named = asked.curve_files(run.recipe)
-    curves = {name: read_curve(run.base / name, role) for name, role in named.items() if role != "functions"}
+    curves = {name: read_curve(run.base / name, role) for name, role in named.items()}
     warnings = [beyond_known(light, curves, run.camera) for light in run.lights.values()]
+    if recipe is not None:
+        ends = (curves_beyond_known(recipe, light, camera) for light in run.lights.values())
+        warnings.append(next(filter(None, ends), ""))
+    lens, functions = run.recipe.lens.transmittance, run.recipe.target.outputs
+    if isinstance(lens, str):
+        passed = (lens_beyond_known(str(run.base / lens), curves[lens], light, camera) for light in run.lights.values())
+        warnings.append(next(filter(None, passed), ""))
+    if functions in curves:
+        about = str(run.base / functions), curves[functions], run.target.outputs
+        seen = (functions_beyond_known(*about, light) for light in run.lights.values())
+        warnings.append(next(filter(None, seen), ""))
     if any(map(sources.of_measured_surfaces, run.recipe.scene)):
         surfaces = (surfaces_beyond_known(light, run.camera) for light in run.lights.values())
         warnings.append(next(filter(None, surfaces), ""))
-    for text in filter(None, warnings):
-        console.warn(text)
+    return list(filter(None, warnings))
 
 
 def fitting(

@@ -27,7 +27,7 @@ from l3cli.stages.simulation.preparation import (
     input_files,
     note_unknown_fields,
     prepare,
-    warn_of_unknown,
+    unknown_of,
 )
 from l3cli.stages.simulation.units import StoredFrames, is_of_run, key_of, received, remove_finished, simulate_unit, units_of
 from l3cli.system.checkpoint import incomplete_folder, parts_folder, refuse_other_run
@@ -74,7 +74,8 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
             _plan(run, files, (scenes, camera), [] if stands else [output], folders, going_on)
         if note := columns_left_out(camera):
             console.info(note)
-        warn_of_unknown(run, console)
+        for text in unknown_of(run, model, camera):
+            console.warn(text)
         note_unknown_fields(run, files, console)
         note_inputs({"scene recipe": [scenes], **inputs})
         note_places((output, *folders))
