@@ -289,7 +289,7 @@ REFUSED: dict[str, tuple[Tags, str]] = {
     "FillOrder": ({266: (SHORT, [2])}, "bits in reverse"),
     "Orientation": ({274: (SHORT, [9])}, "its orientation is 9, but TIFF defines 1…8"),
     "SamplesPerPixel": ({277: (SHORT, [3]), 262: (SHORT, [34892])}, "already demosaicked"),
-    "samples of three": ({277: (SHORT, [3])}, "3 samples a pixel"),
+    "samples of three": ({277: (SHORT, [3])}, "3 samples per pixel"),
     "TileWidth": (tiled(48, 32), "tiles are wider than the image"),
     "Predictor": ({317: (SHORT, [2])}, "stores differences"),
     "SampleFormat": ({339: (SHORT, [3])}, "floating-point"),
@@ -348,7 +348,7 @@ def test_what_is_read_changes_the_frame_as_it_states(tmp_path: Path, name: str) 
     assert frame.notes == (TWO_SAMPLES,) * (name == "SamplesPerPixel")
 
 
-TWO_SAMPLES = "it holds two samples a pixel (dual pixels); the first is taken"
+TWO_SAMPLES = "it has two samples per pixel (dual pixels); l3 uses the first"
 BLACK_LEVELS: dict[
     str, tuple[Tags, float | np.ndarray]
 ] = {  # of tags as cameras and apps write them; (row, col) of each site
@@ -610,7 +610,7 @@ def test_what_moves_pixels_is_refused_or_noted(tmp_path: Path, table: TransformT
     render = ("render", tmp_path / "table.h5", tmp_path / "a.dng", "-o", tmp_path / "a.png", "--backend", "reference")
     warp = struct.pack(">I", 1) + struct.pack(">8d", 1, 0, 0, 0, 0, 0, 0.5, 0.5)
     dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: opcode_list((1, 0, warp))})
-    assert "a.dng is to be changed by WarpRectilinear of OpcodeList3, which is not carried out" in refused(3, *render)
+    assert "a.dng requires WarpRectilinear of OpcodeList3, which l3 does not support" in refused(3, *render)
     dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: opcode_list((1, 1, warp), (77, 1, b""))})
     code, _, err = l3(*render)
     assert code == 0
