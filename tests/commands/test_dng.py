@@ -282,7 +282,7 @@ READ: dict[str, tuple[Tags, list[bytes] | None, Callable[[RawFrame], bool]]] = {
                     lambda frame: frame.shading is not None),
 }  # fmt: skip
 REFUSED: dict[str, tuple[Tags, str]] = {
-    "DNGBackwardVersion": ({50707: (BYTE, [1, 8, 0, 0])}, "for readers of DNG 1.8, this is one of 1.7"),
+    "DNGBackwardVersion": ({50707: (BYTE, [1, 8, 0, 0])}, "needs a reader of DNG 1.8, but l3 reads up to 1.7"),
     "NewSubFileType": ({254: (LONG, [16])}, "holds no raw image"),
     "BitsPerSample": ({258: (SHORT, [32])}, "LibRaw"),
     "Compression": ({259: (SHORT, [52546])}, "compressed by JPEG XL"),
@@ -618,7 +618,7 @@ def test_what_moves_pixels_is_refused_or_noted(tmp_path: Path, table: TransformT
     assert "a.dng: opcode 77 of OpcodeList3 is optional and not carried out" in err
     for stage, number in ((LIST_1, 9), (LIST_2, 4), (LIST_3, 5), (LIST_2, 8)):
         dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={stage: opcode_list((number, 0, b""))})
-        assert "not carried out" in refused(3, *render, "--force")
+        assert "which l3 does not support" in refused(3, *render, "--force")
         assert l3(*render, "--force", "--opcodes", "leave")[0] == 0
 
 
