@@ -252,9 +252,8 @@ def wanted_outputs(moments: LightMoments, output: str, counts: str, curves: Arra
 
 
 def seen_by(curves: Array, moments: LightMoments, spectra: Seen) -> Seen:
-    """Convert moments of principal spectra to moments of filter signals.
-
-    `curves` (filter, wavelength) are the quantum efficiencies of the filters.
+    """Convert moments of principal spectra to moments as filters with efficiencies `curves` (filter, wavelength) see
+    them.
     """
     to = curves @ moments.basis
     signal = np.einsum("fi,gj,ijKpq->fgKpq", to, to, spectra.signal, optimize=True)

@@ -50,7 +50,7 @@ class Problem:
 
 @functools.cache
 def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
-    """Return the symmetries of an array with a given period, as permutations of its sites (symmetry, site).
+    """Return the site orders (symmetry, site) that leave an array of a given period equivalent.
 
     They are the shifts, rotations and reflections that keep its shape.
     """
@@ -61,13 +61,15 @@ def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
 
 
 def canonical(cfa: Cfa) -> bytes:
-    """Return a key that equivalent arrays (equal up to `symmetries`) share and other arrays of the shape do not."""
+    """Return a key that is equal for arrays that differ only by `symmetries`, and different for all other arrays of the
+    shape.
+    """
     orders = symmetries((cfa.shape[0], cfa.shape[1]))
     return min(row.tobytes() for row in cfa.astype(np.uint8).ravel()[orders])
 
 
 def distinct(arrays: Arrays, shape: tuple[int, int], filters: int) -> Arrays:
-    """Keep the first of every set of equivalent arrays (array, site), in order."""
+    """Return one of each set of arrays (array, site) that differ only by symmetries, in order."""
     digits = np.int64(filters) ** np.arange(arrays.shape[1])[::-1]
     least = functools.reduce(np.minimum, (arrays[:, order] @ digits for order in symmetries(shape)))
     _, first = np.unique(least, return_index=True)

@@ -109,7 +109,7 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
         rows = [row for at_one in by_luminance.values() for row in at_one]
         sound = all(abs(value) <= LARGEST and 0 <= clipped <= 1 and 0 < time <= LARGEST for value, clipped, time in rows)
         if not sound or not all(0 < at <= LARGEST for at in by_luminance):
-            raise ValueError("a value is out of range")
+            raise ValueError("no number that a figure can be")
         rising = sorted(by_luminance)
         name = str(document["camera"])
         measured = all("clipped" in frame and "exposure" in frame for frame in document["frames"])

@@ -208,7 +208,7 @@ def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
 def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
     """Return the pseudo-panchromatic image (row, col) of a mosaic (equations 23 to 28).
 
-    It is the mean over a period, sharpened by how much samples of the same band, one period away, differ from that mean.
+    It is the mean over a period, sharpened by the differences between samples and mean at the same band a period away.
     """
     from scipy.ndimage import correlate1d
 

@@ -162,7 +162,7 @@ def refuse_outputs(
     if destination.kind == "file" and sequence.rendered != 1:
         count = "a sequence" if sequence.rendered is None else f"{sequence.rendered} frames"
         raise RecipeError(
-            f"{destination.path} can store one picture, but the inputs are {count}; name a folder, a pattern "
+            f"{destination.path} holds one picture, the inputs are {count}; name a folder, a pattern "
             f"({destination.path.stem}_%04d{destination.path.suffix}), a .tif or a video"
         )
     if destination.kind not in ("pattern", "folder"):

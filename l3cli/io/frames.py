@@ -86,8 +86,8 @@ class WholeFrames:
         for path, frame in ((each, frame) for each in self.paths for frame in self._frames_in(each)):
             if frame.values.shape != shape or frame.phase != (0, 0):
                 raise InputFileError(
-                    f"{path} has {frame.values.shape[0]}×{frame.values.shape[1]} pixels from site {frame.phase}, but whole "
-                    f"frames of camera {self.camera.name} have {shape[0]}×{shape[1]} from (0, 0); give whole raw frames"
+                    f"{path} of {frame.values.shape[0]}×{frame.values.shape[1]} pixels, first site {frame.phase}, is not a "
+                    f"whole frame of camera {self.camera.name} of {shape[0]}×{shape[1]}; give whole raw frames"
                 )
             require_bits(path, frame.values, self.camera.bits)
             yield frame.values
@@ -205,7 +205,7 @@ def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: 
         raise InputFileError(f"{path} holds {channels} channels of {depth}; give raw frames of one channel and 16 bits")
     if size != shape:
         raise InputFileError(
-            f"{path} has {size[0]}×{size[1]} pixels, but the sensor has {shape[0]}×{shape[1]}; give whole raw frames"
+            f"{path} has {size[0]}×{size[1]} pixels, the sensor {shape[0]}×{shape[1]}; give whole raw frames"
         )
 
 

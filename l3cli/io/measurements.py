@@ -153,7 +153,7 @@ def _light(photo: PhotoRecipe, path: Path) -> tuple[Array, Array]:
         raise InputFileError(f"{file}: the light is negative by more than noise; subtract the dark spectrum again")
     if table.wavelength[0] > SEEN[0] or table.wavelength[-1] < SEEN[1]:
         raise InputFileError(
-            f"{file}: {table.wavelength[0]:g}…{table.wavelength[-1]:g} nm do not cover {SEEN[0]:g}…{SEEN[1]:g} nm; "
+            f"{file}: its {table.wavelength[0]:g}…{table.wavelength[-1]:g} nm do not cover {SEEN[0]:g}…{SEEN[1]:g} nm; "
             "measure the light over what a camera sees"
         )
     if radiance.max() <= 0:
@@ -172,8 +172,7 @@ def _chart_of_photo(photo: PhotoRecipe, path: Path) -> Chart:
         with raised_as(RecipeError, path, RecipeError):
             shares = np.asarray(charts.chart(photo.chart, GRID)[1], np.float64)
     if len(shares) != rows * cols:
-        layout = f"layout = [{rows}, {cols}]"
-        raise RecipeError(f"{path}: {photo.chart} has {len(shares)} patches, but {layout} has {rows * cols}")
+        raise RecipeError(f"{path}: {photo.chart} has {len(shares)} patches, layout = [{rows}, {cols}] {rows * cols}")
     return Chart(name, (rows, cols), wavelength, shares)
 
 
@@ -425,7 +424,7 @@ def step_radiance(table: CurveTable, step: MonoRecipe, path: Path) -> tuple[Curv
     name does not exist or if the light is dark.
     """
     if isinstance(step.column, int) and not 1 <= step.column <= len(table.values):
-        raise RecipeError(f"{path}: column {step.column} of {step.spectrum} does not exist; give 1…{len(table.values)}")
+        raise RecipeError(f"{path}: column {step.column} of {step.spectrum} is none of its 1…{len(table.values)}")
     light = table.column(step.column)
     radiance = light.photons(step.unit)
     if radiance.max() <= 0:

@@ -265,7 +265,7 @@ def displayed_delta_e(one: Array, other: Array) -> Array:
 
 
 def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, noise: Array | float = 0.0) -> Array:
-    """Fit a matrix by least squares, under the constraint that it maps one given input exactly.
+    """Fit a matrix by least squares that maps one given input exactly.
 
     The constraint is met with a Lagrange multiplier.
 

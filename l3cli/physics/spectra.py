@@ -335,7 +335,7 @@ def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
     seen = xyz_weights(wavelength)[1] @ radiance
     if not seen > UNSEEN * (matching_weights(np.ones_like(wavelength), wavelength) @ radiance):
         ends = f"{wavelength.min():g}…{wavelength.max():g} nm"
-        raise InputFileError(f"light of {ends} has no luminance, on which exposures are based; include some of 380…780 nm")
+        raise InputFileError(f"light of {ends} has no luminance, which exposures go by; include some of 380…780 nm")
     return radiance * (luminance / seen)
 
 

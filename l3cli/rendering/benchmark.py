@@ -55,9 +55,13 @@ CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # levels and
 
 # Long: a rule and a table have many fields, and each is named.
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
-    """Return random weights for as many classes as a trained table has: the recipe's levels and chromas, two contrasts (one
-    before a second layer), ten saturation cases; chroma centres about the grey of `synthetic_frame`, so that its pixels
-    change between them. Before a second layer weights are nearly equal: its classes follow the frame."""
+    """Return a table with as many classes as a trained one: the recipe's levels and chromas, two contrasts (one before a
+    second layer) and ten saturation cases.
+
+    The chroma centres lie around the grey of `synthetic_frame`, so that its pixels change between them. Each class gives
+    the mean of its window with small random deviations, so that pictures are nearly grey and lie in the gamut of sRGB, as
+    most pixels of real pictures do.
+    """
     cfa = CFAS[case.cfa]
     channels = int(cfa.max()) + 1
     level_count, chromas = CLASSES[case.classes]
@@ -81,9 +85,9 @@ def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
         features=FurtherFeatures.of((_directions(case, levels),)) if two_layers else None,
     )
     classes = cfa.size * rule.classes_per_site
-    weights = rng.standard_normal((classes, case.outputs, case.patch**2)) / case.patch
-    if two_layers:
-        weights = (1 + 0.1 * weights) / case.patch**2
+    white = spectra.white_point("D65") if case.outputs == 3 else np.ones(case.outputs)
+    deviations = rng.standard_normal((classes, case.outputs, case.patch**2)) / case.patch
+    weights = white[:, None] * (1 + 0.1 * deviations) / case.patch**2
     return TransformTable(
         camera_name="synthetic",
         rows=case.height,
@@ -96,7 +100,7 @@ def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
         outputs=("X", "Y", "Z") if case.outputs == 3 else tuple(f"o{index}" for index in range(case.outputs)),
         target_description="",
         output_unit=1.0,
-        white_point=spectra.white_point("D65") if case.outputs == 3 else np.ones(case.outputs),
+        white_point=white,
         first=MosaicLayer(
             rule=rule,
             weights=weights.astype(np.float32),
@@ -104,7 +108,7 @@ def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
             samples=np.ones(classes),
             condition=np.ones(classes, np.float32),
         ),
-        later=(_second_layer(rule, cfa.size, case.outputs, levels, rng),) if two_layers else (),
+        later=(_second_layer(rule, cfa.size, white, levels, rng),) if two_layers else (),
     )
 
 
@@ -119,9 +123,10 @@ def _directions(case: Case, level_edges: NDArray[np.float64]) -> Axis:
 
 
 def _second_layer(
-    first: ClassRule, sites: int, outputs: int, level_edges: NDArray[np.float64], rng: np.random.Generator
+    first: ClassRule, sites: int, white: NDArray[np.float64], level_edges: NDArray[np.float64], rng: np.random.Generator
 ) -> PlaneLayer:
-    """Return random weights for classes of structure, whose gradients are in units of the frame's noise."""
+    """Return a layer of structure classes, whose gradients are in units of the frame's noise. Each class gives a grey of
+    the mean luminance of its window, with small random deviations."""
     noise = np.sqrt(2 * _variance(np.append(level_edges, WHITE_LEVEL)) / first.patch**3)  # DN, of a difference of means
     scale = SIGMA * (WHITE_LEVEL - BLACK_LEVEL) * PLANE_STEP / noise
     mantissa, exponent = np.frexp(scale)
@@ -135,8 +140,10 @@ def _second_layer(
         cases=first.cases,
     )
     classes = sites * rule.classes_per_site
-    weights = (rng.standard_normal((classes, outputs, outputs * SIDE**2)) / SIDE).astype(np.float32)
-    return PlaneLayer(SIDE, weights, np.zeros((classes, outputs), np.float32), np.ones(classes), rule)
+    weights = 0.02 * rng.standard_normal((classes, white.size, 3, SIDE**2)) / SIDE
+    weights[:, :, 1] += white[:, None] / SIDE**2  # of luminance, the second plane
+    weights = weights.reshape(classes, white.size, -1).astype(np.float32)
+    return PlaneLayer(SIDE, weights, np.zeros((classes, white.size), np.float32), np.ones(classes), rule)
 
 
 def _variance(level: NDArray[np.float64]) -> NDArray[np.float64]:

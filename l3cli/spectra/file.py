@@ -396,7 +396,7 @@ def read_table(path: Path) -> CurveTable:
     Parameters
     ----------
     path : Path
-        The file. XML is recognised by its suffix, other formats by their content.
+        The file. The format is recognised by the content, except for XML.
 
     Returns
     -------

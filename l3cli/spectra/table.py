@@ -250,8 +250,8 @@ class CurveTable:
     def efficiencies(self, per_energy: bool) -> Array:
         """Convert the columns to quantum efficiencies in e-/photon.
 
-        If `per_energy` is False, columns without a unit count as quantum efficiencies. Raises InputFileError if the columns
-        are relative, or if their unit contradicts `per_energy`.
+        Columns without a unit count as efficiencies if `per_energy` is False. Raises InputFileError if the columns are
+        relative, or if their unit contradicts `per_energy`.
         """
         rows = []
         for values, heading in zip(self.responses(per_energy, "per_energy"), self.units, strict=True):

@@ -1,8 +1,8 @@
-"""Patches → sums of their classes (docs/method.md#training). What each step costs decides its order:
+"""Add patches to the sums of their classes (docs/method.md#training).
 
-patches are turned tap by tap, rescaled, exposed and labelled in pieces that stay in the caches, of which only label, level
-and scale are kept; then all are sorted by class, made again without noise in pieces that end where classes end, weighed, and
-multiplied class by class.
+The order of the steps follows from their costs. Patches are first rotated tap by tap, rescaled, exposed and assigned to
+classes, in pieces small enough for the processor's caches. Only class, level and scale are kept. Then all patches are sorted
+by class, computed again without noise, in pieces that end where classes end, weighted, and multiplied class by class.
 """
 
 import math
@@ -22,9 +22,9 @@ from l3cli.training.row_weighting import TARGET_FLOOR, RowWeighting
 from l3cli.training.sums import add_products, add_rounded, empty_sums, grid_steps, pieces_of, rounding_number, runs_of
 from l3cli.training.training_pass import BATCH, TrainingPass
 
-EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
-CLIPPED_GREY_EDGES = 8.0  # weight of colourless patches at edges beside which something clips, as text on paper
-DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker patches get no more weight
+EXPOSED = 4096  # patches exposed at a time, so that their arrays stay in the processor's caches
+CLIPPED_GREY_EDGES = 8.0  # weight of colourless patches at clipped edges, such as text on over-exposed paper
+DARKEST_LEVEL = 1e-4  # fraction of full scale below which the weight of a sample no longer rises
 
 
 def sum_sites(
@@ -32,8 +32,20 @@ def sum_sites(
     blocks: Iterable[tuple[int, tuple[int, ...], Iterator[TrainingPair]]],
     weightings: Mapping[int, RowWeighting | None],
 ) -> dict[int, ClassSums]:
-    """Return the sums of the canonical sites that `weightings` names, whose rows they weigh, over blocks (index of the first
-    frame, sites that take part, frames); a frame is read once and let go."""
+    """Add up the sums of canonical sites over blocks of frames.
+
+    Parameters
+    ----------
+    pass_ : TrainingPass
+    blocks : iterable of (int, tuple of int, iterator of TrainingPair)
+        For each block: index of its first frame, the sites that use it, and its frames, each of which is read once.
+    weightings : mapping of int to RowWeighting or None
+        The sites, and how their samples are weighted. None: all alike.
+
+    Returns
+    -------
+    dict of int to ClassSums
+    """
     neighbours = neighbourhoods(pass_.head.camera.cfa, pass_.rule.patch, len(pass_.head.camera.channels))
     sums = {site: empty_sums(pass_.rule, len(pass_.head.outputs)) for site in weightings}
     for first, sites, frames in blocks:
@@ -50,8 +62,10 @@ def _batches(
     neighbours: Neighbourhoods,
     rngs: dict[int, np.random.Generator],
 ) -> Iterator[tuple[int, Patches]]:
-    """Yield the patches of a block, frames from `first`, for each site: together or, where one frame has more than BATCH, a
-    part of it at a time."""
+    """Yield the patches of a block, which begins with frame `first`, for each site.
+
+    They come together or, if one frame has more than `BATCH` patches, in parts.
+    """
     waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
     for index, frame in enumerate(frames, first):
         colourless = colourless_frame(frame, pass_.head) if pass_.recipe.achromatic else None
@@ -70,7 +84,7 @@ def _batches(
 
 
 class _Batch:
-    """Patches of one site on their way into the sums."""
+    """The patches of one site, and how they are added to the sums."""
 
     def __init__(
         self, pass_: TrainingPass, patches: Patches, neighbours: Neighbourhoods, site: int, weighting: RowWeighting | None
@@ -80,7 +94,7 @@ class _Batch:
         self.tap_share = member.mean(axis=1).astype(np.float32)  # level = mean over channels of the channel means
 
     def add_to(self, sums: ClassSums, rng: np.random.Generator) -> None:
-        """Draw levels, decide classes and add everything to `sums`."""
+        """Draw the levels of the patches, decide their classes, and add everything to `sums`."""
         label, level, scale = self._exposed(rng)
         order = np.argsort(label, kind="stable")
         label = label[order]
@@ -91,7 +105,7 @@ class _Batch:
             self._add_piece(sums, large, label[piece], level[draw], scale[draw], patch, rng)
 
     def _exposed(self, rng: np.random.Generator) -> tuple[NDArray[np.unsignedinteger], Floats, Floats]:
-        """Return class, level as the camera sees it and scale of every draw of every patch (draw · patch)."""
+        """Return the class, the level as the camera sees it, and the scale of each draw of each patch (draw · patch)."""
         pass_, signal = self.pass_, self.patches.signal
         patch_level = np.maximum(signal @ self.tap_share, 1e-3)
         start = rng.random(patch_level.size)
@@ -107,7 +121,7 @@ class _Batch:
         return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)
 
     def _scale(self, patch_level: Floats, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return factors (patch) that take patches from their level to those at `places` (patch) of the distribution."""
+        """Return the factors (patch) that bring patches to the levels at `places` (patch) of the level distribution."""
         if not self.pass_.recipe.rescale:
             return np.ones(patch_level.size)
         return levels_at(self.pass_.recipe, places) / patch_level
@@ -115,7 +129,7 @@ class _Batch:
     def _seen(
         self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """Yield class and level (patch) of the patches of `batch` at each row of `scale` (draw, patch), with noise."""
+        """Yield the class and the level (patch) of the noisy patches of `batch`, for each row of `scale` (draw, patch)."""
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
         channel = self.neighbours.channel[self.site][order.taps][:, None]
@@ -129,7 +143,7 @@ class _Batch:
     def _exposed_values(
         self, signal: Floats, rng: np.random.Generator, carried: Floats | None, channel: NDArray[np.int64]
     ) -> NDArray[np.uint32]:
-        """Return DN (tap, patch) of signals of the `channel` (tap, 1), with noise unless the recipe wants none."""
+        """Return DN (tap, patch) of signals of `channel` (tap, 1), with noise unless the recipe excludes it."""
         camera = self.pass_.head.camera
         if self.pass_.recipe.noise != "none":
             return expose_patches(signal, camera, rng, carried, self.pass_.dark, channel)
@@ -137,8 +151,10 @@ class _Batch:
         return np.clip(np.rint(values), 0.0, np.floor(camera.white_level)).astype(np.uint32)
 
     def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
-        """Return the level (patch), a share of full scale: mean over the channels of the means of their `sums` (channel,
-        patch)."""
+        """Return the level (patch) as a fraction of full scale.
+
+        The level is the mean over the channels of the channel means, whose sums are `sums` (channel, patch).
+        """
         camera, shift = self.pass_.head.camera, self.pass_.rule.shift
         mean = (1 / (self.neighbours.count[self.site] * len(sums))) @ sums
         seen = (mean * 2**shift + (truncation(shift) - camera.black_level)) / (camera.white_level - camera.black_level)
@@ -154,7 +170,7 @@ class _Batch:
         patch: NDArray[np.int64],
         rng: np.random.Generator,
     ) -> None:
-        """Add rows of non-decreasing class: patches `patch` rescaled by `scale`, seen at `level`."""
+        """Add the samples of the patches numbered `patch`, sorted by class, rescaled by `scale` and seen at `level`."""
         clean = self.patches.signal.take(patch, axis=0)
         clean *= scale[:, None]
         target = self.patches.target[patch] * scale[:, None]

@@ -1,5 +1,7 @@
-"""Outputs of plain areas where channels clip, learned from measured surfaces in rising light
-(docs/method.md#plain-clipped-areas)."""
+"""Learn the outputs of uniform areas in which channels clip (docs/method.md#plain-clipped-areas).
+
+The training data are measured surfaces under increasing light.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +13,12 @@ from l3cli.classes.clipping import CLIPS, added_terms, grey_level
 from l3cli.training.plain_surfaces import plain_surfaces
 
 Array = NDArray[np.float64]
-EXPOSURES = np.geomspace(0.35, 4.5, 24)  # of what fills a surface's first channel
-EVERY = 7  # of the surfaces: they are many
-RIDGE = COLOUR_RIDGE = 1e-3  # relative to the rows, and to the power of colour
-RARER = 2  # power of exposure, over what fills the first channel, with which brighter ones count less: there are fewer
-STEADY = 3.0  # weight of what changes between two exposures: steps are seen where colours, which are guessed, are not
+EXPOSURES = np.geomspace(0.35, 4.5, 24)  # relative to the exposure that fills a surface's first channel
+EVERY = 7  # every seventh surface is used, because there are many
+RIDGE = 1e-3  # relative to the samples
+COLOUR_RIDGE = 1e-3  # relative to the power of colour
+RARER = 2  # exponent with which the weight falls with exposure, because brighter areas are rarer
+STEADY = 3.0  # weight of changes between exposures, because steps are more visible than a wrong colour
 
 
 def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Array) -> Clipping | None:
@@ -69,7 +72,7 @@ def _changes(rows: Array) -> Array:
 
 
 def _colours(signals: Array, outputs: Array) -> Array:
-    """Return outputs (channel, output) per signal of surfaces, both relative to white, which stays white."""
+    """Return outputs (channel, output) per signal of surfaces. Both are relative to white, which remains white."""
     weight = 1 / signals.mean(axis=1)
     about, wanted = (each - signals.mean(axis=1, keepdims=True) for each in (signals, outputs))
     power = np.einsum("s,si,sj->ij", weight**2, about, about, optimize=False)
@@ -81,8 +84,10 @@ def _colours(signals: Array, outputs: Array) -> Array:
 
 
 def _target(outputs: Array, over: Array, white: Array, brightest: float) -> Array:
-    """Return the outputs that are wanted of surfaces `over` so many times what fills their first channel: no brighter than
-    the white whose last channel just clips, and the paler the further over."""
+    """Return the wanted outputs of surfaces at exposures `over`, relative to the exposure that fills their first channel.
+
+    Outputs are no brighter than the white whose last channel just clips, and become paler as the exposure rises.
+    """
     luminance = np.minimum(outputs[:, 1:2], brightest)
     chroma = outputs / outputs[:, 1:2] - white
     return np.asarray(luminance * (white + chroma / (1 + np.maximum(over[:, None] - 1, 0.0) ** 2)))

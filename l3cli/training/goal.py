@@ -1,4 +1,4 @@
-"""The goal of a training's transforms: the same for all sites and passes."""
+"""The goal of the transforms of a training run, which is the same for all sites and passes."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,38 +15,52 @@ from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces
 from l3cli.training.systems import Integers
 
 Array = NDArray[np.float64]
-ONE_LIGHT = 0.001  # spread of lights that are one
+ONE_LIGHT = 0.001  # largest spread of lights that count as the same
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Outputs, levels, lights and surfaces that the transforms are learned for."""
+    """Outputs, levels, lights and surfaces for which the transforms are learned."""
 
     outputs: tuple[str, ...]
     channels: tuple[str, ...]
-    white: Array  # (output) a perfect white under the training light, Y = 1
-    white_signal: Array | None  # (channel) its signals, shares of full scale; None: not known
+    white: Array  # (output) of a perfect white under the training light, Y = 1
+    white_signal: Array | None  # (channel) signals of that white, fractions of full scale; None: not known
     black_level: float  # DN, of the camera
     white_level: float  # DN, at which a pixel of the camera saturates
-    white_error: Array | float = 0.0  # (channel) how far off, relatively, surfaces make the signals of white
-    surfaces: PlainSurfaces | None = None  # under the training light; None: not known, or the outputs are others
+    white_error: Array | float = 0.0  # (channel) relative error with which surfaces predict white_signal
+    surfaces: PlainSurfaces | None = None  # under the training light; None: light not known, or other outputs
     filters: tuple[int, ...] = ()  # (channel) first channel with its filter; (): every channel has its own
     sensitivity: Array | None = None  # (channel) as of the camera; None: all alike
-    integers: Integers | None = None  # of the planes that a next layer reads; None: no layer can follow
+    integers: Integers | None = None  # formats of the planes for a next layer; None: no layer can follow
 
 
 def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
-    """Return a mean light, if it is known and that of a single light."""
+    """Return the mean light if it is known and all frames have the same light, otherwise None."""
     return light if light is not None and light.spread <= ONE_LIGHT else None
 
 
 def has_components(head: TrainingSet) -> bool:
-    """Return whether the outputs are a spectrum whose leading components a layer may refine."""
+    """Return whether the outputs are a spectrum, whose leading components a layer may refine."""
     return len(head.outputs) > PLANES and is_spectrum(head.outputs, head.camera.channels)
 
 
 def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) -> Goal:
-    """Return the goal of a training with sets of this head, of the mean `white_point` (output) and `light`."""
+    """Return the goal of a training run.
+
+    Parameters
+    ----------
+    head : TrainingSet
+        Head of the training sets.
+    white_point : ndarray, (output)
+        Mean outputs of white.
+    light : LightSpectrum or None
+        Mean light of the frames; None if it is not known.
+
+    Returns
+    -------
+    Goal
+    """
     camera = head.camera
     levels = camera.black_level, camera.white_level
     isolated: dict[str, Any] = {}

@@ -1,9 +1,9 @@
-"""Clipped areas are learned as grey, the more channels clip the surer (docs/method.md#clipped-areas).
+"""Clipped areas are trained to be grey, more strongly the more channels clip (docs/method.md#clipped-areas).
 
-Where channels clip, the colour of a surface is lost with them, and the mean colour of all training surfaces that clip alike
-is no good guess: it gives highlights a cast. Highlights are mostly neutral, and a neutral error is the one that nobody sees.
-So every plain class near saturation is taught, beside its patches, flat greys of the training light that clip as its patches
-do; among textures, where other pixels tell the colour, they would only cost detail.
+When channels clip, the colour of a surface is lost. The mean colour of all training surfaces that clip in the same way is a
+poor estimate, because it gives highlights a colour cast. Most highlights are neutral, and a neutral error is hardly visible.
+So each class of uniform areas near saturation is trained, besides its patches, on uniform greys of the training light that
+clip in the same way. Classes of textures are not, because there other pixels show the colour and detail would be lost.
 """
 
 import numpy as np
@@ -19,13 +19,14 @@ from l3cli.training.sums import moment_matrix
 
 Array = NDArray[np.float64]
 
-DARKEST, BRIGHTEST, STEP = 0.3, 1.6, 1.02  # greys, of those that just clip the first and the last channel: paper is brighter
-NEARLY = (0.94, 0.97, 1.0)  # of the saturation threshold: noise lets greys this bright clip
-ODDS = 4.0  # greys a patch of the class, times clipped channels per one that is not; 1 leaves seams between classes
-SUREST = 30.0  # greys a patch where every channel clips
-NOTHING_LOST = 0.2  # share of clipped filters that stands for none: a grey a patch, so that they have no cast
-FARTHEST = 0.1  # white's signals from what patches make likely, or as far as measured surfaces mislead about them
-FAINTEST = 1e-6  # of the largest: directions in which the outputs vary less are not followed
+DARKEST, BRIGHTEST = 0.3, 1.6  # range of greys, relative to those that just clip the first and the last channel
+STEP = 1.02  # ratio of successive greys
+NEARLY = (0.94, 0.97, 1.0)  # fractions of the saturation threshold at which noise can make greys clip
+ODDS = 4.0  # greys per patch, times the ratio of clipped to unclipped channels; with 1, seams between classes show
+SUREST = 30.0  # greys per patch if every channel clips
+NOTHING_LOST = 0.2  # fraction of clipped filters used if none clips: one grey per patch, which prevents a cast
+FARTHEST = 0.1  # tolerated relative difference between known signals of white and those that patches suggest
+FAINTEST = 1e-6  # relative cut-off for directions in which the outputs hardly vary
 
 
 def grey_patches(
@@ -60,8 +61,8 @@ def grey_patches(
         for nearly in NEARLY:
             saturated = clipped >= nearly * threshold
             case = int(saturation.cases(rule, saturation.code_of(saturated)))
-            # Where all channels clip, greys are one point. Those whose last channel is still short of it would lay all that
-            # greys rise by into its last per cent, and textures, whose taps are far from it, came out black.
+            # Where all channels clip, all greys give the same values. Greys whose last channel is just below clipping would
+            # concentrate the whole rise in its last per cent, and textures, whose taps are far from it, would become black.
             if not case or (saturated.all() and clipped.min() < 1.0):
                 continue
             share = (saturated[:, None] | ~same).all(axis=0).mean() or NOTHING_LOST  # of the filters
@@ -78,10 +79,27 @@ def grey_patches(
 def steps_back(
     common: Array, clipping: NDArray[np.int64], rule: ClassRule, signal: Array, black_level: float, white_level: float
 ) -> tuple[NDArray[np.int64], Array]:
-    """Return places in `clipping` of the classes that a grey falls into where every channel clips, and how much luminance
-    each lacks there, beside the brightest that greys are given on the way; `clipping` are the classes with something
-    saturated, `common` (class, channel + 1) what each adds to luminance for a flat patch of one channel, or at all, and
-    `signal` (channel) what the camera sees of the training light's white."""
+    """Find by how much greys would become darker where the last channel clips.
+
+    Parameters
+    ----------
+    common : ndarray, (class, channel + 1)
+        What a uniform patch of one channel, and the intercept, add to the luminance of each class in `clipping`.
+    clipping : ndarray, (class)
+        Numbers of the saturated classes.
+    rule : ClassRule
+    signal : ndarray, (channel)
+        Signals of white under the training light.
+    black_level, white_level : float
+        In DN.
+
+    Returns
+    -------
+    last : ndarray of int
+        Indices into `clipping` of the classes of a grey that clips every channel.
+    missing : ndarray
+        Luminance that each of them lacks relative to the brightest darker grey; at least 0.
+    """
     threshold = (rule.saturation - black_level) / (white_level - black_level)
     greys = np.exp(np.arange(np.log(threshold / signal.max()), np.log(threshold / signal.min()), np.log(STEP)))
     clipped = np.append(np.minimum(greys[:, None] * signal, 1.0), np.ones((1, signal.size)), axis=0)
@@ -104,9 +122,27 @@ def white_channels(
     known: Array | None,
     white_error: Array | float = 0.0,
 ) -> Array | None:
-    """Return signals (channel) of the training light's white at Y = 1: those `known`, unless the patches speak against it,
-    as they do of frames through another lens; else those that they make likely. None if there are no patches. `white_error`
-    (channel): how far off, relatively, surfaces are known to make them."""
+    """Return the signals of white under the training light, Y = 1.
+
+    Parameters
+    ----------
+    sums : ClassSums
+    rule : ClassRule
+    window : ndarray, (tap)
+        Channel of each tap.
+    white : ndarray, (output)
+        Outputs of white.
+    known : ndarray, (channel), or None
+        Signals according to the camera model.
+    white_error : ndarray, (channel), or float
+        Relative error with which surfaces predict the signals of white.
+
+    Returns
+    -------
+    ndarray, (channel), or None
+        The known signals if the patches agree with them, otherwise those that the patches suggest, for example for frames
+        that were taken through another lens. None without patches.
+    """
     likely = _channels_of(flat_moments(sums, rule, window.size + 1 + white.size), window, white)
     if known is None or likely is None or (np.abs(known / likely - 1) > np.maximum(white_error, FARTHEST)).any():
         return likely
@@ -114,8 +150,10 @@ def white_channels(
 
 
 def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
-    """Return the relative error (channel) of the signals of white that measured surfaces under a light make likely: a few
-    per cent for visible light, much where a camera sees infrared, of which X, Y, Z tell nothing."""
+    """Return the relative error (channel) with which measured surfaces under a light predict the signals of white.
+
+    It is a few per cent for visible light, and large for a camera that sees infrared, about which X, Y, Z say nothing.
+    """
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
     lit = np.vstack([radiance, spectra.reflectance_library(camera.wavelength) * radiance])
     outputs, signals = lit @ spectra.xyz_weights(camera.wavelength).T, lit @ camera.signal_weights.T
@@ -127,8 +165,10 @@ def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
 
 
 def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -> Array:
-    """Return second moments (channel, channel) of the channels' means over all unsaturated patches of the lowest contrast,
-    of trace 1."""
+    """Return second moments (channel, channel) of the channel means over uniform, unsaturated patches.
+
+    Uniform patches are those of the lowest contrast. The trace of the result is 1.
+    """
     width = int((np.sqrt(8 * sums.moments.shape[1] + 1) - 1) / 2)
     means = (window == np.arange(window.max() + 1)[:, None]) / np.bincount(window)[:, None]
     colours = means @ flat_moments(sums, rule, width)[: window.size, : window.size] @ means.T
@@ -142,8 +182,10 @@ def flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:
-    """Return signals (channel) of the training light's white at Y = 1, by regression of the channels on the outputs (a per
-    cent or two off where the training surfaces differ from white). None if there are no patches."""
+    """Return the signals (channel) of white, Y = 1, by regression of the channels on the outputs.
+
+    The result is one or two per cent off if the training surfaces differ from white. None without patches.
+    """
     taps = window.size
     power = moments[taps + 1 :, taps + 1 :]
     if not power.any():

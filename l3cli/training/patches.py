@@ -17,22 +17,32 @@ from l3cli.training.recipe import LearningRecipe
 from l3cli.training.symmetry import orientations, site_maps
 
 Floats = NDArray[np.float32]
-Y = 1  # its place among the outputs X, Y, Z
+Y = 1  # index of Y among the outputs X, Y, Z
 
 
 @dataclass(frozen=True)
 class Patches:
-    """Noise-free, unclipped patches of one canonical site with their targets."""
+    """Noise-free, unclipped patches of one canonical site, with their targets."""
 
-    signal: Floats  # (patch, tap) share of full scale
+    signal: Floats  # (patch, tap) fraction of full scale
     target: Floats  # (patch, output) in the table's output unit
-    carried: Floats | None = None  # (patch, tap) noise variance that a real signal already has, full scale²; simulated: 0
-    colourless: NDArray[np.bool_] | None = None  # (patch) whether the patch shows its scene without colour; None: none does
+    carried: Floats | None = None  # (patch, tap) noise variance that a real signal has, in full scale²; None: 0
+    colourless: NDArray[np.bool_] | None = None  # (patch) whether a patch shows only luminance; None: none does
 
     def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return `scale` (patch) as far as the patches can follow. Simulated ones follow everywhere. Real ones carry noise
-        and clipped values: they can be made darker, since noise can be added, but not brighter, and not at all if a tap
-        clips."""
+        """Return the scales, limited to those that the patches can follow.
+
+        Simulated patches can follow any scale. Patches of real frames contain noise and clipped values. They can be made
+        darker, because noise can be added, but not brighter, and a patch with a clipped tap keeps its level.
+
+        Parameters
+        ----------
+        scale : ndarray, (patch)
+
+        Returns
+        -------
+        ndarray, (patch)
+        """
         if self.carried is None:
             return scale
         followed = np.where((self.signal >= 1).any(axis=1), 1.0, np.minimum(scale, 1.0))
@@ -40,7 +50,7 @@ class Patches:
 
     @classmethod
     def concatenated(cls, parts: list["Patches"]) -> "Patches":
-        """Return all patches of `parts`; simulated ones among real ones carry a variance of zero."""
+        """Join patches. If some of them are real, the simulated ones get a noise variance of zero."""
         colourless = [np.zeros(len(p.signal), bool) if p.colourless is None else p.colourless for p in parts]
         carried = None
         if any(part.carried is not None for part in parts):
@@ -60,9 +70,34 @@ def patches_of(
     achromatic: float = 0.0,
     colourless: TrainingFrame | None = None,
 ) -> Patches:
-    """Return `count` patches of a simulated frame or a real pair, laid out like those of canonical `site`; whether sites
-    share their training, as in site_maps, matters to real pairs. A share `achromatic` of them is taken from the `colourless`
-    frame, if there is one."""
+    """Take patches from a frame, arranged like those of a canonical site.
+
+    Parameters
+    ----------
+    frame : TrainingFrame or real pair
+    head : TrainingSet
+    neighbours : Neighbourhoods
+    site : int
+        The canonical site.
+    count : int
+        Number of patches.
+    rng : numpy.random.Generator
+    shared : bool
+        Whether symmetric sites are trained together, as in `site_maps`. Only real pairs depend on it.
+    achromatic : float
+        Fraction of the patches to take from `colourless`.
+    colourless : TrainingFrame, optional
+        The frame without colour. [default: no patch is achromatic]
+
+    Returns
+    -------
+    Patches
+
+    Raises
+    ------
+    InputFileError
+        If the frame is smaller than a patch.
+    """
     side = int(np.sqrt(neighbours.channel.shape[1]))
     if frame.raw.shape[0] < side or frame.raw.shape[1] < side:
         rows, cols = frame.raw.shape
@@ -79,15 +114,17 @@ def patches_of(
 
 
 def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
-    """Return a frame without colour, for all sites; None of a real pair, and where the light is not known or the outputs are
-    not X, Y, Z."""
+    """Return the frame without colour, which serves all sites.
+
+    None for a real pair, for an unknown illuminant, and if the outputs do not begin with X, Y, Z.
+    """
     if not isinstance(frame, TrainingFrame) or frame.light is None or head.outputs[:3] != XYZ:
         return None
     return without_colour(frame, head.camera)
 
 
 def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
-    """Return a frame of X, Y, Z under a known light that shows the luminance of its scene alone, as white is seen."""
+    """Return a frame that shows only the luminance of its scene, in the colour of white under its known light."""
     if frame.light is None:
         raise ValueError("the light must be known")
     luminance = frame.target[Y]
@@ -106,8 +143,33 @@ def sample_pair(
     rng: np.random.Generator,
     shared: bool = True,
 ) -> Patches:
-    """Return `count` patches of a real pair at random places among the sites that are canonical `site` turned or mirrored:
-    only there, and only turned so, is its mosaic that of the table."""
+    """Take patches at random places of a real pair.
+
+    Only sites that are a rotation or reflection of the canonical site are used, in that orientation, because the mosaic of a
+    real frame is fixed.
+
+    Parameters
+    ----------
+    pair : TrainingPair
+    camera : CameraModel
+    neighbours : Neighbourhoods
+    site : int
+        The canonical site.
+    count : int
+        Number of patches.
+    rng : numpy.random.Generator
+    shared : bool
+        Whether symmetric sites are trained together.
+
+    Returns
+    -------
+    Patches
+
+    Raises
+    ------
+    InputFileError
+        If the pair is too small for a patch of every site.
+    """
     side = int(np.sqrt(neighbours.channel.shape[1]))
     radius, period = side // 2, camera.cfa.shape
     rows, cols = pair.raw.shape
@@ -147,10 +209,28 @@ def sample_patches(
     orientations: Sequence[NDArray[np.int64]],
     rng: np.random.Generator,
 ) -> Patches:
-    """Return `count` patches at random places and orientations of a frame, seen through the CFA `window` (tap).
+    """Take patches at random places and orientations of a simulated frame, seen through a window of the CFA.
 
-    The mosaic is laid over the full-resolution electrons at any offset, after mirroring and turning the scene. Patches touch
-    no ignored pixel.
+    The mosaic is laid over the full-resolution electrons at any offset, after the scene has been mirrored and rotated. No
+    patch contains an ignored pixel.
+
+    Parameters
+    ----------
+    frame : TrainingFrame
+    head : TrainingSet
+    unit : float
+        The output unit, by which targets are divided.
+    window : ndarray, (tap)
+        Channel of each tap.
+    count : int
+        Number of patches.
+    orientations : sequence of ndarray, (tap)
+        Permutations of the taps, used equally often.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    Patches
     """
     side = int(np.sqrt(window.size))
     radius = side // 2
@@ -172,8 +252,10 @@ def sample_patches(
 
 
 def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return rows and columns (2, place) of `count` patches of a side that touch no ignored pixel; InputFileError if none is
-    free."""
+    """Return rows and columns (2, place) of the centres of `count` patches without ignored pixels.
+
+    Raises an InputFileError if there is no such place.
+    """
     rows, cols = frame.raw.shape[0] - side + 1, frame.raw.shape[1] - side + 1
     if frame.ignored is None:
         return (even_places(count, 2, rng) * (rows, cols)).astype(np.int64).T + side // 2
@@ -189,8 +271,22 @@ def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generat
 
 
 def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the levels, shares of full scale, at `places`, from 0 to 1, of their distribution: log-uniform over the whole
-    range, a share of them over the highlights, one down to half of the darkest."""
+    """Return levels at given places of the level distribution (docs/method.md#level-rescaling).
+
+    Levels are log-uniform over the whole range, except for one fraction over the highlights and one from the darkest level
+    down to half of it.
+
+    Parameters
+    ----------
+    recipe : LearningRecipe
+    places : ndarray
+        Places between 0 and 1.
+
+    Returns
+    -------
+    ndarray
+        Levels as fractions of full scale.
+    """
     others = max(1 - recipe.highlight_share - recipe.dark_share, 0.0)
     ends = np.cumsum([0.0, recipe.highlight_share, others, recipe.dark_share])
     part = np.searchsorted(ends[1:-1], places, side="right")
@@ -201,8 +297,15 @@ def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np
 
 
 def even_places(count: int, axes: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return places (place, axis) from 0 to 1 that cover all axes together more evenly than random ones: from a random
-    start, steps of the powers of 1/g, with g^(axes + 1) = g + 1 (docs/method.md#patches)."""
+    """Return places that cover the unit cube more evenly than random ones (docs/method.md#patches).
+
+    From a random start, steps are the powers of 1/g, where g^(axes + 1) = g + 1.
+
+    Returns
+    -------
+    ndarray, (place, axis)
+        Between 0 and 1.
+    """
     ratio = 2.0
     for _ in range(40):
         ratio = (1 + ratio) ** (1 / (axes + 1))
@@ -215,8 +318,10 @@ def _normal_deviates() -> Floats:
 
 
 def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-    """Return standard normal values: a run of 2²⁰ deviates from a random place on. Enough for class decisions, where each
-    patch counts by itself, and twenty times as fast as fresh ones."""
+    """Return standard normal values: a run of 2²⁰ precomputed deviates from a random position.
+
+    That is enough for class decisions, in which each patch counts by itself, and twenty times as fast as fresh values.
+    """
     pool, size = _normal_deviates(), math.prod(shape)
     start = rng.integers(max(pool.size - size, 0), endpoint=True)
     run = pool[start : start + size]
@@ -231,15 +336,32 @@ def expose_patches(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> NDArray[np.uint32]:
-    """Return the noisy DN that decide the class of `signal` in shares of full scale, (patch, tap) or (tap, patch), in a
-    frame of which `dark` DN of dark current have been taken off. A simulated signal lacks all noise, a real one what goes
-    beyond the variance `carried` already. `channel`, which broadcasts against the signals, says of which they are."""
+    """Return noisy pixel values that decide the class of each patch.
+
+    Parameters
+    ----------
+    signal : ndarray, (patch, tap) or (tap, patch)
+        Fractions of full scale.
+    camera : CameraModel
+    rng : numpy.random.Generator
+    carried : ndarray, optional
+        Noise variance that real signals already contain, in full scale²; only the rest is added. [default: none]
+    dark : float
+        Dark signal that has been subtracted from the frame, in DN.
+    channel : ndarray, optional
+        Channel of each signal, broadcast against `signal`.
+
+    Returns
+    -------
+    ndarray of uint32
+        DN, clipped at the white level.
+    """
     noisy = _variance(signal, camera, carried, dark, QUANTISATION, channel)
     np.sqrt(noisy, out=noisy)
     noisy *= _normal(signal.shape, rng)
     noisy += signal
     noisy *= np.float32(camera.white_level - camera.black_level)
-    noisy += np.float32(camera.black_level + 0.5)  # cast rounds down
+    noisy += np.float32(camera.black_level + 0.5)  # because the cast rounds down
     return np.clip(noisy, 0.0, np.floor(camera.white_level), out=noisy).astype(np.uint32)
 
 
@@ -250,8 +372,10 @@ def noise_share(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Return the variance of the noise that signals (patch, tap) lack, in units of full scale squared; 0 where clipped.
-    `dark` and `channel` as for `expose_patches`."""
+    """Return the variance of the noise that signals lack, in full scale².
+
+    It is 0 for clipped values. Parameters are those of `expose_patches`.
+    """
     variance = _variance(signal, camera, carried, dark, channel=channel)
     variance *= signal < 1
     return variance
@@ -265,8 +389,11 @@ def _variance(
     later: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Return camera.noise_variance in units of full scale, less what signals carry, as only real ones do, which alone are
-    ever negative, and what rounding will add `later` (DN²)."""
+    """Return the noise variance of the camera in full scale².
+
+    The variance that signals carry, and the DN² that rounding adds `later`, are subtracted. Only real signals can be
+    negative.
+    """
     if carried is not None:
         signal = np.clip(signal, 0.0, np.inf)
     span = camera.white_level - camera.black_level

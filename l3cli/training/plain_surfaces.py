@@ -1,16 +1,15 @@
-"""Plain surfaces: what a uniform area of a real colour gives, beside what patches of scenes teach
-(docs/method.md#plain-surfaces).
+"""Uniform areas of measured surfaces, which are added to the patches of scenes (docs/method.md#plain-surfaces).
 
-Patches of scenes are textured. A class follows them where their detail tells something of their colour, which is wrong on
-plain areas, and its plain areas are few. So every plain class is also taught uniform areas of measured surfaces of its
-colour, as they are and paler, bare and painted; and whites and greys of paint, of which the made world is full. Where there
-are none, as the colour is that of stripes which repeat with the array, it is taught that these are grey
+Patches of scenes are textured. A class learns to infer colour from their detail, which is wrong on uniform areas, and few
+patches are uniform. So each class of uniform areas is also trained on uniform areas of measured surfaces of its colour. They
+include paler, bare and painted versions, and white and grey paints, which are common in man-made scenes. Some chromas occur
+only in stripes that repeat with the array. Classes of such a chroma are trained to render it as grey
 (docs/method.md#stripes).
 
-Training surfaces are smooth spectra and plain patches of bright leaves are few. So where the outputs are the camera's
-channels, plain classes are also taught that each band may differ by itself (docs/method.md#single-bands): else a class takes
-for noise whatever of a spectrum its handful of colours do not span, and casts a colour on all areas of another material.
-Noise differs from pixel to pixel; spectrum is what a whole neighbourhood has in common.
+If the outputs are the channels of the camera, uniform classes are also trained on areas in which each band varies on its own
+(docs/method.md#single-bands). Training surfaces have smooth spectra, and few dead leaves have uniform bright areas. Without
+this, a class would treat every spectrum that its few colours do not span as noise, and would give all areas of another
+material a colour cast. Noise differs from pixel to pixel, whereas a spectrum is common to a whole neighbourhood.
 """
 
 import functools
@@ -28,18 +27,30 @@ from l3cli.physics.spectra import BLACKEST, WHITEST, with_saturation, with_titan
 
 Array = NDArray[np.float64]
 
-MODULATIONS = np.linspace(0.3, 0.95, 8)  # of the stripes that are taught
-CENTRE = 0.65  # modulation whose colour is the centre of a chroma: half way to white begins what is taken for stripes
-FARTHEST = 8  # stripes at most that have a chroma
-APART = 0.1  # in shares of the channels, from the chroma of white, or noise takes greys for stripes
-UNLIKE = 0.5  # of its distance to white that stripes keep from every optimal colour
+MODULATIONS = np.linspace(0.3, 0.95, 8)  # of the stripes in the training
+CENTRE = 0.65  # modulation at the centre of a chroma of stripes; the chroma begins half way from there to white
+FARTHEST = 8  # largest number of stripes with a chroma of their own
+APART = 0.1  # least distance to the chroma of white in channel fractions; nearer, noisy greys would count as stripes
+UNLIKE = 0.5  # least distance of stripes to any optimal colour, relative to their distance to white
 BAND_EDGES = 31  # wavelengths at which an optimal colour may begin or end
 BLACKS = (0.02, 0.1, 0.3)  # reflectances of an optimal colour where it is dark
 
 
 def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
-    """Return stripes (stripe, channel) of a whole number of periods in an array `cfa` (row, col) and a mean of 0, that are
-    the same value within ±1 at all sites of a channel, and not the same at all channels."""
+    """Return the stripe patterns of an array that look like a uniform colour.
+
+    Parameters
+    ----------
+    cfa : ndarray, (row, col)
+        Channel of each site.
+    channels : int
+
+    Returns
+    -------
+    ndarray, (stripe, channel)
+        Value of the stripes at all sites of each channel. Stripes repeat a whole number of times per array, have a mean of 0
+        and lie within ±1. All sites of a channel have the same value, and not all channels have the same one.
+    """
     rows, cols = cfa.shape
     sites = np.stack([cfa == channel for channel in range(channels)]).reshape(channels, -1)
     sites = sites / sites.sum(axis=1, keepdims=True)
@@ -54,9 +65,22 @@ def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
 
 
 def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Array:
-    """Return stripes (stripe, channel), as those of `uniform_stripes`, whose colour no surface can have under a light of
-    `photons` at each `wavelength` in nm: none is less than UNLIKE of its distance to white away from an optimal colour, and
-    none near white."""
+    """Return the stripes of `uniform_stripes` whose colour no surface can have.
+
+    Parameters
+    ----------
+    camera : CameraModel
+    wavelength : ndarray, (wavelength)
+        In nm.
+    photons : ndarray, (wavelength)
+        Relative photon flux of the light.
+
+    Returns
+    -------
+    ndarray, (stripe, channel)
+        Stripes that are far from white, and that differ from each optimal colour by at least `UNLIKE` of their distance to
+        white.
+    """
     electrons = camera.signal_weights @ spectra.sampling_matrix(wavelength, camera.wavelength) * photons
     white = electrons.sum(axis=1)
     if not white.min() > 0:
@@ -72,18 +96,23 @@ def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Arr
 
 
 def stripe_shares(white: Array, stripes: Array) -> Array:
-    """Return the chroma centres (stripe, channel) of stripes (stripe, channel) on a white of these signals (channel)."""
+    """Return the chroma centres (stripe, channel) of stripes on a white whose signals are `white` (channel)."""
     return shares(white * (1.0 + CENTRE * stripes))
 
 
 def shares(signals: Array) -> Array:
-    """Return signals (…, channel) over their sum."""
+    """Return signals (…, channel) divided by their sum."""
     return np.asarray(signals / signals.sum(axis=-1, keepdims=True))
 
 
 def optimal_reflectances(wavelength: Array) -> Array:
-    """Return reflectances (surface, wavelength) that are bright in one band or in all but one and dark elsewhere:
-    Schrödinger's optimal colours, the most vivid that a surface can have, and paler ones."""
+    """Return Schrödinger's optimal colours, the most vivid that a surface can have, and paler versions of them.
+
+    Returns
+    -------
+    ndarray, (surface, wavelength)
+        Reflectances that are bright in one band, or in all but one band, and dark elsewhere.
+    """
     edges = np.linspace(0, wavelength.size, BAND_EDGES).round()
     first, last = np.triu_indices(BAND_EDGES, 1)
     place = np.arange(wavelength.size)
@@ -92,20 +121,20 @@ def optimal_reflectances(wavelength: Array) -> Array:
     return np.concatenate([np.where(bright, 1.0, black) for black in BLACKS])
 
 
-SATURATIONS = (0.2, 0.4, 0.6, 0.8, 1.0)  # of measured surfaces: what is made of them is mostly paler
-EDGES, WIDTHS = (0.1, 0.2, 0.4), (6.5, 9.5)  # of titanium white, K/S at 405 nm and nm, as the training scenes have them
-BARE = 2  # times each surface counts without titanium white, which three quarters of the surfaces have
+SATURATIONS = (0.2, 0.4, 0.6, 0.8, 1.0)  # versions of measured surfaces; most man-made surfaces are paler
+EDGES, WIDTHS = (0.1, 0.2, 0.4), (6.5, 9.5)  # of titanium white, as in the training scenes: K/S at 405 nm, and nm
+BARE = 2  # copies of each surface without titanium white, which three quarters of the surfaces contain
 GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of paints without dye
-GREY_SHARE = 100.0  # times the other surfaces of their chroma that GREYS together count as
-OF_WHITE = 3.0  # times more is taught of white's own chroma, where a cast is seen first
-NEAR_WHITE = 0.2  # distance of channel shares, of their mean, at which a chroma is as near as noise brings dark greys
-FEWEST = 4  # surfaces a channel, that tell what a chroma is
-SAME_WHITE = 0.005  # relative, for a coarse grid: outputs whose white is not that of the light are others
+GREY_SHARE = 100.0  # weight of all GREYS together, relative to the other surfaces of their chroma
+OF_WHITE = 3.0  # weight of the chroma of white, where a colour cast is most visible
+NEAR_WHITE = 0.2  # distance to white, relative to the mean channel fraction, that noise gives to dark greys
+FEWEST = 4  # surfaces per channel that a chroma needs
+SAME_WHITE = 0.005  # relative tolerance for the white of X, Y, Z on a coarse wavelength grid
 
 
 @functools.lru_cache(maxsize=4)
 def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, int]:
-    """Return reflectances of surfaces (surface, wavelength), and how many of them, the last, are painted greys."""
+    """Return reflectances (surface, wavelength), and how many of them, at the end, are painted greys."""
     grid = np.array(wavelength)
     paler = np.concatenate([with_saturation(spectra.reflectance_library(grid), each) for each in SATURATIONS])
     paler = np.clip(paler, BLACKEST, WHITEST)
@@ -117,19 +146,30 @@ def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, int]:
 
 @dataclass(frozen=True)
 class PlainSurfaces:
-    """Surfaces under a light, of which a white has Y = 1."""
+    """Surfaces under a light, scaled so that white has Y = 1."""
 
-    signals: Array  # (surface, channel) shares of full scale
+    signals: Array  # (surface, channel) fractions of full scale
     outputs: Array  # (surface, 3) X, Y, Z
     white: Array  # (channel) signals of white
-    greys: int  # how many of them, the last, are paints without dye
+    greys: int  # number of paints without dye, which come last
     beyond: Array  # (sample, channel) signals of stripes of false colours, and of optimal colours
     beyond_outputs: Array  # (sample, 3)
-    stripes: int  # how many of them, the first, are stripes, whose outputs are those of white
+    stripes: int  # number of stripes, which come first and have the outputs of white
 
     def moments(self, rule: ClassRule, window: NDArray[np.int64]) -> list[Array | None]:
-        """Return mean moments (column, column) of uniform patches of the surfaces of each chroma of a rule, columns and
-        weights as of sums; None: too few surfaces to tell. `window` (tap) names channels."""
+        """Return mean moments of uniform patches of the surfaces of each chroma.
+
+        Parameters
+        ----------
+        rule : ClassRule
+        window : ndarray, (tap)
+            Channel of each tap.
+
+        Returns
+        -------
+        list of ndarray (column, column) or None, (chroma)
+            Columns and weights are those of the sums. None: the chroma has too few surfaces.
+        """
         centres = chroma_centres(rule)
         chroma = _nearest(self.signals, centres)
         every = [self._mean(chroma == each, window) for each in range(rule.chromas)]
@@ -139,25 +179,28 @@ class PlainSurfaces:
         return every
 
     def nearness(self, rule: ClassRule) -> Array:
-        """Return the nearness to white (chroma) of each chroma of a rule: 1 for white's own, falling off to 0."""
+        """Return how near each chroma of a rule is to white (chroma): 1 for the chroma of white, down to 0."""
         if rule.chromas == 1:
             return np.zeros(1)
         distance = (chroma_centres(rule) - shares(self.white[None])) * rule.channels / NEAR_WHITE
         return np.asarray(np.exp(-(distance**2).sum(axis=1)))
 
     def moments_of_stripes(self, rule: ClassRule, window: NDArray[np.int64]) -> dict[int, Array]:
-        """Return, as `moments`, of stripes and what else has their colours, by chroma: those of stripes alone."""
+        """Return mean moments of stripes, and of vivid colours like theirs, by chroma.
+
+        Only chromas that consist of stripes alone are included. Parameters are those of `moments`.
+        """
         if rule.chromas == 1:
             return {}
         chroma = _nearest(self.beyond, chroma_centres(rule))
         stripes = np.bincount(chroma[: self.stripes], minlength=rule.chromas)
         vivid = np.bincount(chroma[self.stripes :], minlength=rule.chromas)
         surfaces = np.bincount(_nearest(self.signals, chroma_centres(rule)), minlength=rule.chromas)
-        # Their chroma has most modulations of one, others may have the palest.
+        # A chroma belongs to stripes if it contains half of the modulations of one; other chromas contain only pale ones.
         theirs = np.flatnonzero((stripes >= len(MODULATIONS) / 2) & (surfaces < FEWEST * self.signals.shape[1]))
         every = {}
         for each in theirs.tolist():
-            # Both count alike, however many: a lamp may have a colour that no surface has.
+            # Stripes and vivid colours have the same total weight, because a lamp may have a colour that no surface has.
             count = np.repeat([1 / stripes[each], 1 / max(vivid[each], 1)], [stripes[each], vivid[each]])
             members = chroma == each
             every[each] = _moments(self.beyond[members], self.beyond_outputs[members], count, window)
@@ -172,7 +215,7 @@ class PlainSurfaces:
 
 
 def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.int64]) -> Array:
-    """Return mean moments (column, column) of samples (sample, channel or output) that count unlike."""
+    """Return weighted mean moments (column, column) of samples (sample, channel or output)."""
     weight = count / count.sum() / (signals.mean(axis=1) * outputs[:, 1])
     values = np.concatenate([signals, np.zeros((len(signals), 1)), outputs], axis=1)
     # Not by BLAS, whose sums depend on how many threads it has.
@@ -183,8 +226,23 @@ def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.in
 
 
 def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpectrum, white: Array) -> PlainSurfaces | None:
-    """Return surfaces as the camera sees them under `light`, with outputs under `target`; None if the outputs, of which a
-    white has `white` at Y = 1, are not CIE 1931 X, Y, Z, or the light gives a channel nothing."""
+    """Return the surfaces as a camera sees them.
+
+    Parameters
+    ----------
+    camera : CameraModel
+    light : LightSpectrum
+        Illuminant of the scene.
+    target : LightSpectrum
+        Illuminant for which the outputs are computed.
+    white : ndarray, (output)
+        Outputs of white, Y = 1.
+
+    Returns
+    -------
+    PlainSurfaces or None
+        None if the outputs are not CIE 1931 X, Y, Z, or if a channel receives no light.
+    """
     grid = light.wavelength  # as fine as the edge of titanium white needs
     lit = light.radiance.astype(np.float64)
     wanted = spectra.resample(target.radiance.astype(np.float64), target.wavelength, grid)
@@ -208,7 +266,7 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
 
 
 def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Array, Array]:
-    """Return signals and outputs of surfaces (surface, wavelength). Not by BLAS, whose sums depend on its threads."""
+    """Return signals and outputs of surfaces. BLAS is not used, because its sums depend on the number of threads."""
     return np.einsum("sw,cw->sc", reflectances, to_signals), np.einsum("sw,ow->so", reflectances, to_outputs)
 
 
@@ -217,20 +275,46 @@ def _nearest(signals: Array, centres: Array) -> NDArray[np.intp]:
     return np.argmin(((shares(signals)[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
 
 
-SPREAD = 0.1  # standard deviation of one band by itself, of its mean
+SPREAD = 0.1  # standard deviation of a band that varies on its own, relative to its mean
 
 
 def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
-    """Return the gain (channel) from a flat patch of one channel to the output of that channel, by regression over plain
-    patches of summed `moments` (column, column); None if a channel has no signal there. `window` (tap) names channels."""
+    """Return the gain from a uniform patch of one channel to the output of that channel, by regression over uniform patches.
+
+    Parameters
+    ----------
+    moments : ndarray, (column, column)
+        Summed moments of uniform patches.
+    window : ndarray, (tap)
+        Channel of each tap.
+
+    Returns
+    -------
+    ndarray, (channel), or None
+        None if a channel has no signal.
+    """
     taps, means = window.size, _membership(window) / np.bincount(window)
     signal, both = means.T @ moments[:taps, :taps] @ means, means.T @ moments[:taps, taps + 1 :]
     return np.asarray(both.diagonal() / signal.diagonal()) if signal.diagonal().min() > 0 else None
 
 
 def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Array:
-    """Return moments (column, column) of flat patches, as many as make up those of a class, `moments`: they differ from the
-    mean colour of these in each band by itself, by SPREAD of it. `gains` as from `output_gains`."""
+    """Return moments of uniform patches in which each band varies on its own.
+
+    Parameters
+    ----------
+    moments : ndarray, (column, column)
+        Moments of a class. The result counts as many patches, and they vary around the mean colour of the class.
+    window : ndarray, (tap)
+        Channel of each tap.
+    gains : ndarray, (channel)
+        From `output_gains`.
+
+    Returns
+    -------
+    ndarray, (column, column)
+        The standard deviation of a band is `SPREAD` of its mean.
+    """
     taps, member = window.size, _membership(window)
     mean = moments[:taps, taps] @ member / np.bincount(window)  # times the number of patches, as weighed
     columns = np.concatenate([member, np.zeros((1, gains.size)), np.diag(gains)])
@@ -239,11 +323,11 @@ def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Arr
 
 
 def teaches(rule: ClassRule, index: int) -> bool:
-    """Return whether patches of a class are plain: of the lowest of several contrasts, and nothing saturated."""
+    """Return whether a class holds unsaturated patches of the lowest of several contrasts."""
     place = rule.split(index)
     return bool(rule.contrasts > 1 and place.contrast == 0 and not rule.case(place.kind))
 
 
 def _membership(window: NDArray[np.int64]) -> Array:
-    """Return 1 where a tap is of a channel (tap, channel)."""
+    """Return 1 where a tap belongs to a channel, otherwise 0, (tap, channel)."""
     return (window[:, None] == np.arange(window.max() + 1)).astype(np.float64)

@@ -1,5 +1,7 @@
-"""Row weights of the second pass: large errors, of colour or of spectrum, count less than their square
-(docs/method.md#second-pass)."""
+"""Sample weights of the second pass.
+
+Large errors, of colour or of spectrum, count less than their square (docs/method.md#second-pass).
+"""
 
 from dataclasses import dataclass
 
@@ -10,19 +12,19 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.physics.display import XYZ
 
 Floats = NDArray[np.float32]
-DARKEST = 0.02  # of the level: darker targets are not judged more strictly
-TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (docs/method.md#row-weights)
-ERROR_FLOOR = 0.25  # ΔE² or degrees², below which errors count alike
-# What an error of f(X), f(Y), f(Z) is in L*, a*, b*; the chroma rows are halved and eased, as eyes forgive more of them.
+DARKEST = 0.02  # fraction of the level; errors of darker targets are measured as if they had this brightness
+TARGET_FLOOR = 0.05  # fraction of the level below which the weight no longer rises (docs/method.md#row-weights)
+ERROR_FLOOR = 0.25  # ΔE² or degrees²; smaller errors have about the same weight
+# Factors from errors of f(X), f(Y), f(Z) to errors of L*, a*, b*; those of chroma are reduced, as it is less visible.
 LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0
 
 
 @dataclass(frozen=True)
 class ColourWeighting:
-    """Transforms of one site's classes from the first pass, in XYZ."""
+    """Transforms to X, Y, Z of one site's classes from the first pass."""
 
     weights: Floats  # (class, tap, output)
-    products: Floats  # (class, tap, product) XX, YY, ZZ, XY, YZ of the weights: how noise of the taps adds up
+    products: Floats  # (class, tap, product) XX, YY, ZZ, XY, YZ of the weights, which propagate the noise of the taps
     intercept: Floats  # (class, output)
     white: Floats  # (output)
     power: float  # of the weight
@@ -30,10 +32,21 @@ class ColourWeighting:
     def weight(
         self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
     ) -> Floats:
-        """Return (e² + ¼)^(−power) of each patch (patch): e is the Lab error expected of the first pass, bias and noise.
+        """Return the weight (e² + ¼)^(−power) of each patch.
 
-        `clean` and `variance` (patch, tap), `target` (patch, 3), `level` (patch), all in shares of full scale; `runs` are
-        class, first and last patch of the patches of each class.
+        e is the expected CIELAB error of the first pass, from bias and noise.
+
+        Parameters
+        ----------
+        clean, variance : ndarray, (patch, tap)
+            Noise-free signals and noise variance, in fractions of full scale.
+        target : ndarray, (patch, 3)
+        level : ndarray, (patch)
+        runs : list of (class, first patch, end patch)
+
+        Returns
+        -------
+        ndarray, (patch)
         """
         relative = 1 / level[:, None]
         slope = np.maximum(target * relative / self.white, DARKEST) ** np.float32(-2 / 3) / (3 * self.white)  # d f / d XYZ
@@ -53,18 +66,21 @@ class ColourWeighting:
 
 @dataclass(frozen=True)
 class SpectralWeighting:
-    """Transforms of one site's classes from the first pass, of outputs that are a spectrum."""
+    """Transforms to spectra of one site's classes from the first pass."""
 
     weights: Floats  # (class, tap, output)
-    squares: Floats  # (class, tap) of the weights, summed over the outputs: how noise of the taps adds up
+    squares: Floats  # (class, tap) of the weights, summed over the outputs, which propagate the noise
     intercept: Floats  # (class, output)
     power: float  # of the weight
 
     def weight(
         self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
     ) -> Floats:
-        """Return (e² + ¼)^(−power) of each patch (patch): e is the spectral angle in degrees expected of the first pass, by
-        bias and noise. Arguments as of ColourWeighting, `target` (patch, output)."""
+        """Return the weight (e² + ¼)^(−power) of each patch.
+
+        e is the expected spectral angle of the first pass in degrees, from bias and noise. Parameters are those of
+        `ColourWeighting`, with `target` (patch, output).
+        """
         bias, noise = np.empty_like(target), np.empty_like(level)
         for index, first, last in runs:
             bias[first:last] = clean[first:last] @ self.weights[index] + self.intercept[index]
@@ -81,8 +97,20 @@ RowWeighting = ColourWeighting | SpectralWeighting
 
 
 def row_weighting(table: TransformTable, site: int, power: float) -> RowWeighting:
-    """Return the weighting of a canonical site from the first pass's table; its weights go with `power` of the squared
-    error. The outputs are X, Y, Z or a spectrum."""
+    """Return the weighting of a canonical site from the table of the first pass.
+
+    Parameters
+    ----------
+    table : TransformTable
+        Its outputs are X, Y, Z or a spectrum.
+    site : int
+    power : float
+        Exponent of the squared error.
+
+    Returns
+    -------
+    ColourWeighting or SpectralWeighting
+    """
     classes = table.first.rule.of_site(site)
     weights = np.ascontiguousarray(np.swapaxes(table.first.weights[classes], 1, 2))
     intercept = table.first.intercept[classes]

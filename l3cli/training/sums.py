@@ -1,8 +1,8 @@
-"""Additive sums of one canonical site: all that a class's transform depends on (docs/method.md#exact-sums).
+"""The sums of one canonical site from which the transforms of its classes are solved (docs/method.md#exact-sums).
 
-Sums are float64 on a grid: every contribution is rounded to a multiple of 2⁻²⁴ of its columns' scale before it is added.
-As long as no sum reaches 2⁵³ grid steps, float64 adds such numbers without any rounding, so that a sum is the same to the
-last bit in whatever order, by whatever processes and in however many shards it was added up.
+Sums are float64 numbers on a grid. Each contribution is rounded to a multiple of 2⁻²⁴ of the scale of its columns before it
+is added. As long as no sum reaches 2⁵³ grid steps, float64 adds such numbers without rounding. A sum is then the same to the
+last bit in any order, with any number of processes and of shards.
 """
 
 import functools
@@ -19,53 +19,68 @@ from l3cli.artifacts.partial_sums import ClassSums, LayerSums
 from l3cli.classes import level
 from l3cli.errors import L3Error
 
-STEP = 2.0**-24  # of a product of columns of scale one
-EXACT = 2.0**53  # steps that float64 counts without rounding
-PIECE, LARGEST_PIECE = 1024, 4096  # rows that are made and multiplied at once, and where one class has so many
+STEP = 2.0**-24  # grid step for a product of columns of scale one
+EXACT = 2.0**53  # largest number of steps that float64 counts without rounding
+PIECE = 1024  # rows that are computed and multiplied at a time
+LARGEST_PIECE = 4096  # the same if all belong to one class
 
 Array = NDArray[np.float64]
 
 
 @functools.cache
 def pairs(width: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return column indices (pair), (pair) of the upper triangle of a moment matrix, row by row."""
+    """Return the column indices (pair), (pair) of the upper triangle of a moment matrix, row by row."""
     return np.triu_indices(width)
 
 
 def width_of(packed: Array) -> int:
-    """Return columns of the matrices whose upper triangles are packed (…, pair)."""
+    """Return the number of columns of matrices whose upper triangles are packed (…, pair)."""
     return (math.isqrt(8 * packed.shape[-1] + 1) - 1) // 2
 
 
 def empty_sums(rule: ClassRule, outputs: int) -> ClassSums:
-    """Return sums of no patches."""
+    """Return the sums of a site before any patch is added."""
     classes, taps = rule.classes_per_site, rule.patch**2
     width = taps + 1 + outputs
     return ClassSums(np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps)), np.zeros(classes))
 
 
 def rounding_number(step: Array | float) -> Array:
-    """Return a number of steps, 1.5 · 2⁵², beside which float64 keeps whole steps only."""
+    """Return 1.5 · 2⁵² steps.
+
+    A float64 number to which this is added is rounded to whole steps, because no smaller digit is left.
+    """
     return np.asarray(step * (1.5 * 2.0**52))
 
 
 def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
-    """Add `more`, rounded to whole steps, to `total` in place; `large`: what is `rounding_number` that step."""
+    """Add numbers, rounded to whole steps, to a total in place.
+
+    Parameters
+    ----------
+    total : ndarray of float64
+    more : ndarray of float32
+    large : ndarray of float64
+        The `rounding_number` of the steps.
+    """
     rounded = more + large
     rounded -= large
     total += rounded
 
 
 def runs_of(label: NDArray[np.integer]) -> list[tuple[int, int, int]]:
-    """Return class, first and last row of each class among rows of the sorted classes `label`."""
+    """Return (class, first row, end row) of each run of equal classes in sorted `label`."""
     changes = (np.flatnonzero(label[1:] != label[:-1]) + 1).tolist()
     first, last = [0, *changes], [*changes, len(label)]
     return list(zip(label[first].tolist(), first, last, strict=True)) if len(label) else []
 
 
 def pieces_of(label: NDArray[np.integer]) -> Iterator[slice]:
-    """Yield pieces of about PIECE of the rows whose sorted classes are `label`, which end where a class ends unless it is
-    large: a class's product costs little more for many rows than for few."""
+    """Yield slices of about `PIECE` rows, given the sorted classes of the rows.
+
+    A piece ends where a class ends unless the class is large, because the product of a class costs little more for many rows
+    than for few.
+    """
     start = np.array([first for _, first, _ in runs_of(label)], np.int64)
     first = start[np.unique(start // PIECE, return_index=True)[1]].tolist()
     for begin, end in itertools.pairwise([*first, len(label)]):
@@ -80,8 +95,21 @@ def add_products(
     large: Sequence[Array],
     columns: NDArray[np.integer] | None = None,
 ) -> None:
-    """Add the products of the columns of rows (row, column), or of `columns` alone, of each of `runs` to its class of
-    `total` (class, pair), rounded to whole steps, of which each of `large` (run) is the `rounding_number`."""
+    """Add the products of columns, class by class, rounded to whole steps.
+
+    Parameters
+    ----------
+    total : ndarray, (class, pair)
+        Packed moments, changed in place.
+    rows : ndarray, (row, column)
+        Samples, sorted by class.
+    runs : list of (class, first row, end row)
+        From `runs_of`.
+    large : sequence of ndarray, (run)
+        The `rounding_number` of the steps of each run.
+    columns : ndarray, optional
+        Columns to use. [default: all]
+    """
     columns = np.arange(rows.shape[1]) if columns is None else columns
     row, col = pairs(columns.size)
     place = columns[row] * rows.shape[1] + columns[col]
@@ -91,25 +119,28 @@ def add_products(
 
 
 def add(sums: ClassSums | LayerSums, more: ClassSums | LayerSums) -> None:
-    """Add `more` to `sums` in place; exact, in whatever order."""
+    """Add the sums `more` to `sums` in place. The result is exact in any order."""
     for total, part in ((sums.moments, more.moments), (sums.noise, more.noise), (sums.count, more.count)):
         np.add(total, part, out=total)
 
 
 def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
-    """Return grid steps of the moments (level, pair), powers of two."""
+    """Return the grid steps of the moments (level, pair), which are powers of two."""
     return steps_of_columns(intercept_scale(rule, camera), rule.patch**2, outputs)
 
 
 def intercept_scale(rule: ClassRule, camera: CameraModel) -> Array:
-    """Return the scale (level) of the intercept, a power of two: rows are relative to their level, so taps and outputs are
-    of the order of one, and the intercept of one over the level."""
+    """Return the scale of the intercept column (level), a power of two.
+
+    Samples are relative to their level. So taps and outputs are of the order of one, and the intercept of one over the
+    level.
+    """
     lower = np.maximum(level.inner_bounds(rule, camera.black_level, camera.white_level), 1e-4)
     return np.asarray(2.0 ** np.rint(-np.log2(np.append(lower[0] / 2, lower))))
 
 
 def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
-    """Return grid steps (level, pair) of products of columns: taps, the intercept of scale `intercept` (level), outputs."""
+    """Return grid steps (level, pair) for taps, an intercept of scale `intercept` (level), and outputs."""
     scale = np.ones((len(intercept), taps + 1 + outputs))
     scale[:, taps] = intercept
     row, col = pairs(scale.shape[1])
@@ -117,8 +148,10 @@ def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
 
 
 def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
-    """Raise L3Error if sums have grown so large that additions may have been rounded. No product of two columns sums to more
-    than the larger of their squares, so the squares tell for all."""
+    """Raise an L3Error if sums are so large that additions may have been rounded.
+
+    The sum of products of two columns is at most the larger of the sums of their squares, so only squares are tested.
+    """
     row, col = pairs(width_of(sums.moments))
     squares = rule.by_axis(sums.moments[:, row == col])[0] / steps[:, None, None, None, row == col]
     if max(squares.max(), sums.noise.max() / STEP) >= EXACT:
@@ -126,7 +159,7 @@ def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
 
 
 def turned_places(turn: NDArray[np.integer], width: int) -> NDArray[np.intp]:
-    """Return the place (pair) that each pair of columns has after the first of them, the taps, are turned (tap)."""
+    """Return where each pair of columns goes (pair) when `turn` permutes the taps, which are the first columns."""
     row, col = pairs(width)
     place = np.empty((width, width), dtype=np.intp)
     place[row, col] = place[col, row] = np.arange(row.size)

@@ -1,4 +1,7 @@
-"""Symmetry of a colour filter array: sites whose neighbourhoods are rotations or mirror images share their training."""
+"""Symmetry of a colour filter array.
+
+Sites whose neighbourhoods are rotations or reflections of each other are trained together.
+"""
 
 import functools
 from dataclasses import dataclass
@@ -17,7 +20,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SiteMap:
-    """Source of a site's training: patch_of_site[permutation] is laid out like the canonical site's patch."""
+    """How a site is trained: patch_of_site[permutation] has the layout of the patches of the canonical site."""
 
     canonical: int  # site
     permutation: Indices  # (tap)
@@ -25,14 +28,28 @@ class SiteMap:
 
 @functools.cache
 def orientations(patch: int) -> tuple[Indices, ...]:
-    """Return tap permutations (tap) of the eight rotations and mirror images of a square patch, the identity first."""
+    """Return the tap permutations of the eight rotations and reflections of a square patch, the identity first."""
     taps = np.arange(patch * patch).reshape(patch, patch)
     return tuple(np.rot90(side, turns).ravel() for side in (taps, taps.T) for turns in range(4))
 
 
 def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap]:
-    """Return for the windows (site, tap) of every site the first site alike under some orientation
-    (docs/method.md#symmetry), or itself unless training is `shared`."""
+    """Return how each site is trained (docs/method.md#symmetry).
+
+    Parameters
+    ----------
+    channel : ndarray, (site, tap)
+        Channel of each tap in the window of each site.
+    patch : int
+        Side of the windows in pixels.
+    shared : bool
+        False: every site is trained on its own.
+
+    Returns
+    -------
+    list of SiteMap, (site)
+        The first site whose window is the same in some orientation, and that orientation.
+    """
     maps: list[SiteMap] = []
     canonical: list[int] = []
     for site, window in enumerate(channel):
@@ -53,13 +70,26 @@ def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap
 
 
 def stabilisers(window: Indices, patch: int) -> list[Indices]:
-    """Return the orientations that leave the layout of one window (tap) as it is."""
+    """Return the orientations that leave the layout of a window (tap) unchanged."""
     return [permutation for permutation in orientations(patch) if (window[permutation] == window).all()]
 
 
 def turned_classes(rule: ClassRule, permutation: Indices) -> Indices:
-    """Return class within a site (class) that patches of each class have after their taps are permuted by an orientation of
-    `orientations`. Only further features can change: sums over all of a patch stay."""
+    """Return the class of each class's patches after an orientation permutes their taps.
+
+    Only the values of further features can change, because sums over all taps of a patch stay the same.
+
+    Parameters
+    ----------
+    rule : ClassRule
+    permutation : ndarray, (tap)
+        One of `orientations`.
+
+    Returns
+    -------
+    ndarray, (class)
+        Classes within a site.
+    """
     number = next(n for n, each in enumerate(orientations(rule.patch)) if np.array_equal(each, permutation))
     transposed, turns = divmod(number, 4)
     place = rule.split(np.arange(rule.classes_per_site))
@@ -69,22 +99,26 @@ def turned_classes(rule: ClassRule, permutation: Indices) -> Indices:
 
 
 class Turn(NamedTuple):
-    """An orientation that leaves a site's window as it is: what its patches are when they are turned."""
+    """An orientation that leaves the window of a site unchanged, and its effect on patches."""
 
     taps: Indices  # (tap) permutation
-    classes: Indices  # (class) whose patches become patches of each class
+    classes: Indices  # (class) the class whose patches become patches of this class
 
 
 def turns_of(rule: ClassRule, window: Indices, shared: bool = True) -> list[Turn]:
-    """Return the orientations that leave the layout of one window (tap) as it is, the identity first; it alone unless
-    training is `shared`."""
+    """Return the orientations that leave a window (tap) unchanged, the identity first.
+
+    Only the identity is returned if sites are not trained together (`shared`).
+    """
     every = stabilisers(window, rule.patch) if shared else [orientations(rule.patch)[0]]
     return [Turn(turn, np.argsort(turned_classes(rule, turn))) for turn in every]
 
 
 def turned_structures(rule: StructureRule, number: int) -> Indices:
-    """Return class within a site (class) that windows of each class have after they are read in orientation `number` of
-    `orientations`: only the direction of an edge changes."""
+    """Return the class of each class's windows when they are read in orientation `number` of `orientations`.
+
+    Only the direction of an edge changes.
+    """
     across, down = structure.turn_signs(orientations(3)[number])
     place = rule.split(np.arange(rule.classes_per_site))
     strength, within = np.divmod(place.kind - 1, 1 + DIRECTIONS)

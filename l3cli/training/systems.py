@@ -1,4 +1,7 @@
-"""The linear systems of the classes, and transforms that are too large to be of use (docs/method.md#too-large)."""
+"""The linear systems of the classes.
+
+Transforms that would be too large for the integers of the planes get a larger ridge (docs/method.md#too-large).
+"""
 
 from typing import NamedTuple
 
@@ -9,13 +12,13 @@ from l3cli.artifacts.table import PLANES
 from l3cli.classes.planes import opponent_basis, room_between, room_for
 
 Array = NDArray[np.float64]
-STEPS = 5  # times that a ridge is raised tenfold, at most
-SPARE = 4.0  # so much smaller than the largest that fit are transforms before sites are made to answer alike
-ROUNDED = 1.001  # transforms are stored in float32
+STEPS = 5  # largest number of times that a ridge is raised tenfold
+SPARE = 4.0  # margin for the equal response of sites, which changes the transforms afterwards
+ROUNDED = 1.001  # margin for rounding, because transforms are stored as float32
 
 
 class Integers(NamedTuple):
-    """Parameters that the integers of the planes follow from."""
+    """Parameters that determine the integer formats of the planes."""
 
     bits: int
     black_level: float  # DN
@@ -23,18 +26,35 @@ class Integers(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """The normal equations of classes for outputs that noise weighs alike."""
+    """The normal equations of classes whose outputs share the weight of the noise."""
 
-    power: Array  # (class, tap, tap) X Xᵀ, the intercept last if there is one
-    noise: Array  # (class, tap) Λ, without the intercept
-    factor: float  # of the noise
-    right: Array  # (class, tap, output, then channel) Y Xᵀ, and which taps belong to a channel
+    power: Array  # (class, tap, tap) X Xᵀ; the last tap is the intercept, if there is one
+    noise: Array  # (class, tap) diagonal of Λ, without the intercept
+    factor: float  # weight of the noise
+    right: Array  # (class, tap, column) Y Xᵀ for each output, then the taps of each channel
 
 
 def solve_within(equations: Equations, ridge: float, member: Array, integers: Integers | None) -> tuple[Array, Array]:
-    """Return the solutions (class, tap, as `right`) and their condition numbers (class): with `ridge`, or, if transforms or
-    what bends them to another response of the channels, whose taps `member` (channel, tap) tells, are too large, with the
-    least of its multiples by ten that makes them small enough."""
+    """Solve the systems of all classes so that the transforms fit the integers of the planes.
+
+    Parameters
+    ----------
+    equations : Equations
+    ridge : float
+        Relative ridge. It is raised by factors of ten, at most `STEPS` times, for classes whose transforms would be too
+        large. So it is if the change that adapts a transform to another response of the channels would be too large.
+    member : ndarray, (channel, tap)
+        Which taps belong to each channel.
+    integers : Integers or None
+        The integer formats; None if any transform will do.
+
+    Returns
+    -------
+    solutions : ndarray, (class, tap, column)
+        Solutions for the columns of `equations.right`.
+    conditions : ndarray, (class)
+        Condition numbers of the systems.
+    """
     solutions, conditions = np.empty_like(equations.right), np.empty(len(equations.right))
     left = np.arange(len(solutions))
     for step in range(STEPS + 1):
@@ -48,20 +68,36 @@ def solve_within(equations: Equations, ridge: float, member: Array, integers: In
 
 
 def fits(rows: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
-    """Return whether the planes of transforms (class, tap and intercept, output) to X, Y, Z, or, as they are larger than
-    their components, those to others, fit integers (class)."""
+    """Return which transforms make planes that fit the integers.
+
+    Parameters
+    ----------
+    rows : ndarray, (class, tap + 1, output)
+        Transforms, the intercept last.
+    white : ndarray, (output)
+        White of the table. Transforms to X, Y, Z are tested as the planes that they make. Other outputs are tested as they
+        are, because they are larger than their components.
+    integers : Integers
+
+    Returns
+    -------
+    ndarray of bool, (class)
+    """
     planes = np.swapaxes(rows @ opponent_basis(white) if len(white) == PLANES else rows, 1, 2)
     return room_for(planes[..., :-1], planes[..., -1], *integers) > ROUNDED
 
 
 def fits_between(rows: Array) -> NDArray[np.bool_]:
-    """Return whether transforms (class, tap and intercept, plane) of planes to planes fit integers (class)."""
+    """Return which transforms (class, tap + 1, plane) of planes fit the integers, as bool (class)."""
     planes = np.swapaxes(rows, 1, 2)
     return room_between(planes[..., :-1], planes[..., -1]) > ROUNDED
 
 
 def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) -> NDArray[np.bool_]:
-    """Return whether transforms (class), and their change for a response one larger in a channel, fit SPARE times."""
+    """Return which transforms are smaller than the largest ones by the factor `SPARE`.
+
+    The change for a response that is larger by one in a channel must be as small, too.
+    """
     outputs, used = solutions.shape[2] - len(member), member.any(axis=1)
     compliance = solutions[..., outputs:][..., used]
     bends = compliance @ np.linalg.pinv(member[used] @ compliance)
@@ -70,10 +106,10 @@ def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) ->
 
 
 def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Array:
-    """Return x Xᵀ + factor · Λ + ridge over taps and any intercept, of `chosen` classes (class, tap, tap)."""
+    """Return X Xᵀ + factor · Λ + ridge of the chosen classes, (class, tap, tap), including any intercept."""
     taps = equations.noise.shape[1]
     systems = equations.power[chosen]
-    diagonal = np.einsum("cii->ci", systems)  # a view
+    diagonal = np.einsum("cii->ci", systems)  # a view: writes change the systems
     diagonal[:, taps:] += 1e-9
     mean = diagonal[:, :taps].mean(axis=1, keepdims=True)
     diagonal[:, :taps] += equations.factor * equations.noise[chosen] + ridge * mean + 1e-12
@@ -81,7 +117,7 @@ def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Ar
 
 
 def solve_positive(system: Array, right: Array) -> tuple[Array, float]:
-    """Return the solution of a symmetric positive system by Cholesky, and an estimate of its condition number (1-norm)."""
+    """Solve a symmetric positive system by Cholesky; also estimate its condition number (1-norm)."""
     from scipy.linalg import lapack
 
     factor, failed = lapack.dpotrf(system.T, lower=False)

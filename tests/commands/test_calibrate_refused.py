@@ -96,7 +96,7 @@ def no_picture(path: Path) -> None:
     [
         ("mono", Path.unlink, "does not exist"),
         ("chart", truncate, "not an image that can be read"),
-        ("white", too_small, "100×100 pixels, but the sensor has 192×256"),
+        ("white", too_small, "100×100 pixels, the sensor 192×256"),
         ("dark", too_deep, "more than 12 bits"),
         ("mono", no_picture, "not an image"),
     ],

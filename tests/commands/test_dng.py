@@ -282,14 +282,14 @@ READ: dict[str, tuple[Tags, list[bytes] | None, Callable[[RawFrame], bool]]] = {
                     lambda frame: frame.shading is not None),
 }  # fmt: skip
 REFUSED: dict[str, tuple[Tags, str]] = {
-    "DNGBackwardVersion": ({50707: (BYTE, [1, 8, 0, 0])}, "needs a reader of DNG 1.8, but l3 reads up to 1.7"),
+    "DNGBackwardVersion": ({50707: (BYTE, [1, 8, 0, 0])}, "for readers of DNG 1.8, this is one of 1.7"),
     "NewSubFileType": ({254: (LONG, [16])}, "holds no raw image"),
     "BitsPerSample": ({258: (SHORT, [32])}, "LibRaw"),
     "Compression": ({259: (SHORT, [52546])}, "compressed by JPEG XL"),
     "FillOrder": ({266: (SHORT, [2])}, "bits in reverse"),
     "Orientation": ({274: (SHORT, [9])}, "its orientation is 9, but TIFF defines 1…8"),
     "SamplesPerPixel": ({277: (SHORT, [3]), 262: (SHORT, [34892])}, "already demosaicked"),
-    "samples of three": ({277: (SHORT, [3])}, "3 samples per pixel"),
+    "samples of three": ({277: (SHORT, [3])}, "3 samples a pixel"),
     "TileWidth": (tiled(48, 32), "tiles are wider than the image"),
     "Predictor": ({317: (SHORT, [2])}, "stores differences"),
     "SampleFormat": ({339: (SHORT, [3])}, "floating-point"),
@@ -348,7 +348,7 @@ def test_what_is_read_changes_the_frame_as_it_states(tmp_path: Path, name: str) 
     assert frame.notes == (TWO_SAMPLES,) * (name == "SamplesPerPixel")
 
 
-TWO_SAMPLES = "it has two samples per pixel (dual pixels); l3 uses the first"
+TWO_SAMPLES = "it holds two samples a pixel (dual pixels); the first is taken"
 BLACK_LEVELS: dict[
     str, tuple[Tags, float | np.ndarray]
 ] = {  # of tags as cameras and apps write them; (row, col) of each site
@@ -610,7 +610,7 @@ def test_what_moves_pixels_is_refused_or_noted(tmp_path: Path, table: TransformT
     render = ("render", tmp_path / "table.h5", tmp_path / "a.dng", "-o", tmp_path / "a.png", "--backend", "reference")
     warp = struct.pack(">I", 1) + struct.pack(">8d", 1, 0, 0, 0, 0, 0, 0.5, 0.5)
     dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: opcode_list((1, 0, warp))})
-    assert "a.dng requires WarpRectilinear of OpcodeList3, which l3 does not support" in refused(3, *render)
+    assert "a.dng is to be changed by WarpRectilinear of OpcodeList3, which is not carried out" in refused(3, *render)
     dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: opcode_list((1, 1, warp), (77, 1, b""))})
     code, _, err = l3(*render)
     assert code == 0
@@ -618,7 +618,7 @@ def test_what_moves_pixels_is_refused_or_noted(tmp_path: Path, table: TransformT
     assert "a.dng: opcode 77 of OpcodeList3 is optional and not carried out" in err
     for stage, number in ((LIST_1, 9), (LIST_2, 4), (LIST_3, 5), (LIST_2, 8)):
         dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={stage: opcode_list((number, 0, b""))})
-        assert "which l3 does not support" in refused(3, *render, "--force")
+        assert "not carried out" in refused(3, *render, "--force")
         assert l3(*render, "--force", "--opcodes", "leave")[0] == 0
 
 

@@ -273,7 +273,7 @@ def test_a_lab_may_write_graymaps(tmp_path: Path, mosaic: np.ndarray) -> None:
     np.testing.assert_array_equal(read_frame(tmp_path / "a.pgm", (32, 40), 12), mosaic)
     with pytest.raises(InputFileError, match="more than 11 bits"):
         read_frame(tmp_path / "a.pgm", (32, 40), 11)
-    with pytest.raises(InputFileError, match="32×40 pixels, but the sensor has 40×32"):
+    with pytest.raises(InputFileError, match="32×40 pixels, the sensor 40×32"):
         read_frame(tmp_path / "a.pgm", (40, 32), 12)
     (tmp_path / "b.pgm").write_bytes(b"P5 2 1 255\nab")
     with pytest.raises(InputFileError, match="uint8"):

@@ -135,8 +135,8 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
     faults = {"black_level": f"{fault}; give ‹black_level›"} if fault else {}
     if mosaic.opcodes.demanded:
         faults["opcodes"] = (
-            f"requires {mosaic.opcodes.demanded[0]}, which l3 does not support; convert the camera's own file without "
-            "lens corrections, or ignore it with ‹opcodes› leave"
+            f"is to be changed by {mosaic.opcodes.demanded[0]}, which is not carried out; convert the camera's own file "
+            "without lens corrections, or have it rendered without: ‹opcodes› leave"
         )
         content["notes"] += tuple(f"{each} is left out" for each in mosaic.opcodes.demanded)
     if faults:
@@ -226,14 +226,14 @@ def _refuse_others(path: Path, first: Any, raw: Any) -> None:
     version = tuple(first.tags.valueof("DNGBackwardVersion") or LATEST)[:2]
     if version > LATEST:
         raise InputFileError(
-            f"{path} needs a reader of DNG {version[0]}.{version[1]}, but l3 reads up to {LATEST[0]}.{LATEST[1]}; "
-            "convert the camera's own file to DNG for an earlier version"
+            f"{path} is for readers of DNG {version[0]}.{version[1]}, this is one of {LATEST[0]}.{LATEST[1]}; "
+            "convert the camera's own file to DNG for earlier ones"
         )
     if raw.samplesperpixel != 1 and raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:
         raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
     if raw.samplesperpixel > DUAL:
         raise InputFileError(
-            f"{path} has {raw.samplesperpixel} samples per pixel; give a mosaic with one, or with two (dual pixels)"
+            f"{path} holds {raw.samplesperpixel} samples a pixel; give a mosaic of one, or of two (dual pixels)"
         )
     if raw.compression in UNREAD:
         raise InputFileError(
@@ -244,10 +244,10 @@ def _refuse_others(path: Path, first: Any, raw: Any) -> None:
         if set(np.ravel(page.tags.valueof(tag, only)).tolist()) != {only}:
             raise InputFileError(f"{path} {what}")
     if raw.compression == 1 and not raw.is_tiled and not _contiguous(raw.dataoffsets, raw.databytecounts):
-        raise InputFileError(f"{path}: its strips are not contiguous, which LibRaw does not support; save it in one strip")
+        raise InputFileError(f"{path}: its strips do not follow one another, as LibRaw takes them; save it in one strip")
     one_tile = raw.compression != 1 or raw.tilelength >= raw.imagelength
     if raw.is_tiled and raw.tilewidth > raw.imagewidth and one_tile:
-        raise InputFileError(f"{path}: its tiles are wider than the image, which LibRaw does not support; save it in strips")
+        raise InputFileError(f"{path}: its tiles are wider than the image, as LibRaw does not take them; save it in strips")
 
 
 def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
@@ -334,7 +334,7 @@ def _notes(raw: Any) -> Iterator[str]:
     if across != down:
         yield f"its pixels are not square (DefaultScale {across:g}, {down:g}); the picture is not stretched"
     if raw.samplesperpixel == DUAL:
-        yield "it has two samples per pixel (dual pixels); l3 uses the first"
+        yield "it holds two samples a pixel (dual pixels); the first is taken"
     if tuple(tags.numbers(raw, "DefaultUserCrop", WHOLE)) != WHOLE:
         yield "the crop that was chosen in the camera (DefaultUserCrop) is not applied"
 

@@ -183,7 +183,7 @@ class RawOverrides:
             return self
         if place >= len(self.gains):
             raise InputFileError(
-                f"‹gains› lists {len(self.gains)} gains, but none for frame {place + 1}; list one for each frame"
+                f"‹gains› lists {len(self.gains)} gains, none for frame {place + 1}; list one for each frame"
             )
         return replace(self, gain=self.gains[place], gains=())
 

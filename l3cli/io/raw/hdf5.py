@@ -49,7 +49,7 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     frames = held.get(name)
     if frames is None or not _is_stack(frames):
         content = "no dataset" if frames is None else f"{frames.dtype} {frames.shape}"
-        raise InputFileError(f"{path}: {dataset} is {content}; name a dataset of uint16 (frame, row, col) with ‹dataset›")
+        raise InputFileError(f"{path}: {dataset} is {content}; name with ‹dataset› one of uint16 (frame, row, col)")
     axes = _axes(path, frames)
     _require_frames(path, frames, axes)
     return name, 1 if axes.frame is None else frames.shape[axes.frame]
@@ -80,7 +80,7 @@ def _axes(path: Path, frames: Any) -> Axes:
     """Return the axes of a dataset, from their names in the file, or from the conventions of the program that wrote it."""
     name = f"{path}: {frames.name}"
     if _text(frames.attrs.get("IMAGE_SUBCLASS")) == TRUE_COLOUR:
-        raise InputFileError(f"{name} is a picture of three channels according to its IMAGE_SUBCLASS; give the mosaic")
+        raise InputFileError(f"{name} says that it is a picture of three channels (IMAGE_SUBCLASS); give the mosaic")
     usual = None
     if MATLAB in frames.attrs:  # MATLAB stores an array (row, col, frame) with the last axis first
         usual = Axes(0, 2, 1) if frames.ndim == 3 else Axes(None, 1, 0)

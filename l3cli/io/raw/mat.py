@@ -76,7 +76,7 @@ def _axes(path: Path, name: str, shape: tuple[int, ...], of_python: bool) -> Axe
     if of_python or len(shape) == 2:
         return frame_axes(f"{path}: {name}", shape)
     if shape[2] == 3:
-        raise InputFileError(f"{path}: {name} has {shape} values, like a picture of 3 channels; give the mosaic")
+        raise InputFileError(f"{path}: {name} holds {shape} values, as a picture of 3 channels; give the mosaic")
     return Axes(2, 0, 1)
 
 

@@ -77,7 +77,7 @@ def count_pages(path: Path) -> int:
     for number in range(1, count):
         if (kind := _kind(_page(path, number).spec())) != usual:
             raise InputFileError(
-                f"{path}: page {number + 1} has {kind}, but page 1 has {usual}; give a file with frames of one kind"
+                f"{path}: page {number + 1} holds {kind}, page 1 {usual}; give a file whose pages are frames of one kind"
             )
     return count
 

@@ -58,13 +58,13 @@ def scaled_dn(name: str, values: NDArray, black: float | None, white: float | No
     held = _held(name, values)
     if black is None or white is None:
         raise InputFileError(
-            f"{name} contains {held}, no DN; give ‹black_level› and ‹white_level› in the units of the file, such as "
+            f"{name} holds {held}, no DN; give ‹black_level› and ‹white_level› in the units of the file, such as "
             f"{'0.06 and 1' if float(values.max()) < FULL_SCALE_ONE else '0 and its full scale'}"
         )
     if not black < white or (float(values.max()) < FULL_SCALE_ONE and white >= LEAST_DN_LEVEL):
         raise InputFileError(
-            f"{name} contains {held}, which does not fit ‹black_level› {black:g} and ‹white_level› {white:g}; give both in "
-            "the units of the file"
+            f"{name} holds {held}, its ‹black_level› is {black:g} and its ‹white_level› {white:g}; give both in the units "
+            "of the file"
         )
     dn = SCALED_BLACK + (values.astype(np.float64) - black) * ((SCALED_WHITE - SCALED_BLACK) / (white - black))
     return np.clip(np.rint(dn), 0, TOP).astype(np.uint16)

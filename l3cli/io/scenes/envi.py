@@ -260,7 +260,7 @@ def _whole_data(path: Path, layout: Layout) -> Path:
     data = _data(path)
     held = data.stat().st_size
     if held < layout.end:
-        raise InputFileError(f"{data} has {held} bytes, but its header requires {layout.end}; give the whole file")
+        raise InputFileError(f"{data} has {held} bytes, its header wants {layout.end}; give the whole file")
     return data
 
 
