@@ -1,8 +1,7 @@
-"""Files as every command treats them: outputs appear whole or not at all, and inputs are known by their SHA-256;
-a ledger notes for a command's report what it reads and makes.
+"""Files: complete outputs, inputs identified by SHA-256, and a ledger of what a command reads and writes.
 
-Whoever writes a temporary file holds a lock (flock) on it that the kernel lets go of however the process ends, be it
-SIGKILL: a temporary file that nobody holds is what a killed run left. Locks on outputs: locks.py.
+A process that writes a temporary file holds a lock (flock) on it, which the kernel releases even after SIGKILL. So a
+temporary file without a lock was left by a killed run. Locks on outputs are in locks.py.
 """
 
 import contextlib
@@ -26,25 +25,25 @@ Dated = list[int]  # size in bytes, time of the last change in ns
 
 @dataclass
 class Ledger:
-    """Inputs by role, each as it was when it was named, and outputs in the order in which they got their names."""
+    """Inputs by role, as they were when they were recorded, and outputs in the order in which they were finished."""
 
     inputs: dict[str, dict[Path, Dated | None]] = field(default_factory=dict)
     outputs: dict[Path, None] = field(default_factory=dict)
-    places: dict[Path, None] = field(default_factory=dict)  # files and folders that the command is to make
+    places: dict[Path, None] = field(default_factory=dict)  # files and folders that the command will make
 
 
 _open: Ledger | None = None
 
 
 def open_ledger() -> Ledger:
-    """Note everything from now on in a new ledger, and in no other; return it."""
+    """Start a new ledger, which replaces the current one, and return it."""
     global _open
     _open = Ledger()
     return _open
 
 
 def close_ledger() -> None:
-    """Note nothing from now on."""
+    """Stop recording."""
     global _open
     _open = None
 
@@ -55,33 +54,32 @@ def is_noting() -> bool:
 
 
 def note_inputs(roles: Mapping[str, Iterable[Path]]) -> None:
-    """Note files that are read, by what they are to the command."""
+    """Record files that are read, by their role."""
     if _open is not None:
         for role, paths in roles.items():
             _open.inputs.setdefault(role, {}).update({path: dated(path) for path in paths})
 
 
 def note_places(paths: Iterable[Path]) -> None:
-    """Note the outputs: files, patterns of files, folders. Other files that are written are none of the command's
-    outputs."""
+    """Record the outputs: files, patterns of files, or folders. Other files that are written do not count as outputs."""
     if _open is not None:
         _open.places.update(dict.fromkeys(path.absolute() for path in paths))
 
 
 def note_output(path: Path) -> None:
-    """Note a file that has got its name."""
+    """Record a finished output file."""
     if _open is not None:
         _open.outputs[path.absolute()] = None
 
 
 def outputs_of(ledger: Ledger) -> list[Path]:
-    """Return the files made that exist, where the command was to make something."""
+    """Return the finished files that exist and belong to the recorded outputs."""
     folders = {place.parent for place in ledger.places} | set(ledger.places)
     return [path for path in ledger.outputs if not folders.isdisjoint(path.parents) and path.is_file()]
 
 
 def dated(path: Path) -> Dated | None:
-    """Return size and time of a file, which distinguish its contents; None if it does not exist."""
+    """Return size and modification time of a file, or None if it does not exist."""
     try:
         state = os.stat(path)
     except OSError:
@@ -90,21 +88,27 @@ def dated(path: Path) -> Dated | None:
 
 
 def fingerprint(path: Path) -> tuple[int, ...]:
-    """Return what tells one content of a file from another, from run to run: size, time of its last change, that of its
-    inode's (which nobody can set back: a copy that keeps size and time has another), and the inode's number. Raise OSError
-    if nothing is there."""
+    """Return size, modification time, change time and inode of a file, which together identify its content across runs.
+
+    The change time cannot be set back, so it also reveals a copy that keeps size and time. Raise OSError if there is no
+    file.
+    """
     state = path.stat()
     return state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino
 
 
 TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
-UNFINISHED = ".l3-unfinished"  # names, in a folder of pictures, the run that has not written all of them yet
-FINISHED = ".l3-finished"  # names the run that has
+UNFINISHED = ".l3-unfinished"  # file in a folder of pictures that names the run still writing them
+FINISHED = ".l3-finished"  # file that names the run that wrote all of them
 STDIN = Path("-")
-LONGEST = 255  # bytes of a file's name
-LONGEST_SUFFIX = 16  # bytes of one by which writers choose their format
-NAMES = {stat.S_IFDIR: "folder", stat.S_IFIFO: "pipe", stat.S_IFSOCK: "socket"}  # of what is no file
+LONGEST = 255  # bytes in a file name
+LONGEST_SUFFIX = 16  # bytes in a suffix by which writers choose their format
+NAMES = {
+    stat.S_IFDIR: "folder",
+    stat.S_IFIFO: "pipe",
+    stat.S_IFSOCK: "socket",
+}  # what messages call things that are not files
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -112,7 +116,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def refuse_existing(path: Path, force: bool) -> None:
-    """Raise L3Error before any work if `path` exists and may not be replaced."""
+    """Raise L3Error if `path` exists and may not be replaced."""
     if path.is_dir():
         raise L3Error(f"{path} is a folder; name a file as the output")
     if path.exists() and not path.is_file():
@@ -122,7 +126,7 @@ def refuse_existing(path: Path, force: bool) -> None:
 
 
 def refuse_filled_folder(path: Path, force: bool) -> None:
-    """Raise L3Error before any work if `path` is a file, or a folder that holds something and may not be written into."""
+    """Raise L3Error if `path` is a file, or a folder that is not empty and may not be written into."""
     if path.exists() and not path.is_dir():
         raise L3Error(f"{path} is a file; name a folder")
     if path.is_dir() and not force and any(not is_ours(each.name) for each in path.iterdir()):
@@ -131,12 +135,17 @@ def refuse_filled_folder(path: Path, force: bool) -> None:
 
 @contextlib.contextmanager
 def atomic_output(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` to write to; flushed to disk and renamed into place on success, removed on
-    failure.
+    """Yield a temporary path beside `path`, which is renamed to `path` if the block succeeds and removed otherwise.
 
-    The temporary file keeps the suffix of `path`, since writers choose their format by it; it must be written in place, not
-    replaced. No two processes ever write to the same one. L3Error if `path` cannot be written, or the disk is full;
-    RecipeError if it is a protected input.
+    The content is flushed to disk before the file is renamed. The temporary file keeps the suffix, because writers choose
+    their format by it. Write into it and do not replace it. No two processes share one.
+
+    Raises
+    ------
+    L3Error
+        If `path` cannot be written, or if the disk is full.
+    RecipeError
+        If `path` is a protected input.
     """
     refuse_protected(path)
     temporary, descriptor = None, None
@@ -144,7 +153,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
         with blamed_on(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary, descriptor = _new_temporary(path)
-        with blamed_on(path, FULL):  # of what goes wrong inside: inputs may be read there
+        with blamed_on(path, FULL):  # only a full disk, because the block may also read inputs
             yield temporary
         with blamed_on(path):
             _put_in_place(temporary, path)
@@ -156,19 +165,19 @@ def atomic_output(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: bytes | memoryview | str) -> None:
-    """Write `content` (text as UTF-8) to `path` whole or not at all."""
+    """Write `content` (text as UTF-8) to `path`, which appears only when it is complete."""
     with atomic_output(path) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 @uninterrupted
 def _new_temporary(path: Path) -> tuple[Path, int]:
-    """Return a new, empty, locked temporary file beside `path`, and the descriptor that holds the lock."""
+    """Return a new, empty, locked temporary file beside `path`, and the descriptor that holds its lock."""
     stem, suffix = _hidden_name(path)
     while True:
         temporary = path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
         descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(path))
-        with contextlib.suppress(OSError):  # storage without locks: nobody can take it for a dead run's
+        with contextlib.suppress(OSError):  # without locks, no run removes temporary files of others
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         if os.fstat(descriptor).st_nlink:
             return temporary, descriptor
@@ -176,13 +185,13 @@ def _new_temporary(path: Path) -> tuple[Path, int]:
 
 
 def _hidden_name(path: Path) -> tuple[str, str]:
-    """Return stem and suffix of temporary files of `path`."""
+    """Return the stem and suffix of the temporary files of `path`."""
     stem, suffix = (path.stem, path.suffix) if len(os.fsencode(path.suffix)) <= LONGEST_SUFFIX else (path.name, "")
     return shortened(stem, len(f"..01234567.l3tmp{suffix}")), suffix
 
 
 def shortened(name: str, more: int) -> str:
-    """Return `name`, or where it is too long for `more` bytes beside it, its beginning and a digest of it."""
+    """Return `name`, or its beginning and a digest if `name` and `more` further bytes are too long for a file name."""
     coded, room = os.fsencode(name), LONGEST - more
     if len(coded) <= room:
         return name
@@ -191,8 +200,7 @@ def shortened(name: str, more: int) -> str:
 
 
 def initial_mode(output: Path) -> int:
-    """Return the mode, before the umask, of what is created for an output: whoever may not read the one that is replaced
-    may not read these."""
+    """Return the mode, before the umask, of files created for an output. It grants no more than the replaced output does."""
     try:
         return 0o666 & (output.stat().st_mode | 0o600)
     except OSError:
@@ -200,7 +208,7 @@ def initial_mode(output: Path) -> int:
 
 
 def _put_in_place(temporary: Path, path: Path) -> None:
-    """Give a file its name, both on the disk."""
+    """Rename a file, and make sure that content and name are on disk."""
     _flush(temporary)
     os.replace(temporary, path)
     note_output(path)
@@ -212,7 +220,7 @@ def _put_in_place(temporary: Path, path: Path) -> None:
 
 
 def _flush(path: Path) -> None:
-    """Make sure that a file's content, or a folder's names, are on the disk."""
+    """Flush the content of a file, or the names in a folder, to disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -222,7 +230,7 @@ def _flush(path: Path) -> None:
 
 @contextlib.contextmanager
 def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
-    """Raise errors of the system (those `numbers`, if given) as L3Error that says that `path` cannot be written."""
+    """Turn system errors (only those in `numbers`, if given) into an L3Error saying that `path` cannot be written."""
     try:
         yield
     except OSError as error:
@@ -236,8 +244,10 @@ def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[No
 
 
 def open_quietly(path: Path) -> int:
-    """Return a descriptor of a regular file, for its lock; OSError if it is another kind of file. To write is wanted for
-    locks over NFS alone: another user's file may be readable only."""
+    """Open a regular file for its lock, or raise OSError.
+
+    Write access is only needed for locks over NFS, so a file of another user that is read-only is opened for reading.
+    """
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
     except PermissionError:
@@ -249,7 +259,7 @@ def open_quietly(path: Path) -> int:
 
 
 def sweep(folder: Path, output: Path | None = None) -> None:
-    """Remove the temporary files in `folder` (those of `output`, if given) whose writer is dead."""
+    """Remove temporary files in `folder` (only those of `output`, if given) that no living process holds."""
     wanted = None if output is None else _hidden_name(output)
     for name in os.listdir(folder) if folder.is_dir() else ():
         match = TEMPORARY.fullmatch(name)
@@ -267,20 +277,19 @@ def sweep(folder: Path, output: Path | None = None) -> None:
 
 
 def is_ours(name: str) -> bool:
-    """Return whether a file of this name is a lock, a checkpoint or temporary."""
+    """Return whether a file of this name is a lock, a checkpoint or a temporary file of l3."""
     return name.endswith((LOCK, UNFINISHED, FINISHED)) or TEMPORARY.fullmatch(name) is not None
 
 
 # --------------------------------------------------------------------------------------------------------- inputs
 
 Identity = tuple[int, int]  # device and number on it: the same for every name, symbolic and hard link of a file
-_protected: dict[Identity, Path] = {}  # files that the command reads, each with a name it was given by
+_protected: dict[Identity, Path] = {}  # files that the command reads, with the names under which they were given
 
 
 @contextlib.contextmanager
 def protecting(paths: Iterable[Path]) -> Iterator[None]:
-    """Keep outputs of this process, while the block lasts, from taking the place of these files, under whatever name;
-    "-": stdin."""
+    """Keep outputs of this process from replacing these files during the block, under any name. "-" is stdin."""
     named = ((identity(0 if path == STDIN else path), path) for path in paths)
     added = {key: path for key, path in named if key is not None and key not in _protected}
     _protected.update(added)
@@ -292,7 +301,7 @@ def protecting(paths: Iterable[Path]) -> Iterator[None]:
 
 
 def refuse_protected(output: Path | int) -> None:
-    """Raise RecipeError if an output, a path or a descriptor, is a protected input."""
+    """Raise RecipeError if an output (a path or a descriptor) is a protected input."""
     key = identity(output) if _protected else None
     if key is None or key not in _protected:
         return
@@ -302,7 +311,7 @@ def refuse_protected(output: Path | int) -> None:
 
 
 def identity(file: Path | int) -> Identity | None:
-    """Return the identity of the file under a path or descriptor, symbolic links followed; None if it is not regular."""
+    """Return the identity of a regular file, following links, or None if there is none."""
     try:
         state = os.stat(file)
     except OSError:
@@ -311,8 +320,10 @@ def identity(file: Path | int) -> Identity | None:
 
 
 def require_regular(path: Path, cure: str = "give a file") -> None:
-    """Raise InputFileError, with this cure, unless there is a regular file: a folder has no bytes, and whoever opens a
-    pipe or device may wait for ever. Looked up by name; nothing is opened."""
+    """Raise InputFileError, which ends with `cure`, unless `path` is a regular file.
+
+    The file is not opened, because opening a pipe or device may block for ever.
+    """
     try:
         _require_regular(path, path.stat().st_mode, cure)
     except OSError as error:
@@ -327,8 +338,7 @@ def _require_regular(path: Path, mode: int, cure: str) -> None:
 
 
 def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
-    """Return a regular file open for reading; InputFileError, as by `require_regular`, if it is none, also if it has
-    become none since it was checked."""
+    """Open a regular file for reading. Raise InputFileError, as `require_regular` does, if it is no regular file."""
     require_regular(path, cure)
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
@@ -345,7 +355,7 @@ def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
 
 @contextlib.contextmanager
 def naming(path: Path, cure: str = "") -> Iterator[None]:
-    """Raise errors of the system as InputFileError that names the file, and the cure where there is one."""
+    """Turn system errors into InputFileErrors that name the file and end with `cure`."""
     try:
         yield
     except OSError as error:
@@ -353,13 +363,13 @@ def naming(path: Path, cure: str = "") -> Iterator[None]:
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, in hexadecimal."""
+    """Return the SHA-256 of a file in hexadecimal."""
     with naming(path), open_regular(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def stamp(path: Path) -> tuple[int, ...]:
-    """Return what identifies a file among others of its name: number on the disk, size, time. Empty if it does not exist."""
+    """Return device, inode, size and modification time of a file, or () if it does not exist."""
     try:
         state = path.stat()
     except OSError:
@@ -368,8 +378,10 @@ def stamp(path: Path) -> tuple[int, ...]:
 
 
 def require_same(path: Path, digest: str) -> None:
-    """Raise InputFileError unless the file has this SHA-256: on another machine, another file may have its name. It is
-    read once as long as it stays the same."""
+    """Raise InputFileError unless the file has this SHA-256, because another machine may have another file under this name.
+
+    An unchanged file is read only once.
+    """
     try:
         known = fingerprint(path)
     except OSError as error:
